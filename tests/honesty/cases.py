@@ -34,6 +34,8 @@ class Case:
         The time at which the only unknown has a value, as a function of it, where that is known.
     jumps : dict
         For some times the unknowns that are reset, and their values.
+    switches : bool
+        Whether rates switch over the unknowns, so that the truth takes narrow steps instead.
     events : list of Event
         The truth is that of single trajectories then, beside the times of events.
     """
@@ -50,6 +52,7 @@ class Case:
     passed: sp.Expr | None = None
     jumps: dict[float, dict[sp.Expr, sp.Expr]] = field(default_factory=dict)
     events: list[ro.Event] = field(default_factory=list)
+    switches: bool = False
 
     def problem(self) -> ro.Problem:
         """As a user writes it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,16 +14,20 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from tests.honesty import impacts, narrow  # register their kinds
+from tests.honesty import impacts, narrow, switches  # register their kinds
 from tests.honesty.cases import Case, case, t
 
-__all__ = ["Verdict", "impacts", "judged", "narrow", "tried"]
+__all__ = ["Verdict", "impacts", "judged", "narrow", "switches", "tried"]
 
 WITHIN = 5.0
 """Errors of a success, over rtol, from which it is wrong."""
 POINTS, TIMES = 500, 21
 _SINGLE = 25
 """Points at which single trajectories are integrated."""
+_FEW = 8
+"""Points at which trajectories with narrow steps are integrated."""
+_NARROW = 1e-7
+"""Their width."""
 LONGEST = 30.0
 """Seconds after which a solve is slow."""
 _ACCURACY, _STEPS = 1e-9, 20_000
@@ -78,6 +83,9 @@ def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
         if case.events:
             points = points[:, :_SINGLE]
             exact, beside = single(case, points, times)
+        elif case.switches:
+            points = points[:, :_FEW]
+            exact, beside = smoothed(case, points, times), np.zeros((1, times.size), dtype=bool)
         else:
             exact, beside = truth(case, points, times), np.zeros((1, times.size), dtype=bool)
     except (TimeoutError, ro.RankoneError):
@@ -109,6 +117,57 @@ def single(case: Case, points: np.ndarray, times: np.ndarray) -> tuple[np.ndarra
         happened = np.concatenate([[np.inf], *run.events.values()])
         beside.append(np.abs(times[:, None] - happened).min(axis=1) <= case.rtol * case.end)
     return np.stack(exact, axis=1), np.array(beside)
+
+
+def smoothed(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Trajectories (n, points, times) whose switches are narrow steps, by implicit steps."""
+
+    def step(x: sp.Expr) -> sp.Expr:
+        return (1 + sp.tanh(x / _NARROW)) / 2
+
+    names = [sp.Dummy(real=True) for _ in case.unknowns]
+    plain = dict(zip(case.unknowns, names, strict=True))
+    rates = [
+        rate.xreplace(plain)
+        .replace(sp.Piecewise, lambda *pairs: _blended(pairs, step))
+        .replace(sp.sign, lambda x: 2 * step(x) - 1)
+        .replace(sp.Heaviside, lambda x, *_: step(x))
+        for rate in case.rates
+    ]
+    arguments = [t, names, list(case.box)]
+    rhs = sp.lambdify(arguments, rates, "math")
+    slopes = sp.lambdify(arguments, sp.Matrix(rates).jacobian(names), "numpy")
+    exact = []
+    for point, start in zip(points.T, _starts(case, points).T, strict=True):
+        run = scipy.integrate.solve_ivp(
+            lambda now, u, p=point: rhs(now, u.tolist(), p.tolist()),
+            (0.0, case.end),
+            start,
+            "Radau",
+            times,
+            jac=lambda now, u, p=point: slopes(now, u, p),
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        if not run.success:
+            raise TimeoutError
+        exact.append(run.y)
+    return np.stack(exact, axis=1)
+
+
+def _blended(pairs: Sequence[tuple], step: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
+    """A piecewise function whose conditions are inequalities, as a sum with narrow steps."""
+    total, rest = sp.S.Zero, sp.S.One
+    for branch, condition in pairs:
+        share = sp.S.One if condition == True else step(condition.gts - condition.lts)  # noqa: E712
+        total, rest = total + rest * share * branch, rest * (1 - share)
+    return total
+
+
+def _starts(case: Case, points: np.ndarray) -> np.ndarray:
+    """Initial values (n, points)."""
+    start = sp.lambdify([list(case.box)], case.initial, ["numpy", "scipy"])
+    return np.stack([np.broadcast_to(v, points.shape[1]) for v in start(points)]).astype(float)
 
 
 def sampled(case: Case) -> np.ndarray:
@@ -161,8 +220,7 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
         _finite(rate.xreplace(dict(zip(case.unknowns, names, strict=True)))) for rate in case.rates
     ]
     rhs = sp.lambdify([t, names, list(case.box)], plain, [_tables(case), "numpy", "scipy"])
-    start = sp.lambdify([list(case.box)], case.initial, ["numpy", "scipy"])
-    state = np.stack([np.broadcast_to(v, m) for v in start(points)]).astype(float)
+    state = _starts(case, points)
     values = np.full((n, m, times.size), np.nan)
     values[:, :, 0] = state
     cuts = np.concatenate([[0.0], *(_at(case, cut, points) for cut in case.cuts)])

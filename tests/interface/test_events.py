@@ -76,7 +76,7 @@ PROBLEMS = {
     ),
 }
 ENDINGS = {
-    "ball": (Ending.EVENT, 4),
+    "ball": (Ending.EVENT, 6),
     "projectile": (Ending.EVENT, 1),
     "relay": (Ending.EVENT, 6),
     "dose": (Ending.HORIZON, 3),

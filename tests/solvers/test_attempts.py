@@ -74,7 +74,11 @@ def run(
         return fake
 
     request = SolveRequest(rtol, Domain.of(system), Check(check))
-    return solve_in_attempts(marcher, FakeOptions(most), system, request, quiet)
+
+    def begun() -> Any:
+        return marcher(ReferenceSet.of(system, request))
+
+    return solve_in_attempts(begun, FakeOptions(most), system, request, quiet)
 
 
 def test_attempts_end_with_the_first_that_fits(system: Any, slabs: Any) -> None:

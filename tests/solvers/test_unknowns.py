@@ -19,7 +19,7 @@ def compiled():
 
 
 def test_others_do_not_count(compiled, tmp_path):
-    limits = {"method": "cross", "max_nodes": 8, "max_attempts": 2}
+    limits = {"method": "cross", "max_nodes": 8, "max_attempts": 2, "markers": None}
     assert not compiled.solve(1e-4, **limits).success
     solution = compiled.solve(1e-4, unknowns=[x], **limits)
     assert solution.success

@@ -33,7 +33,6 @@ from rankone.expressions.named_constants import named_constants
 from rankone.ir.forms import (
     ConstraintForms,
     Coordinate,
-    EventForm,
     Jump,
     QuadraticSystem,
     SeparatedForm,
@@ -133,6 +132,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     expressions = [*system.rhs, *further]
     factors = known_functions(system.coordinates, expressions)
     features = features_of(system.coordinates, system.rhs, further)
+    features = features.without(system.functions[len(system.functions) - len(system.switches) :])
     sections: dict[str, Sequence[Block]] = {
         "Factors": coordinate_functions(
             system.coordinates, [(sp.S.One, *functions) for functions in factors]
@@ -141,7 +141,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         "Initial values": [writer.initial()],
         "Constraints": constraint_blocks(writer, system.constraints),
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
-        "Events": _events(writer, system.events, [c.symbol for c in system.coordinates[1:]]),
+        "Events": _events(writer, system),
     }
     tables = _tables(False, system.states, len(system.states), (), system.coordinates)
     printed = [*expressions, *writer.printed]
@@ -298,10 +298,9 @@ def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
     return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
-def _events(
-    writer: PointwiseWriter, events: Sequence[EventForm], parameters: Sequence[sp.Symbol]
-) -> list[Block]:
+def _events(writer: PointwiseWriter, system: FirstOrderSystem) -> list[Block]:
     """The events, what crosses zero, and the states after those that reset some."""
+    events, parameters = system.events, [c.symbol for c in system.coordinates[1:]]
     if not events:
         return []
     n, k = len(writer.states), len(events)
@@ -322,6 +321,7 @@ def _events(
         [
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
+            *([f"N_SIDES = {len(system.switches)}"] if system.switches else []),
             *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
             *affine_times,
             *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),

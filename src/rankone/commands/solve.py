@@ -22,7 +22,7 @@ from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
-    *("max_seconds", "unknowns", "integrator", "progress", "on_failure"),
+    *("max_seconds", "unknowns", "integrator", "markers", "progress", "on_failure"),
 )
 """Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
 # What ``show`` prints: for each flag the title and the attribute of the compiled problem
@@ -39,6 +39,10 @@ _BOX_HELP = "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"
 _COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
 _UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
+_MARKERS_HELP = (
+    "what may end stretches of time besides events: auto, none, or what crosses zero "
+    "(default: auto)"
+)
 _EXIT_HELP = """\
 exit status:
   0  the measured error is within the tolerance
@@ -72,6 +76,7 @@ def register(commands: Commands) -> None:
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
+    add("--markers", metavar="WHEN", nargs="+", default=["auto"], help=_MARKERS_HELP)
     add("--json", action="store_true", help="print the summary as JSON")
     add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")
 
@@ -96,6 +101,13 @@ def _count(text: str) -> int:
     if count < 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0")
     return count
+
+
+def _markers(words: list[str]) -> str | list[str] | None:
+    """The option ``markers`` of a solve."""
+    if len(words) == 1 and words[0] in ("auto", "none"):
+        return "auto" if words[0] == "auto" else None
+    return words
 
 
 def _solve(arguments: argparse.Namespace) -> int:
@@ -126,6 +138,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             max_seconds=arguments.max_seconds,
             unknowns=arguments.unknowns,
             integrator=arguments.integrator,
+            markers=_markers(arguments.markers),
             progress=bar,
             **options,
         )

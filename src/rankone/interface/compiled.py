@@ -39,7 +39,9 @@ from rankone.codegen.header import equation_texts, general_equation_texts
 from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.module import general_source, generated_module
 from rankone.codegen.text import with_constants
+from rankone.frontend.markers import with_markers
 from rankone.frontend.problem import Problem
+from rankone.interface.held import held_form, held_system
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.solution import Solution
@@ -75,7 +77,7 @@ from rankone.symbolic import (
     check_start,
     symbolic_forms,
 )
-from rankone.symbolic.features import switching_term
+from rankone.symbolic.features import SymbolicFeatures, features_of, switching_term
 from rankone.symbolic.well_posed import check_gaps
 
 logger = logging.getLogger("rankone")
@@ -146,6 +148,30 @@ class CompiledProblem:
         name = self.problem.name or ""
         return StretchedProblem(self.first_order, self.system, self.separated, self.source, name)
 
+    @cached_property
+    def _held_form(self) -> FirstOrderSystem | None:
+        """The equations with the sides of switches as states, if there are switches to hold."""
+        return held_form(self.first_order)
+
+    @cached_property
+    def _held(self) -> System | None:
+        """The generated module of the same."""
+        return held_system(self._held_form, self.system, self.problem.name or "system")
+
+    @cached_property
+    def features(self) -> SymbolicFeatures:
+        """All that is not smooth in the equations, or so narrow that samples may miss it.
+
+        Printed, it lists the times, values of parameters and surfaces at which that is, with the
+        names of switches whose crossings end stretches.
+        """
+        first_order = self.first_order
+        jumps = (value for jump in first_order.jumps for value in jump.values)
+        further = [*first_order.initial, *jumps, *first_order.event_expressions]
+        features = features_of(first_order.coordinates, first_order.rhs, further)
+        held = self._held_form
+        return features if held is None else replace(features, switches=held.switches)
+
     def form_for(self, method: str) -> CompiledProblem | LiftedProblem | StretchedProblem:
         """What a method takes: an object with ``separated``, ``source`` and ``system``.
 
@@ -206,7 +232,7 @@ class CompiledProblem:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, object]:
-        rebuilt = ("system", "_lifting", "_stretched")
+        rebuilt = ("system", "_lifting", "_stretched", "_held", "_held_form", "features")
         return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
 
     def __repr__(self) -> str:
@@ -241,6 +267,7 @@ class CompiledProblem:
         max_seconds: float | None = None,
         unknowns: Sequence[object] | None = None,
         integrator: Literal["auto", "stack", "single", "compiled"] = "auto",
+        markers: Literal["auto"] | Sequence[object] | None = "auto",
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -285,6 +312,13 @@ class CompiledProblem:
             How trajectories are integrated: many as one stacked system, each alone, or by compiled
             Taylor series, for which heyoka has to be installed. "auto" chooses by counted work,
             and changes where a stack stalls.
+        markers : "auto", sequence of expressions, or None
+            What may end stretches of time besides events. Over a stretch each trajectory has a time
+            of its own, so that all of them are in phase. Expressions do so where they cross zero,
+            such as ``x - 3``, as SymPy or text. "auto" chooses a state that crosses the middle of
+            its range, if trajectories get far out of phase; and rates that switch (``Abs(x)``,
+            ``sign(v)``) are held on their side from one crossing to the next. With None, stretches
+            end at events alone, and without events the time is that of the clock.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
@@ -309,6 +343,23 @@ class CompiledProblem:
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
+        if markers is not None and markers != "auto":
+            marked = compile_problem(with_markers(self.problem, markers))
+            return marked.solve(
+                rtol,
+                method=method,
+                parameters=parameters,
+                t_final=t_final,
+                progress=progress,
+                check=check,
+                cover=cover,
+                effort=effort,
+                max_seconds=max_seconds,
+                unknowns=unknowns,
+                integrator=integrator,
+                on_failure=on_failure,
+                **options,
+            )
         separated = self.quadratic is not None
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
@@ -326,6 +377,7 @@ class CompiledProblem:
             max_seconds=max_seconds,
             unknowns=unknowns,
             integrator=integrator,
+            markers=markers == "auto",
             arguments=("method", "progress", "on_failure"),
         )
         solution = self._solved(request, engines, form, progress)
@@ -348,11 +400,12 @@ class CompiledProblem:
             self._check_gaps(request.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
         truth = self.system if isinstance(form, LiftedProblem) else None
+        system = form.system
+        if form is self and self._held is not None:
+            system = replace(system, held=self._held)
         began = time.perf_counter()
         with resolve_progress(progress) as report, one_thread():
-            outcome, metadata = solve_with(
-                engines, form.system, request, self.metadata(), report, truth
-            )
+            outcome, metadata = solve_with(engines, system, request, self.metadata(), report, truth)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}

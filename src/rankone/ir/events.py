@@ -24,9 +24,9 @@ class SystemEvent:
     unless that is before the start. Where they are affine, ``coefficients`` are the constant and
     the slope of each parameter. With a ``delay`` the states are reset that much later, unless
     ``when`` turns back and the event is not ``persistent``. Of several at one instant the one of
-    the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates jump at
-    a ``switch``; it ``starts`` or ``cancels`` the event at that position, whose times trajectories
-    tell one by one.
+    the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates switch
+    at a ``switch``, which resets sides of surfaces alone; it ``starts`` or ``cancels`` the event at
+    that position, whose times trajectories tell one by one.
     """
 
     when: OfTrajectory
@@ -53,7 +53,19 @@ class SystemEvent:
     @property
     def jumps(self) -> bool:
         """Whether values of the solution jump there, or end."""
-        return self.terminal or self.then is not None
+        return self.terminal or (self.then is not None and not self.switch)
+
+
+OfPoints: TypeAlias = Callable[[Array], Array]
+"""Maps points (m, d) to numbers (m,)."""
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A state that crosses a level, in both directions, where stretches end."""
+
+    state: int
+    level: float
 
 
 class Ending(StrEnum):
@@ -73,12 +85,14 @@ class EventOrder:
 
     ``instants`` are the positions of the events at each instant, several where they coincide. A
     stretch lies before each of them, and one more behind the last unless the ``ending`` is an
-    event; ``length`` is its own where it is the same for all trajectories.
+    event; ``length`` is its own where it is the same for all trajectories. ``sides`` are those of
+    held switches, for each stretch.
     """
 
     instants: tuple[tuple[int, ...], ...]
     ending: Ending
     length: float = 0.0
+    sides: tuple[tuple[int, ...], ...] = ()
 
     @property
     def stretches(self) -> int:

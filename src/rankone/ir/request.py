@@ -33,6 +33,7 @@ SOLVE_ARGUMENTS = (
     "unknowns",
     "effort",
     "integrator",
+    "markers",
 )
 """Arguments of every ``solve``, beside the options of an engine."""
 # Smallest tolerance: the reference, three digits better, comes close to rounding errors there
@@ -263,7 +264,8 @@ class SolveRequest:
     ``rtol`` is the largest measured error, relative to the size of each unknown; ``options`` has
     one group for each engine that may be tried. ``measures`` are the scales, by the names of
     parameters, that this solve gave to intervals. ``integrator`` is one of
-    INTEGRATORS.
+    INTEGRATORS. With ``markers``, stretches of time may end where no event of the user is: at
+    markers of oscillators, and where rates switch.
     """
 
     rtol: float
@@ -273,6 +275,7 @@ class SolveRequest:
     options: tuple[Options, ...] = ()
     measures: tuple[tuple[str, str], ...] = ()
     integrator: str = "auto"
+    markers: bool = True
 
     @classmethod
     def of(
@@ -290,6 +293,7 @@ class SolveRequest:
         max_seconds: float | None = None,
         unknowns: object = None,
         integrator: str = "auto",
+        markers: bool = True,
         arguments: Sequence[str] = (),
     ) -> SolveRequest:
         """Check the arguments of a ``solve``; an OptionError if one is unknown or out of its range.
@@ -312,7 +316,8 @@ class SolveRequest:
         limits = Limits.of(system, effort, max_seconds)
         words = ((_name(key), split(interval)[1]) for key, interval in (parameters or {}).items())
         measures = tuple((name, word) for name, word in words if word is not None)
-        return cls(rtol, domain, compared, limits, chosen, measures, checked_integrator(integrator))
+        integrator = checked_integrator(integrator)
+        return cls(rtol, domain, compared, limits, chosen, measures, integrator, markers)
 
     def options_of(self, group: type[EngineOptions]) -> EngineOptions:
         """The options of one engine, by their type."""

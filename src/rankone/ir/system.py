@@ -40,7 +40,7 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 import numpy as np
 
 from rankone.ir.constraints import Constraints
-from rankone.ir.events import EventOrder, OfTrajectory, SystemEvent
+from rankone.ir.events import EventOrder, Marker, OfPoints, OfTrajectory, SystemEvent
 from rankone.ir.features import (
     GAP_REMEDY,
     Features,
@@ -124,8 +124,10 @@ class System:
     where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
     from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
     stretches between them has the ``clock`` that it runs by. ``separated_stretches`` makes a
-    separated system of that kind, of a clock and a box, where that is asked for. ``constraints``
-    vanish on all trajectories. ``atol`` has absolute tolerances of states by name.
+    separated system of that kind, of a clock and a box, where that is asked for. The last
+    ``n_sides`` of the differential states are the sides of switches, set by as many of the last
+    events; ``held`` is the same system with such states, where there are any.
+    ``constraints`` vanish on all trajectories. ``atol`` has absolute tolerances of states by name.
     """
 
     separated: bool
@@ -158,11 +160,13 @@ class System:
     separated_stretches: Callable[[Clock, Box], System] | None = None
     constraints: Constraints = field(default_factory=Constraints)
     atol: tuple[tuple[str, float], ...] = ()
+    n_sides: int = 0
+    held: System | None = None
 
     @property
     def unknowns(self) -> tuple[str, ...]:
         """The states that the user asked for: differential, and not lifted."""
-        return self.states[: self.n_differential - self.n_lifted]
+        return self.states[: self.n_differential - self.n_lifted - self.n_sides]
 
     @property
     def user_functions(self) -> frozenset[str]:
@@ -200,13 +204,21 @@ class System:
 class Clock:
     """The system over clock time that runs in stretches, and the order of its events.
 
-    Its jumps, and the ``cuts`` of its time, are events.
+    Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``last_marks`` tells about
+    when trajectories at points (m, d) pass the last event, where nothing interrupts them.
     """
 
     system: System
     order: EventOrder
     horizon: tuple[float, float]
     cuts: tuple[float, ...] = ()
+    markers: tuple[Marker, ...] = ()
+    last_marks: OfPoints | None = None
+
+    @property
+    def n_states(self) -> int:
+        """Number of its differential states but for the sides of switches."""
+        return self.system.n_differential - self.system.n_sides
 
     @property
     def terminal(self) -> bool:
@@ -313,6 +325,7 @@ def system_of(names: Mapping[str, object]) -> System:
         events=_events(names),
         constraints=constraints,
         atol=member("ATOL", ()),
+        n_sides=member("N_SIDES", 0),
     )
 
 
@@ -324,6 +337,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
         for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN")
     )
 
+    first_side = len(listed) - cast(int, names.get("N_SIDES", 0))
     rows = cast("Sequence[tuple[int, tuple[float, ...]]]", names.get("AFFINE_EVENT_TIMES", ()))
     coefficients = dict(rows)
 
@@ -345,6 +359,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
             terminal,
             name,
             at if k in known else None,
+            switch=k >= first_side,
             delay=row("event_delays", delayed.index(k)) if k in delayed else None,
             priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
             persistent=k not in withdrawn,

@@ -41,7 +41,7 @@ class Timeline:
         return cls(
             tuple(event.name for event in events if not event.timed),
             tuple(tuple(events[k].name for k in instant) for instant in instants),
-            tuple(any(events[k].then is not None for k in instant) for instant in instants),
+            tuple(any(_resets(events[k]) for k in instant) for instant in instants),
             clock.order.ending,
             bool(instants) and any(events[k].terminal for k in instants[-1]),
             clock.horizon,
@@ -94,6 +94,10 @@ class Timeline:
     def stretches(self) -> int:
         """Number of stretches."""
         return len(self.instants) + (self.ending is not Ending.EVENT)
+
+
+def _resets(event: SystemEvent) -> bool:
+    return event.then is not None and not event.switch
 
 
 def _coefficients(instant: Iterable[SystemEvent]) -> tuple[float, ...] | None:

@@ -180,7 +180,7 @@ class Marcher(Protocol):
 
 
 def solve_in_attempts(
-    marcher_of: Callable[[ReferenceSet], Marcher],
+    marcher_of: Callable[[], Marcher],
     options: Options,
     system: System,
     request: SolveRequest,
@@ -188,16 +188,15 @@ def solve_in_attempts(
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``marcher_of`` makes the engine's marcher, ``options`` are those of the engine. A part of the
-    budget is kept back to explain a failure.
+    ``marcher_of`` integrates it and makes the engine's marcher, ``options`` are those of the
+    engine. A part of the budget is kept back to explain a failure.
     """
     stages = Stages()
     tell_fallback(system, request.integrator)
     with _keeping_some():
         try:
             with stages.of("reference"):
-                reference_set = ReferenceSet.of(system, request)
-                marcher = marcher_of(reference_set)
+                marcher = marcher_of()
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages)
         best, records, met = _attempts(marcher, request.rtol, options, report, stages)

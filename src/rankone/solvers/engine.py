@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +16,10 @@ from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
+from rankone.solvers.markers import SolveStart, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
+from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
@@ -31,6 +34,10 @@ _TRAIN_OPERATIONS = 2e9
 _TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
 # Share of the budget for cross if train follows: most systems need no second engine
 _CROSS_SHARE = 0.7
+# Shares of the budget for a system with kinks as it was written, and for stretches between the
+# crossings of its switches
+_KINKS_SHARE, _HELD_SHARE = 0.05, 0.6
+_SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
 _MOST_MORE_EVENTS = 2
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
@@ -53,9 +60,27 @@ class Engine:
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance.
 
-        Where there are no events, but times at which rates jump or peak move with the parameters,
-        these are events as long as all trajectories meet them in the same order.
+        Switches of the rates are held, and times at which rates jump or peak are events, as long as
+        all trajectories meet them in the same order.
         """
+        if system.held is None or not request.markers:
+            return self._solve_as_written(system, request, report)
+        if not system.events and not system.features.n_steps:  # kinks may be smooth enough
+            with limited(*_part(_KINKS_SHARE)):
+                outcome = self._solve_as_written(system, request, report)
+            if outcome.status in _SOLVED:
+                return outcome
+        try:
+            with limited(*_part(_HELD_SHARE)):
+                outcome = self._solve_over_stretches(system.held, request, report)
+            if outcome.status in _SOLVED:
+                return outcome
+        except ConvergenceError:
+            pass
+        return self._solve_as_written(system, request, report)
+
+    def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:
+        """Solve with the switches of the rates as they are."""
         if system.events or system.separated_stretches is not None:
             return self._solve_over_stretches(system, request, report)
         if system.features.n_moving_steps and not system.separated:
@@ -94,13 +119,33 @@ class Engine:
         raise first
 
     def _solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
+        """Solve over stretches between markers where they pay, else over the time of the system."""
+        if self.name == "cross" and request.markers and system.clock is None:
+            try:
+                return self._attempted(system, request, report, markers=True)
+            except OrderError:
+                pass
+        return self._attempted(system, request, report)
+
+    def _attempted(
+        self, system: System, request: SolveRequest, report: Report, markers: bool = False
+    ) -> Outcome:
+        """The outcome of attempts, perhaps over stretches between markers."""
         options = request.options_of(self.options)
-        with open_workers(system, options.executor) as workers:
+        start: SolveStart | None = None
+        with ExitStack() as stack:
 
-            def marcher(reference_set: ReferenceSet) -> Marcher:
-                return self.marcher(request, reference_set, workers)
+            def marcher() -> Marcher:
+                nonlocal start
+                start = start_of(system, request, markers)
+                there = open_workers(start.reference_set.system, options.executor)
+                workers = stack.enter_context(there)
+                return self.marcher(start.request, start.reference_set, workers)
 
-            return solve_in_attempts(marcher, options, system, request, report)
+            outcome = solve_in_attempts(marcher, options, system, request, report)
+        if start is None or start.clock is None:
+            return outcome
+        return replace(outcome, timeline=Timeline.of(start.clock))
 
     def run(
         self,
@@ -175,6 +220,11 @@ def _best_outcome(
     others = tuple((name, o.verdict) for o, name in outcomes if o is not best)
     notes = (*best.notes, OtherEngines(method, others))
     return replace(best, timings=timings, work=work, notes=notes), method
+
+
+def _part(share: float) -> tuple[float, float]:
+    """A share of the operations and seconds that are left."""
+    return share * work_left(), share * seconds_left()
 
 
 def _sums(*by_stage: Mapping[str, float]) -> dict[str, float]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
+from rankone.support.arrays import Array
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.event_order import event_order
 from rankone.trajectories.integrator import Tolerances
@@ -34,13 +35,18 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     in_time, *_ = system_cuts(system, domain)
     cuts = tuple(cut for cut in in_time.points if domain.horizon[0] < cut < domain.horizon[1])
     timed = timed_events(system, cuts)
-    points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
-    largest = np.abs(system.initial(np.ascontiguousarray(points.T))).max(axis=1, keepdims=True)
-    sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
-    tolerances = Tolerances(_PILOT_RTOL, _PILOT_RTOL * _PILOT_FLOOR * sizes)
+    points, tolerances = pilots(system, domain, _PILOT_RTOL)
     chosen = span_integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
+
+
+def pilots(system: System, domain: Domain, rtol: float) -> tuple[Array, Tolerances]:
+    """Points (m, d) of trajectories that tell the order of events, and their tolerances."""
+    points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
+    largest = np.abs(system.initial(np.ascontiguousarray(points.T))).max(axis=1, keepdims=True)
+    sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
+    return points, Tolerances(rtol, rtol * _PILOT_FLOOR * sizes)
 
 
 def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRequest]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.optimize
@@ -27,6 +27,7 @@ from sympy.core.function import AppliedUndef
 from rankone.expressions.admissible import numeric
 from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
+from rankone.expressions.notation import text_of
 from rankone.expressions.peaks import peaks, steps
 from rankone.ir.forms import Coordinate
 from rankone.ir.verdict import SwitchingTerm
@@ -72,6 +73,7 @@ class SymbolicFeatures:
     """Where expressions of a system are not smooth; see :class:`rankone.ir.features.Features`.
 
     There are cuts for each coordinate; peaks, kinks and steps are the surfaces over the states.
+    ``names`` are those of the coordinates; ``switches`` are the surfaces whose sides are held.
     """
 
     cuts: tuple[Cuts, ...]
@@ -81,11 +83,42 @@ class SymbolicFeatures:
     peaks: tuple[sp.Expr, ...]
     kinks: tuple[sp.Expr, ...]
     steps: tuple[sp.Expr, ...]
+    names: tuple[str, ...]
+    switches: tuple[sp.Expr, ...] = ()
+
+    def __str__(self) -> str:
+        """What is not smooth, one line a feature."""
+        lines = [
+            f"at {name} = {', '.join(f'{point:g}' for point in sorted(cuts.points))}"
+            for name, cuts in zip(self.names, self.cuts, strict=True)
+            if cuts.points
+        ]
+        lines += [
+            f"at {name} = {point:g}, and every {period:g}"
+            for name, cuts in zip(self.names, self.cuts, strict=True)
+            for point, period in sorted(cuts.periodic)
+        ]
+        lines += [f"at {self.names[0]} = {text_of(time)}" for time in self.moving_cuts]
+        lines += [f"switch_{k}: {text_of(g)} = 0" for k, g in enumerate(self.switches)]
+        held = {*self.switches, *(-g for g in self.switches)}
+        others = (g for g in self.state_surfaces if g not in held)
+        lines += [f"where {text_of(g)} = 0" for g in (*others, *self.parameter_surfaces)]
+        return "\n".join(lines or ["smooth everywhere"])
 
     @property
     def moving_cuts(self) -> tuple[sp.Expr, ...]:
         """Times that move with the parameters, those of jumps first."""
         return (*self.moving_steps, *self.other_moving_cuts)
+
+    def without(self, sides: Sequence[sp.Expr]) -> SymbolicFeatures:
+        """The features but for the surfaces over states that are sides of switches."""
+        if not sides:
+            return self
+        peaks, kinks, steps = (
+            tuple(surface for surface in surfaces if not surface.has(*sides))
+            for surfaces in (self.peaks, self.kinks, self.steps)
+        )
+        return replace(self, peaks=peaks, kinks=kinks, steps=steps)
 
     @property
     def state_surfaces(self) -> tuple[sp.Expr, ...]:
@@ -107,6 +140,7 @@ def features_of(
         *moving_cuts(coordinates, rates),
         parameter_surfaces(coordinates, expressions),
         *state_surfaces(coordinates[0].symbol, rates),
+        tuple(coordinate.name for coordinate in coordinates),
     )
 
 

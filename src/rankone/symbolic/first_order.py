@@ -84,11 +84,14 @@ class FirstOrderSystem(Stage):
         In the order of the user.
     constraints : ConstraintForms
         What algebraic equations say of the states.
+    switches : tuple of Expr
+        The surfaces of switches, whose sides are the last states; the last events set them.
     """
 
     rhs: tuple[sp.Expr, ...]
     events: tuple[EventForm, ...] = field(default=(), kw_only=True)
     constraints: ConstraintForms = field(default_factory=ConstraintForms, kw_only=True)
+    switches: tuple[sp.Expr, ...] = field(default=(), kw_only=True)
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:

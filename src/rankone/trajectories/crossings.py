@@ -152,6 +152,9 @@ class Crossings:
                 through = self.first[steps.owner[back]] & self._crosses(event, steps, back)
                 for start in back[~through]:
                     instants[steps.owner[start]] = steps.begin[start : start + 1]
+        if event.switch:  # on a side that rates have left, or do not let it stay on
+            for start in firsts[(heights[firsts, :2] < 0.0).all(axis=1)]:
+                instants[steps.owner[start]] = steps.begin[start : start + 1]
         before, after = np.sign(heights[:, :-1]), np.sign(heights[:, 1:])
         # not a number is no side
         crossed = (before != after) & (before != 0.0) & np.isfinite(before) & np.isfinite(after)

@@ -39,10 +39,12 @@ def event_order(
     integrator: SpanIntegrator,
     tolerances: Tolerances,
     more: int = 0,
+    begun: Sequence[EventTrajectory] = (),
 ) -> EventOrder:
     """The order of the events of trajectories at points (m, d).
 
-    Others may meet so many ``more`` before the end of the horizon.
+    Others may meet so many ``more`` before the end of the horizon. Those that have ``begun`` have
+    reached it already.
 
     Raises
     ------
@@ -50,15 +52,19 @@ def event_order(
         If it is not the same at all of them, except for what comes after the horizon.
     """
     events, end = system.events, horizon[1]
-    followed = integrate_to_events(integrator, system, points, horizon, tolerances, events)
+    followed = [*begun] or integrate_to_events(
+        integrator, system, points, horizon, tolerances, events
+    )
     length = end - horizon[0]
     counts = [len(instants_of(each, length)) for each in followed]
     longest = int(np.argmax(counts))
     instants = tuple(_ids(instants_of(followed[longest], length)))
-    some = Clock(system, EventOrder(instants, Ending.EVENT), horizon)
+    sides = sides_of(system, followed[longest], len(instants), length)
+    some = Clock(system, EventOrder(instants, Ending.EVENT, sides=sides), horizon)
     terminal = bool(instants) and any(events[k].terminal for k in instants[-1])
     if not terminal and min(counts) == max(counts) and not more:
-        order = EventOrder(instants, Ending.HORIZON)
+        sides = sides_of(system, followed[longest], len(instants) + 1, length)
+        order = EventOrder(instants, Ending.HORIZON, sides=sides)
         for each, point in zip(followed, points, strict=True):
             check_order(Clock(system, order, horizon), each, point)
         return order
@@ -67,8 +73,9 @@ def event_order(
         try:
             further = follow(some, integrator, points, tolerances, count, followed)
             beyond = {tuple(_ids(instants_of(each, length))[:count]) for each in further}
-            if len(beyond) == 1 and len(next(iter(beyond))) == count:
-                return EventOrder(beyond.pop(), Ending.EVENT)
+            held = {sides_of(system, each, count, length) for each in further}
+            if len(beyond) == len(held) == 1 and len(next(iter(beyond))) == count:
+                return EventOrder(beyond.pop(), Ending.EVENT, sides=held.pop())
         except ConvergenceError:
             pass
     if more:
@@ -79,7 +86,8 @@ def event_order(
     if terminal:
         return some.order
     last = min(instants_of(each, length)[len(instants) - 1][0].time for each in reached)
-    return EventOrder(instants, Ending.LENGTH, (1.0 + _SPARE) * (end - last))
+    sides = sides_of(system, reached[longest], len(instants) + 1, length)
+    return EventOrder(instants, Ending.LENGTH, (1.0 + _SPARE) * (end - last), sides)
 
 
 def follow(
@@ -105,8 +113,18 @@ def follow(
     if begun:
         edges = edges[1:]
     events = clock.system.events
+    first_ends = clock.last_marks(points) if clock.last_marks and not begun else None
     followed = integrate_to_events(
-        integrator, clock.system, points, edges, tolerances, events, enough, begun
+        integrator,
+        clock.system,
+        points,
+        edges,
+        tolerances,
+        events,
+        enough,
+        begun,
+        first_ends,
+        count,
     )
     early: list[int] = []
     for k, each in enumerate(followed):
@@ -135,6 +153,18 @@ def instants_of(trajectory: EventTrajectory, length: float) -> list[list[Occurre
     return instants
 
 
+def sides_of(
+    system: System, trajectory: EventTrajectory, stretches: int, length: float
+) -> tuple[tuple[int, ...], ...]:
+    """The sides of switches of a trajectory on its first stretches."""
+    if not system.n_sides:
+        return ((),) * stretches
+    states = [trajectory.paths[0].state]
+    states += [instant[-1].after for instant in instants_of(trajectory, length)]
+    sides = [tuple(map(round, state[-system.n_sides :].tolist())) for state in states]
+    return tuple(sides[:stretches])
+
+
 def _ids(instants: Sequence[Sequence[Occurrence]]) -> list[tuple[int, ...]]:
     return [tuple(sorted(each.event for each in instant)) for instant in instants]
 
@@ -146,6 +176,7 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
     met = _ids(instants)
     before = sum(instant[0].time < clock.horizon[1] for instant in instants)
     exact = order.ending is not Ending.EVENT
+    sides = sides_of(clock.system, trajectory, order.stretches, clock.length)
 
     def named(ids: Sequence[int]) -> str:
         return " with ".join(quote(events[k].name) for k in ids)
@@ -167,6 +198,13 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
             f"events do not come in the same order everywhere: {what}{at_point(clock, point)}",
             remedy=_REMEDY,
         )
+    for number, (side, there_too) in enumerate(zip(sides, order.sides, strict=False), 1):
+        if side != there_too:
+            raise OrderError(
+                f"switches are on other sides than elsewhere on stretch {number}"
+                f"{at_point(clock, point)}",
+                remedy=_REMEDY,
+            )
 
 
 def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> OrderError:

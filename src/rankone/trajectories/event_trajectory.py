@@ -10,6 +10,7 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.trajectories.paths import Path, joined
 
+_MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
 
@@ -60,12 +61,16 @@ class EventTrajectory:
     def steps(self) -> int:
         return sum(path.steps for path in self.paths)
 
-    def next_end(self, edge: float) -> float:
-        """The end of what is integrated next, on the way to an edge: no known time is within."""
+    def next_end(self, edge: float, count: int = 0) -> float:
+        """The end of what is integrated next, on the way to an edge: no known time is within.
+
+        It is about where a trajectory that nothing has interrupted passes so many events.
+        """
         edge, stretch = min(edge, self.ahead.min(initial=math.inf)), self.stretch
         passed = self.end - float(self.paths[0].breaks[0])
         if stretch == math.inf and self.occurrences and passed > 0.0:  # marks alone so far
-            stretch = passed / len(self.occurrences)
+            gap = passed / len(self.occurrences)
+            stretch = gap * max(count - len(self.occurrences) + _MARGIN, 1.0)
         far = edge - self.end > _STRETCH * stretch
         return self.end + stretch if far else edge
 

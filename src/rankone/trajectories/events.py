@@ -23,7 +23,7 @@ from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.trajectories.crossings import Crossings
 from rankone.trajectories.event_trajectory import EventTrajectory
 from rankone.trajectories.instants import SAME_INSTANT, Instants
-from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
+from rankone.trajectories.integrator import Spanning, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
 
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
@@ -31,7 +31,7 @@ _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
 
 def integrate_to_events(
-    integrator: SpanIntegrator,
+    integrator: Spanning,
     system: System,
     points: Array,
     edges: Sequence[float],
@@ -39,13 +39,16 @@ def integrate_to_events(
     events: Sequence[SystemEvent],
     enough: Callable[[EventTrajectory, float], bool] | None = None,
     begun: Sequence[EventTrajectory] = (),
+    first_ends: Array | None = None,
+    count: int = 0,
 ) -> list[EventTrajectory]:
     """The trajectories at points (m, d), with events.
 
     They go on from those that have ``begun``, if any. States are reset at the edges where the
     system jumps, and after that by events. A trajectory is followed no further once it is
-    ``enough`` on the way to the next edge. An OutOfBudgetError says which time all trajectories
-    have reached.
+    ``enough`` on the way to the next edge. The first integration is to the ``first_ends`` (m,), if
+    these are told; ``count`` is how many events are asked for at least. An OutOfBudgetError says
+    which time all trajectories have reached.
     """
     search = _Search(system, Instants(tuple(events), edges[-1] - edges[0]), tolerances)
     trajectories = [each.copy() for each in begun] or search.begin(points, edges[0])
@@ -57,7 +60,9 @@ def integrate_to_events(
             if _runs(each, b) and not (enough and enough(each, b))
         ]:
             some = [trajectories[k] for k in running]
-            ends = np.array([each.next_end(b) for each in some])
+            ends = np.array([each.next_end(b, count) for each in some])
+            if first_ends is not None:
+                ends, first_ends = np.maximum(ends, first_ends), None
             try:
                 paths = search.paths(integrator, some, points[running], ends)
                 search.advance_all(some, paths, points[running], ends.tolist())
@@ -136,7 +141,7 @@ class _Search:
 
     def paths(
         self,
-        integrator: SpanIntegrator,
+        integrator: Spanning,
         trajectories: Sequence[EventTrajectory],
         points: Array,
         ends: Array,

@@ -133,8 +133,8 @@ class Integrator(Protocol):
         """Trajectories at ascending times (T,) alone."""
 
 
-class SpanIntegrator(Integrator, Protocol):
-    """An integrator that can give each trajectory a span of its own."""
+class Spanning(Protocol):
+    """Gives each trajectory a span of its own."""
 
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
@@ -143,6 +143,10 @@ class SpanIntegrator(Integrator, Protocol):
 
         The system does not jump. An OutOfBudgetError says which time all would have reached.
         """
+
+
+class SpanIntegrator(Integrator, Spanning, Protocol):
+    """An integrator that can give each trajectory a span of its own."""
 
 
 def jacobians(system: System, points: Array, time: float | Array, states: Array) -> Array:

@@ -24,6 +24,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.paths import Path, Paths, joined
+from rankone.trajectories.sides import check_sides, times_to_check
 
 _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
 
@@ -82,7 +83,7 @@ class StretchTrajectories:
         lengths = np.diff(self.borders, axis=1)
         clock = np.stack([np.abs(self.borders).max(axis=1), np.abs(lengths).max(axis=1)])
         states = [
-            np.max([path.largest(steps) for path in each.paths], axis=0)
+            np.max([path.largest(steps) for path in each.paths], axis=0)[: self.clock.n_states]
             for each in self.trajectories
         ]
         largest = np.concatenate([np.stack(states, axis=1), clock])
@@ -94,7 +95,7 @@ class StretchTrajectories:
     def __call__(self, times: Array) -> Array:
         """States, clock and length of the stretch (n + 2, m, T) at pseudo-times (T,)."""
         stretch = np.clip(np.floor(times).astype(int), 0, self.clock.order.stretches - 1)
-        n = self.clock.system.n_differential
+        n = self.clock.n_states
         lengths = np.diff(self.borders, axis=1)[:, stretch]
         at = self.borders[:, stretch] + (times - stretch) * lengths
         states = np.empty((n + CLOCK_STATES, len(self.trajectories), times.size))
@@ -102,7 +103,7 @@ class StretchTrajectories:
         first = self._first_alike[stretch]
         for i in np.unique(first):
             here = first == i
-            states[:n, :, here] = self._paths[i](at[:, here])
+            states[:n, :, here] = self._paths[i](at[:, here])[:n]
         return self._with_lifted(times, states)
 
     def _with_lifted(self, times: Array, states: Array) -> Array:
@@ -118,7 +119,13 @@ class StretchTrajectories:
 
     def at(self, k: int, times: Array) -> Array:
         """States (n, T) of one trajectory at clock times (T,), NaN after its end."""
-        return self.trajectories[k](times)
+        return self.trajectories[k](times)[: self.clock.n_states]
+
+    def check_sides(self) -> None:
+        """Raise an OrderError if a trajectory is not on the sides of switches that it should be."""
+        times = times_to_check(self.borders)
+        states = [each(times[:, i]) for i, each in enumerate(self._paths)]
+        check_sides(self.clock, np.stack(states, axis=2), times, self.points)
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         s = np.linspace(0.0, self.end, count + 2)[1:]
@@ -184,11 +191,12 @@ class StretchIntegrator:
         clock = system.clock
         assert clock is not None
         assert tuple(edges[:: len(edges) - 1]) == system.horizon
-        n, order = clock.system.n_differential, clock.order
+        n, order = clock.n_states, clock.order
         per_stretch = clock.length / order.stretches
+        absolute = np.broadcast_to(tolerances.absolute, (system.n_differential, 1))[:n]
         tolerances = replace(
             tolerances,
-            absolute=np.broadcast_to(tolerances.absolute, (system.n_differential, 1))[:n],
+            absolute=np.concatenate([absolute, np.ones((clock.system.n_sides, 1))]),
             longest_step=tolerances.longest_step * per_stretch,
         )
         trajectories = follow(clock, self.integrator, points, tolerances, len(order.instants))
@@ -198,7 +206,10 @@ class StretchIntegrator:
         single = self.name == "single"
         method = "LSODA" if single else "DOP853"
         name = "single" if single else "stack"
-        return StretchTrajectories(system, points, trajectories, clock, borders, name, method)
+        dense = StretchTrajectories(system, points, trajectories, clock, borders, name, method)
+        if clock.system.n_sides:
+            dense.check_sides()
+        return dense
 
     def sample(
         self,

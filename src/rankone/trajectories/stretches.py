@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from rankone.ir.constraints import Constraints
-from rankone.ir.events import RISING, EventOrder, OfTrajectory, SystemEvent
+from rankone.ir.events import RISING, EventOrder, Marker, OfPoints, OfTrajectory, SystemEvent
 from rankone.ir.features import Features, Jumps, VectorLike
 from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
 from rankone.ir.timeline import CLOCK_STATES
@@ -34,8 +34,8 @@ def fixed_times(system: System, cuts: Sequence[float]) -> list[float]:
     return sorted({*cuts, *system.jumps.inside(*system.horizon)})
 
 
-def timed_events(system: System, cuts: Sequence[float]) -> System:
-    """The system with its jumps, and with cuts of its time that may move, as events."""
+def timed_events(system: System, cuts: Sequence[float], markers: Sequence[Marker] = ()) -> System:
+    """The system with its jumps, its markers, and cuts of its time that may move, as events."""
     jumps, times = system.jumps, fixed_times(system, cuts)
 
     def known(
@@ -77,11 +77,22 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
         return known(at, "a switch", None)
 
     switches = map(moving, range(system.features.n_moving_cuts))
-    events = (*_put_off(system.events), *(event(time) for time in times), *switches)
+    marking = (marker_event(marker, f"marker_{k}") for k, marker in enumerate(markers))
+    timed = (event(time) for time in times)
+    events = (*_put_off(system.events), *marking, *timed, *switches)
     features = replace(system.features, cuts=((), *system.features.cuts[1:]), n_moving_cuts=0)
     features = replace(features, n_moving_steps=0)
     features = replace(features, periodic_cuts=((), *system.features.periodic_cuts[1:]))
     return replace(system, events=events, jumps=Jumps(), features=features)
+
+
+def marker_event(marker: Marker, name: str) -> SystemEvent:
+    """The event that marks where a state crosses a level."""
+
+    def when(_t: Array, u: Array, _p: Array) -> Array:
+        return np.asarray(u[marker.state] - marker.level)
+
+    return SystemEvent(when, name=name)
 
 
 def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
@@ -109,34 +120,43 @@ def in_stretches(clock: Clock) -> System:
     Its Jacobian leaves out how the rates depend on the clock.
     """
     system, order = clock.system, clock.order
-    cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
+    cost, n = function_cost(system.rhs, system.user_functions), clock.n_states
     stretches = order.stretches
+    sides = np.array(order.sides, dtype=float).reshape(stretches, system.n_sides)
 
-    def rhs(_s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+    def of_system(s: float | Array, rows: Array) -> Array:
+        """The states with the sides of switches on the stretch."""
+        if not system.n_sides:
+            return rows[:n]
+        at = np.broadcast_to(s, rows.shape[1:])
+        stretch = np.clip(np.floor(at), 0, stretches - 1).astype(int)
+        return np.concatenate([rows[:n], np.moveaxis(sides[stretch], -1, 0)])
+
+    def rhs(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        states, time, length = rows[:n], rows[n], rows[n + 1]
+        states, time, length = of_system(s, rows), rows[n], rows[n + 1]
         charge(cost(length.size))
-        rates = np.broadcast_to(system.rhs(time, states, p), states.shape)
+        rates = np.broadcast_to(system.rhs(time, states, p), states.shape)[:n]
         return np.concatenate([length * rates, [length, np.zeros_like(length)]])
 
-    def jacobian(_s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+    def jacobian(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        states, time, length = rows[:n], rows[n], rows[n + 1]
+        states, time, length = of_system(s, rows), rows[n], rows[n + 1]
         matrices = np.zeros((n + CLOCK_STATES, n + CLOCK_STATES, *length.shape))
-        matrices[:n, :n] = length * system.jacobian(time, states, p)
-        matrices[:n, n + 1] = system.rhs(time, states, p)
+        matrices[:n, :n] = length * np.asarray(system.jacobian(time, states, p))[:n, :n]
+        matrices[:n, n + 1] = np.asarray(system.rhs(time, states, p))[:n]
         matrices[n, n + 1] = 1.0
         return matrices
 
-    def surfaces(_s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+    def surfaces(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        return system.features.state_surfaces(rows[n], rows[:n], p)
+        return system.features.state_surfaces(rows[n], of_system(s, rows), p)
 
     def initial(p: VectorLike) -> Array:
         parameters = np.asarray(p)
         count = parameters.shape[1]
         clock_states = [np.full(count, clock.horizon[0]), np.full(count, clock.length / stretches)]
-        return np.concatenate([system.initial(parameters), clock_states])
+        return np.concatenate([system.initial(parameters)[:n], clock_states])
 
     features = system.features
     features = Features(
@@ -156,6 +176,8 @@ def in_stretches(clock: Clock) -> System:
         states=(*system.states[:n], "t", "T"),
         n_differential=n + CLOCK_STATES,
         n_lifted=0,
+        n_sides=0,
+        held=None,
         products=(),
         horizon=(0.0, float(stretches)),
         terms=(),
@@ -173,7 +195,9 @@ def in_stretches(clock: Clock) -> System:
         constraints=Constraints(),
         clock=clock,
         specification=specification
-        and StretchSpecification(specification, order, clock.cuts, clock.horizon),
+        and StretchSpecification(
+            specification, order, clock.cuts, clock.horizon, clock.markers, clock.last_marks
+        ),
     )
 
 
@@ -185,6 +209,8 @@ class StretchSpecification:
     order: EventOrder
     cuts: tuple[float, ...]
     horizon: tuple[float, float]
+    markers: tuple[Marker, ...] = ()
+    last_marks: OfPoints | None = None
 
     @property
     def namespace(self) -> dict[str, UserFunction]:
@@ -202,6 +228,8 @@ def _called(
     function: Callable[..., Answer],
     *arguments: object,
 ) -> Answer:
-    timed = timed_events(system, specification.cuts)
-    clock = Clock(timed, specification.order, specification.horizon, specification.cuts)
+    cuts, markers = specification.cuts, specification.markers
+    timed = timed_events(system, cuts, markers)
+    last_marks = specification.last_marks
+    clock = Clock(timed, specification.order, specification.horizon, cuts, markers, last_marks)
     return function(in_stretches(clock), *arguments)

@@ -47,7 +47,7 @@ def clock_errors(
     infinite where the slabs have no value and the reference has one, or the other way round.
     """
     evaluator = TimelineEvaluator(slabs, clock.horizon, Timeline.of(clock).affine_borders)
-    n = clock.system.n_differential
+    n = clock.n_states
     errors, largest, off = np.zeros((3, n, len(reference.points)))
     rows, time_error = slice(0, n), 0.0
     columns = np.ascontiguousarray(reference.points.T)

@@ -42,6 +42,9 @@ from rankone.verification.reference import Reference, integrate_reference
 from rankone.verification.search import Climb, climbed
 
 _REFERENCE_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
+_IN_STEP = (
+    4  # Stretches between markers over which it is as accurate: phases drift from each to next
+)
 _LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
@@ -134,6 +137,8 @@ class ReferenceSet:
             cells = cell_points(domain, all_cuts)
             points = np.concatenate([points, active, surfaces, cells])
         accuracy = max(_REFERENCE_ACCURACY * request.rtol, _LEAST_ACCURACY)
+        if system.clock is not None and system.clock.markers:
+            accuracy *= min(_IN_STEP / system.clock.order.stretches, 1.0)
         reference_set = cls(
             system,
             domain,
@@ -188,6 +193,8 @@ class ReferenceSet:
             now = states[len(self.system.unknowns) - CLOCK_STATES]
             states = np.where(now <= clock.horizon[1], states, 0.0)
         sizes = np.abs(self._without_corners(states, axis=1)).max(axis=(1, 2))
+        if clock is not None and clock.markers:
+            self._size_clock(sizes, times, states)
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
         sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy) + self._added
@@ -199,6 +206,20 @@ class ReferenceSet:
         absolute = dict(self.system.atol)
         names = self.system.states[: self.system.n_differential]
         return np.array([absolute.get(name, 0.0) / (self.rtol or 1.0) for name in names])
+
+    def _size_clock(self, sizes: Array, times: Array, states: Array) -> None:
+        """Let an error of the clock, and of lengths of stretches, count by what it does to states.
+
+        ``states`` (n, m, T) are those at pseudo-times (T,); ``sizes`` (n,) are changed.
+        """
+        n = len(self.system.unknowns) - CLOCK_STATES
+        points = np.ascontiguousarray(self.reference.points.T)[:, :, None]
+        with np.errstate(all="ignore"):
+            rates = self.system.rhs(times, states[: n + CLOCK_STATES], points)
+            fastest = np.nan_to_num(np.abs(rates[:n] / rates[n])).max(axis=(1, 2))
+        rates = fastest / np.where(sizes[:n] > 0.0, sizes[:n], 1.0)
+        at_most = 1.0 / rates.max(initial=0.0)
+        sizes[n : n + CLOCK_STATES] = np.minimum(sizes[n : n + CLOCK_STATES], at_most)
 
     @property
     def states(self) -> Array:

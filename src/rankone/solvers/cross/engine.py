@@ -105,7 +105,9 @@ class CrossMarcher:
         self.breaks: set[float] = set()
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
-        self.tightness = constants.FIRST_TIGHTNESS
+        clock = reference_set.system.clock
+        marked = clock is not None and bool(clock.markers)
+        self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
         self.choice = sampling_choice(reference_set)
 
     def march(self, number: int, report: Report) -> MarchResult:

@@ -1,0 +1,47 @@
+"""Markers that users give: expressions that end stretches of time where they cross zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy as sp
+
+from rankone.discretization.coordinates import name_of
+from rankone.frontend.events import Event
+from rankone.frontend.problem import Problem
+from rankone.frontend.text import formula
+from rankone.support.errors import OptionError, ProblemError
+from rankone.support.wording import quote
+
+_REMEDY = "give a list of expressions that cross zero, such as [x - 3], or 'auto', or None"
+
+
+def with_markers(problem: Problem, markers: object) -> Problem:
+    """The problem with events ``marker_0``, ``marker_1``, ... that change nothing.
+
+    Parameters
+    ----------
+    problem : Problem
+    markers : sequence of Expr or str
+        What crosses zero there, in unknowns, derivatives that are states, time and parameters.
+
+    Raises
+    ------
+    OptionError
+        If they are not a sequence of expressions of the problem, or there are none.
+    """
+    if isinstance(markers, str | sp.Basic) or not isinstance(markers, Sequence) or not markers:
+        raise OptionError(f"markers={markers!r} is no list of expressions", remedy=_REMEDY)
+    names = {name_of(u): u for u in problem.initial if not isinstance(u, sp.Derivative)}
+    names |= {c.name: c.symbol for c in problem.coordinates}
+    try:
+        events = [
+            Event(formula(marker, names, "marker", None), name=f"marker_{k}")
+            if isinstance(marker, str)
+            else Event(marker, name=f"marker_{k}")
+            for k, marker in enumerate(markers)
+        ]
+        return type(problem)(**{**problem.written, "events": [*problem.events, *events]})
+    except ProblemError as error:
+        message = f"markers={quote(markers)}: {error.message}"
+        raise OptionError(message, term=error.term, remedy=error.remedy or _REMEDY) from None

@@ -1,0 +1,112 @@
+"""The reference of a solve: over stretches between markers where they pay, else over clock time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from rankone.ir.events import Ending, EventOrder
+from rankone.ir.request import SolveRequest
+from rankone.ir.system import Clock, System
+from rankone.solvers.stretches import over_stretches, pilots
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfWorkError, limited, work_left
+from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.integrator import DenseTrajectories, SeparateTrajectories, Tolerances
+from rankone.trajectories.markers import LastMarks, chosen_marker, marked_order
+from rankone.trajectories.stretches import timed_events
+from rankone.verification.measure import ReferenceSet
+
+# Operations of a reference over clock time after which pilots tell whether markers pay, since
+# trajectories that are out of phase take many common steps
+_FIRST_LOOK = 4e8
+_PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
+_FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
+
+
+@dataclass(frozen=True)
+class SolveStart:
+    """A reference set, and the request of the solve for its system.
+
+    They are over the stretches of a ``clock`` between markers, or over clock time without one.
+    """
+
+    request: SolveRequest
+    reference_set: ReferenceSet
+    clock: Clock | None = None
+
+
+def start_of(system: System, request: SolveRequest, markers: bool) -> SolveStart:
+    """The reference, over stretches between markers if these are allowed and pay.
+
+    Raises
+    ------
+    OrderError
+        If trajectories do not meet the markers in the same order.
+    """
+    if not markers or request.check.points == 0 or _interrupted(system):
+        return SolveStart(request, ReferenceSet.of(system, request))
+    try:
+        with limited(_FIRST_LOOK):
+            reference_set = ReferenceSet.of(system, request)
+    except OutOfWorkError:
+        if work_left() <= 0.0:
+            raise
+        start = _by_pilots(system, request)
+        return start or SolveStart(request, ReferenceSet.of(system, request))
+    return _by_reference(reference_set, request) or SolveStart(request, reference_set)
+
+
+def _interrupted(system: System) -> bool:
+    """Whether something happens at known times, beside which markers may come in any order."""
+    features = system.features
+    in_time = features.cuts[0] or features.periodic_cuts[0] or features.n_moving_cuts
+    return bool(system.jumps.times or in_time)
+
+
+def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveStart | None:
+    """The start over stretches, if markers pay for the trajectories of a reference."""
+    system, reference = reference_set.system, reference_set.reference
+    (dense,), sizes = reference.batches, reference_set.states[:, None]
+    if reference.blown is not None or reference_set.cuts:
+        return None
+    tolerances = Tolerances(reference_set.accuracy, reference_set.accuracy * _FLOOR * sizes)
+    return _by_trajectories(system, request, reference.points, dense, tolerances)
+
+
+def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
+    """The start over stretches, if markers pay for a few trajectories."""
+    domain = request.domain
+    points, tolerances = pilots(system, domain, _PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    dense = chosen.run(system, points, domain.horizon, tolerances)
+    if dense.end < domain.horizon[1]:
+        return None
+    return _by_trajectories(system, request, points, dense, tolerances)
+
+
+def _by_trajectories(
+    system: System,
+    request: SolveRequest,
+    points: Array,
+    dense: DenseTrajectories,
+    tolerances: Tolerances,
+) -> SolveStart | None:
+    """The start over stretches, if markers pay for trajectories over clock time."""
+    paths = cast(SeparateTrajectories, dense).paths
+    marker = chosen_marker(system, paths, points)
+    if marker is None:
+        return None
+    domain = request.domain
+    timed = timed_events(system, (), (marker,))
+    chosen = span_integrator_for(timed, request.integrator, accuracy=tolerances.relative)
+    clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), (marker,))
+    order, marked = marked_order(chosen, clock, points, paths, tolerances)
+    last = np.array([each.occurrences[len(order.instants) - 1].time for each in marked])
+    gap = float(last.max() - domain.horizon[0]) / len(order.instants)
+    last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
+    clock = replace(clock, order=order, last_marks=last_marks)
+    stretched, there = over_stretches(clock, request)
+    return SolveStart(there, ReferenceSet.of(stretched, there), clock)

@@ -1,0 +1,396 @@
+"""Switches of the rates, each held on one side of its surface until a trajectory crosses it.
+
+``Abs``, ``sign``, ``Heaviside``, ``Max``, ``Min`` and conditions of ``Piecewise`` switch where a
+function g(t, u, p) of the unknowns, their *surface*, vanishes. The side of the surface becomes a
+state of its own: 1 where g > 0, -1 where g < 0. It has the rate zero and is set by an event, so
+that the rates of both sides are smooth and no step straddles the surface.
+
+Where the rates jump and push trajectories back to the surface from both sides, they *slide* along
+it (Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988, section 4).
+The side is 0 then, and the rates are the mean of those of both sides,
+
+    f = (1 + s)/2 f₊ + (1 - s)/2 f₋,   with s from dg/dt = 0,
+
+until s leaves [-1, 1]. Coulomb friction that sticks is the classic example.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import TypeAlias
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.core.relational import Relational
+from sympy.logic.boolalg import Boolean
+
+from rankone.expressions.derivatives import Differentiator
+from rankone.ir.events import FALLING
+from rankone.ir.forms import EventForm, Jump, State
+from rankone.ir.metadata import Role
+from rankone.symbolic.first_order import FirstOrderSystem
+
+MOST_SWITCHES = 12
+"""Most surfaces whose sides are held."""
+_MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
+_MOST_IN_BRANCHES = 4  # Most surfaces that choose the branches of one rate
+_HALF = sp.Rational(1, 2)
+
+
+_Held: TypeAlias = tuple[sp.Expr, sp.Expr]  # An expression with sides, and as it was written
+
+
+class NotHeld(Exception):
+    """The switches of a system cannot be held on their sides."""
+
+
+@dataclass(eq=False)
+class _Switch:
+    """A surface, what stands for its side, and whether rates may jump there.
+
+    ``surface`` has the sides of others in place of what switches inside of it, ``written`` has not.
+    ``side`` is the effective side in rates, any number from -1 to 1 while trajectories slide;
+    ``state`` is the side as a state.
+    """
+
+    surface: sp.Expr
+    written: sp.Expr
+    side: sp.Dummy
+    state: sp.Expr
+    name: str
+    jumps: bool = False
+
+
+def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
+    """The system with the sides of its switches as states, the last ones; None without switches.
+
+    The last events, as many, set these states.
+
+    Raises
+    ------
+    NotHeld
+        If there are too many switches, or how they slide is not known.
+    """
+    replacement = _Replacement(system)
+    rates = [replacement.held(rate) for rate in system.rhs]
+    switches = replacement.switches
+    if not switches:
+        return None
+    if len(switches) > MOST_SWITCHES:
+        raise NotHeld
+    sliding = _Sliding(system, switches, [_mixed(rate, switches) for rate in rates])
+    return _with_sides(system, switches, sliding)
+
+
+class _Replacement:
+    """Replaces what switches over the unknowns by expressions of sides."""
+
+    def __init__(self, system: FirstOrderSystem) -> None:
+        self.switches: list[_Switch] = []
+        self._system = system
+        self._names = {state.name for state in system.states}
+        self._by_surface: dict[sp.Expr, _Switch] = {}
+
+    def held(self, expression: sp.Expr, bounded: bool = False) -> sp.Expr:
+        """The expression with sides, from the inside out.
+
+        Steps look a little beyond a surface. What is ``bounded`` there, since a function around it
+        ends, stays as it is.
+        """
+        if not expression.has(AppliedUndef) or isinstance(expression, AppliedUndef):
+            return expression
+        bounded |= isinstance(expression, sp.log)
+        bounded |= expression.is_Pow and not expression.exp.is_integer
+        args = [self.held(a, bounded) for a in expression.args]
+        if isinstance(expression, sp.Max | sp.Min | sp.Abs):
+            other = self._continuous(expression, args)
+            return expression.func(*args) if bounded else other
+        if isinstance(expression, sp.sign):
+            return self._side(args[0], expression.args[0], jumps=True)
+        if isinstance(expression, sp.Heaviside):
+            return (1 + self._side(args[0], expression.args[0], jumps=True)) / 2
+        if isinstance(expression, Relational):
+            return self._condition(expression, *args)
+        return expression.func(*args)
+
+    def _condition(self, relation: Relational, left: sp.Expr, right: sp.Expr) -> Boolean:
+        if isinstance(relation, sp.Eq | sp.Ne):  # on the surface alone
+            return sp.false if isinstance(relation, sp.Eq) else sp.true
+        side = self._side(left - right, relation.lhs - relation.rhs, jumps=True)
+        return side > 0 if isinstance(relation, sp.Gt | sp.Ge) else side < 0
+
+    def _continuous(self, function: sp.Expr, args: Sequence[sp.Expr]) -> sp.Expr:
+        """An absolute value, or an extreme."""
+        if isinstance(function, sp.Abs):
+            return args[0] * self._side(args[0], function.args[0], jumps=False)
+
+        def extreme(first: _Held, second: _Held) -> _Held:
+            (a, a_written), (b, b_written) = first, second
+            both = function.func(a_written, b_written)
+            if not both.has(AppliedUndef):
+                return both, both
+            side = self._side(a - b, a_written - b_written, jumps=False)
+            side = side if isinstance(function, sp.Max) else -side
+            return a * (1 + side) / 2 + b * (1 - side) / 2, both
+
+        return reduce(extreme, zip(args, function.args, strict=True))[0]
+
+    def _side(self, surface: sp.Expr, written: sp.Expr, *, jumps: bool) -> sp.Expr:
+        """The effective side of a surface."""
+        if not surface.has(AppliedUndef):
+            return sp.sign(surface)
+        for known, sign in ((surface, 1), (-surface, -1)):
+            if switch := self._by_surface.get(known):
+                switch.jumps |= jumps
+                return sign * switch.side
+        name = next(n for k in itertools.count() if (n := f"side_{k}") not in self._names)
+        self._names.add(name)
+        t = self._system.coordinates[0].symbol
+        switch = _Switch(
+            surface,
+            written,
+            sp.Dummy(name, real=True),
+            sp.Function(name)(t),
+            f"switch_{len(self.switches)}",
+            jumps,
+        )
+        self.switches.append(switch)
+        self._by_surface[surface] = switch
+        return switch.side
+
+
+def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
+    """A rate that is linear in the side of each surface at which it may jump."""
+    branching = [s for s in switches if any(s.side in c.free_symbols for c in _conditions(rate))]
+    if len(branching) > _MOST_IN_BRANCHES:
+        raise NotHeld
+    for switch in switches:
+        if switch.jumps and not _linear(rate, switch.side):
+            s = switch.side
+            above, below = rate.subs(s, 1), rate.subs(s, -1)
+            between = (1 + s) / 2 * above + (1 - s) / 2 * below
+            m = switch.state
+            rate = sp.Piecewise((above, m > _HALF), (below, m < -_HALF), (between, True))
+        elif not switch.jumps and switch in branching:
+            raise NotHeld
+    return rate
+
+
+def _conditions(expression: sp.Expr) -> Iterator[Boolean]:
+    """The conditions of piecewise functions in an expression."""
+    for piecewise in expression.atoms(sp.Piecewise):
+        yield from (condition for _, condition in piecewise.args)
+
+
+def _linear(rate: sp.Expr, side: sp.Symbol) -> bool:
+    """Whether a rate is linear in a side, which chooses no branch."""
+    if side not in rate.free_symbols:
+        return True
+    return all(side not in c.free_symbols for c in _conditions(rate)) and (
+        sp.diff(rate, side, 2) == 0
+    )
+
+
+class _Sliding:
+    """The effective sides of switches, and how fast trajectories leave surfaces.
+
+    ``sides`` maps what stands for sides in rates to expressions of the states. ``speeds`` are dg/dt
+    of each switch, of sides as they stand in the rates. Where trajectories may slide, ``pulls`` are
+    two numbers: they slide while the first, which drives them off, is not larger than the second.
+    """
+
+    def __init__(
+        self, system: FirstOrderSystem, switches: Sequence[_Switch], rates: Sequence[sp.Expr]
+    ) -> None:
+        self.switches, self._system = switches, system
+        self.speeds = [self._speed(switch.surface, rates) for switch in switches]
+        self.sides: dict[sp.Expr, sp.Expr] = {}
+        self.pulls: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
+        sliding = [s for s in switches if s.jumps and self._depends(s, s)]
+        if any(other.side in s.surface.free_symbols for s in sliding for other in switches):
+            raise NotHeld  # a surface that moves when another one is crossed
+        for switch in switches:
+            if switch not in sliding:
+                self.sides[switch.side] = switch.state
+        for group in _in_order(sliding, self._depends):
+            self.sides.update(self._effective(group))
+        self.slides = {s.side: s in sliding for s in switches}
+        self.rates = [rate.xreplace(self.sides) for rate in rates]
+
+    def _depends(self, a: _Switch, b: _Switch) -> bool:
+        """Whether the speed at the surface of one depends on the side of the other."""
+        return b.side in self.speeds[self.switches.index(a)].free_symbols
+
+    def _speed(self, surface: sp.Expr, rates: Sequence[sp.Expr]) -> sp.Expr:
+        """dg/dt along trajectories."""
+        t = self._system.coordinates[0].symbol
+        states = {u: sp.Dummy(u.func.__name__, real=True) for u in self._system.functions}
+        plain = surface.xreplace(states)
+        speed = Differentiator(t)(plain)
+        for state, rate in zip(states.values(), rates, strict=True):
+            speed += Differentiator(state)(plain) * rate
+        return speed.xreplace({dummy: u for u, dummy in states.items()})
+
+    def _effective(self, group: Sequence[_Switch]) -> dict[sp.Expr, sp.Expr]:
+        """The effective sides of switches whose sliding depends on each other.
+
+        A side is that of its state, or keeps trajectories on the surface where that is 0.
+        """
+        if len(group) > _MOST_COUPLED:
+            raise NotHeld
+        unknowns = [s.side for s in group]
+        rows, right = [], []
+        for switch in group:
+            speed = self.speeds[self.switches.index(switch)].xreplace(self.sides)
+            slopes = [_slope(speed, side) for side in unknowns]
+            if any(slope.has(*unknowns) for slope in slopes):
+                raise NotHeld
+            on_side = _on_side(switch)
+            diagonal = [sp.Integer(s is switch) for s in group]
+            pairs = zip(diagonal, slopes, strict=True)
+            rows.append([sp.Piecewise((a, on_side), (b, True)) for a, b in pairs])
+            rest = -speed.subs(dict.fromkeys(unknowns, 0))
+            right.append(sp.Piecewise((switch.state, on_side), (rest, True)))
+        if len(group) == 1:  # in one function, which does not divide where it need not
+            speed = self.speeds[self.switches.index(group[0])].xreplace(self.sides)
+            speed = speed.xreplace({group[0].state: sp.S.Zero})  # it chooses no branch while 0
+            slope = _slope(speed, unknowns[0])
+            drift = speed.subs(unknowns[0], 0)
+            self.pulls[unknowns[0]] = drift, slope
+            on_side = group[0].state, _on_side(group[0])
+            return {unknowns[0]: sp.Piecewise(on_side, (-drift / slope, True))}
+        matrix, vector = sp.Matrix(rows), sp.Matrix(right)
+        solved = matrix.adjugate() * vector / matrix.det(method="berkowitz")
+        self.pulls.update(
+            (side, (share, sp.S.One)) for side, share in zip(unknowns, solved, strict=True)
+        )
+        return dict(zip(unknowns, solved, strict=True))
+
+
+def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:
+    """How a speed, linear in a side, changes with it."""
+    return speed.subs(side, 1) - speed.subs(side, 0)
+
+
+def _on_side(switch: _Switch) -> Boolean:
+    """Whether a trajectory does not slide along the surface."""
+    return sp.Abs(switch.state) > _HALF
+
+
+def _in_order(
+    switches: Sequence[_Switch], depends: Callable[[_Switch, _Switch], bool]
+) -> list[list[_Switch]]:
+    """Groups of switches that depend on each other, each behind those that it depends on."""
+    edges = [(b, a) for a in switches for b in switches if a is not b and depends(a, b)]
+    reach = {s: {s} for s in switches}
+    for _ in switches:
+        for before, after in edges:
+            reach[after] |= reach[before]
+    groups: list[list[_Switch]] = []
+    for s in sorted(switches, key=lambda s: len(reach[s])):
+        if all(s not in group for group in groups):
+            groups.append([o for o in switches if o in reach[s] and s in reach[o]])
+    return groups
+
+
+class _Sides:
+    """The sides of switches as states: where they begin, and what sets them."""
+
+    def __init__(
+        self, system: FirstOrderSystem, switches: Sequence[_Switch], sliding: _Sliding
+    ) -> None:
+        self._system, self._switches, self._sliding = system, switches, sliding
+        self.states = [s.state for s in switches]
+        self._surfaces = [s.surface.xreplace(sliding.sides) for s in switches]
+
+    def at_start(self) -> list[sp.Expr]:
+        """The sides where trajectories begin."""
+        clock = self._system.coordinates[0]
+        start = dict(zip(self._system.functions, self._system.initial, strict=True))
+        start[clock.symbol] = sp.sympify(clock.lower)
+        return self._sides_at(start)
+
+    def after(self, values: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """The sides after a reset to some values: as before where it leaves the surface alone."""
+        reset = dict(zip(self._system.functions, values, strict=True))
+        sides = []
+        for state, surface, new in zip(
+            self.states, self._surfaces, self._sides_at(reset), strict=True
+        ):
+            moved = sp.Abs(sp.sign(surface - surface.xreplace(reset)))
+            sides.append(moved * new + (1 - moved) * state)
+        return sides
+
+    def _sides_at(self, values: Mapping[sp.Expr, sp.Expr]) -> list[sp.Expr]:
+        """The sides of the surfaces on which states have some values.
+
+        On a surface it is where trajectories go on to, or 0 where they slide.
+        """
+        heights: list[sp.Expr] = []
+        signs: dict[sp.Expr, sp.Expr] = {}
+        for switch in self._switches:  # those inside of others come first
+            heights.append(switch.surface.xreplace(signs).xreplace(values))
+            signs[switch.side] = sp.sign(heights[-1])
+        signs |= {s.state: signs[s.side] for s in self._switches}
+        sides = []
+        for k, (switch, height) in enumerate(zip(self._switches, heights, strict=True)):
+            if self._sliding.slides[switch.side]:
+                drift, pull = (
+                    each.xreplace(signs).xreplace(values)
+                    for each in self._sliding.pulls[switch.side]
+                )
+                onward = sp.sign(drift) * sp.Heaviside(sp.Abs(drift) - sp.Abs(pull), 0)
+            else:
+                speed = self._sliding.speeds[k].xreplace(signs).xreplace(values)
+                onward = _or_else(sp.sign(speed), sp.S.One)
+            sides.append(_or_else(sp.sign(height), onward))
+        return sides
+
+    def crossings(self) -> Iterator[EventForm]:
+        """The events that set the sides."""
+        for k, switch in enumerate(self._switches):
+            side, height = switch.state, switch.state * self._surfaces[k]
+            if self._sliding.slides[switch.side]:
+                drift, pull = self._sliding.pulls[switch.side]
+                speed = self._sliding.speeds[k].xreplace({switch.side: side})
+                speed = speed.xreplace(self._sliding.sides).xreplace({side: -side})
+                passes = sp.Heaviside(-side * speed, 0)
+                height = sp.Piecewise((height, _on_side(switch)), (pull**2 - drift**2, True))
+                other = sp.Piecewise((-side * passes, _on_side(switch)), (sp.sign(drift), True))
+            else:
+                other = -side
+            others = [other if state == side else state for state in self.states]
+            then = (*self._system.functions, *others)
+            yield EventForm(switch.name, height, FALLING, then, terminal=False)
+
+
+def _or_else(side: sp.Expr, other: sp.Expr) -> sp.Expr:
+    """A side, or the other one where it is 0."""
+    return side + (1 - sp.Abs(side)) * other
+
+
+def _with_sides(
+    system: FirstOrderSystem, switches: Sequence[_Switch], sliding: _Sliding
+) -> FirstOrderSystem:
+    """The system with sides as states, and with the events that set them."""
+    sides = _Sides(system, switches, sliding)
+    jumps = tuple(Jump(j.time, (*j.values, *sides.after(j.values))) for j in system.jumps)
+    events = tuple(
+        e if e.then is None else replace(e, then=(*e.then, *sides.after(e.then)))
+        for e in system.events
+    )
+    further = tuple(State(u.func.__name__, u, Role.AUXILIARY) for u in sides.states)
+    return replace(
+        system,
+        states=(*system.states, *further),
+        functions=(*system.functions, *sides.states),
+        rhs=(*sliding.rates, *[sp.S.Zero] * len(further)),
+        initial=(*system.initial, *sides.at_start()),
+        origins=(*system.origins, *[None] * len(further)),
+        jumps=jumps,
+        events=(*events, *sides.crossings()),
+        switches=tuple(s.written for s in switches),
+    )

@@ -1,0 +1,178 @@
+"""Markers of oscillators: crossings that all trajectories pass in step, once they get out of phase.
+
+In clock time a front moves through the box wherever periods differ, and ranks grow with the
+horizon. A marker is a state that crosses the middle of its range, in both directions. Stretches
+between its crossings have times of their own, in which trajectories are in phase (compare the
+shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.ir.events import Ending, EventOrder, Marker
+from rankone.ir.system import Clock, System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import function_cost
+from rankone.trajectories.crossings import Crossings
+from rankone.trajectories.event_order import follow
+from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.events import integrate_to_events
+from rankone.trajectories.instants import SAME_INSTANT
+from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
+from rankone.trajectories.paths import Path
+from rankone.trajectories.stretches import marker_event
+
+OUT_OF_PHASE = 8.0
+"""Spread of the times of a crossing, over the time in which the state runs through its range, from
+which markers pay."""
+_FEWEST = 3  # Crossings that each trajectory has to pass
+_LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
+_TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A state, its middle, and what its crossings are like."""
+
+    marker: Marker
+    spread: float
+    steepness: float
+
+
+def chosen_marker(system: System, paths: Sequence[Path], points: Array) -> Marker | None:
+    """The marker for a system, by trajectories at points (m, d); None where none pays.
+
+    Of the states that all trajectories cross transversally, with a spread that pays, it is the one
+    that they cross most steeply.
+    """
+    candidates = [
+        candidate
+        for state in range(system.n_differential)
+        if (candidate := _candidate(system, paths, points, state)) is not None
+        and candidate.spread >= OUT_OF_PHASE
+    ]
+    best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
+    return None if best is None else best.marker
+
+
+def _candidate(
+    system: System, paths: Sequence[Path], points: Array, state: int
+) -> _Candidate | None:
+    """How trajectories cross the middle of the range of a state."""
+    ranges = [(np.min(p.nodal[:, :, state]), np.max(p.nodal[:, :, state])) for p in paths]
+    lower, upper = np.max(ranges, axis=0)[0], np.min(ranges, axis=0)[1]
+    level = 0.5 * (lower + upper)
+    sides = {bool(path.nodal[0, 0, state] > level) for path in paths}
+    if not lower < upper or len(sides) > 1:
+        return None
+    marker = Marker(state, float(level))
+    event = marker_event(marker, "")
+    nothing = [frozenset[int]()] * len(paths)
+    first = np.ones(len(paths), dtype=bool)
+    length = paths[0].end - paths[0].breaks[0]
+    crossings = Crossings(system, paths, points, nothing, first, SAME_INSTANT * length)
+    times = crossings.of(0, event)
+    fewest = min(map(len, times))
+    if fewest < _FEWEST:
+        return None
+    common = np.array([each[:fewest] for each in times])
+    slopes = _slopes(system, paths, points, common, state)
+    width = upper - lower
+    gaps = np.diff(common, axis=1).mean(axis=1, keepdims=True)
+    steepness = float((np.abs(slopes) * gaps / width).min())
+    if not steepness >= _TRANSVERSAL:
+        return None
+    passing = width / np.abs(slopes).min(axis=0)
+    return _Candidate(marker, float((np.ptp(common, axis=0) / passing).max()), steepness)
+
+
+def _slopes(
+    system: System, paths: Sequence[Path], points: Array, times: Array, state: int
+) -> Array:
+    """Rates of a state at times (m, T) of trajectories."""
+    states = np.stack([path(each) for path, each in zip(paths, times, strict=True)], axis=1)
+    charge(function_cost(system.rhs, system.user_functions)(times.size))
+    p = np.repeat(points.T, times.shape[1], axis=1)
+    with np.errstate(all="ignore"):
+        rates = system.rhs(times.ravel(), states.reshape(len(states), -1), p)[state]
+    return np.broadcast_to(rates, times.size).reshape(times.shape)
+
+
+@dataclass(frozen=True)
+class LastMarks:
+    """About when trajectories pass the last marker: a quadratic polynomial of the parameters.
+
+    Attributes
+    ----------
+    centre, half_width : ndarray (d,)
+        Of the box.
+    coefficients : ndarray (monomials,)
+    margin : float
+        How much later it may be.
+    """
+
+    centre: Array
+    half_width: Array
+    coefficients: Array
+    margin: float
+
+    @classmethod
+    def fitted(cls, bounds: Array, points: Array, times: Array, gap: float) -> LastMarks:
+        """By least squares to times (m,) at points (m, d); markers are a ``gap`` apart."""
+        centre, half = bounds.mean(axis=1), 0.5 * np.ptp(bounds, axis=1)
+        monomials = _monomials((points - centre) / half)
+        coefficients = np.asarray(np.linalg.lstsq(monomials, times, rcond=None)[0], dtype=float)
+        missed = float(np.abs(monomials @ coefficients - times).max())
+        return cls(centre, half, coefficients, _LATER * gap + _FURTHER * missed)
+
+    def __call__(self, points: Array) -> Array:
+        """Times (m,) at points (m, d)."""
+        shares = (points - self.centre) / self.half_width
+        return np.asarray(_monomials(shares) @ self.coefficients + self.margin)
+
+
+def _monomials(shares: Array) -> Array:
+    """Those of degree two at most of shares (m, d), (m, monomials)."""
+    with_one = np.column_stack([np.ones(len(shares)), shares])
+    pairs = np.triu_indices(with_one.shape[1])
+    return np.asarray(with_one[:, pairs[0]] * with_one[:, pairs[1]])
+
+
+def marked_order(
+    integrator: SpanIntegrator,
+    clock: Clock,
+    points: Array,
+    paths: Sequence[Path],
+    tolerances: Tolerances,
+) -> tuple[EventOrder, list[EventTrajectory]]:
+    """The order of a marker, and the trajectories to the last one.
+
+    They go over the horizon along the ``paths``, which are not integrated anew. Other trajectories
+    may meet one more before the end.
+    """
+    system, horizon = clock.system, clock.horizon
+    replay = _Replay(tuple(paths))
+    begun = integrate_to_events(replay, system, points, horizon, tolerances, system.events)
+    counts = [len(each.occurrences) for each in begun]
+    count = max(counts) + 2
+    followed = follow(clock, integrator, points, tolerances, count, begun)
+    return EventOrder(((0,),) * count, Ending.EVENT), followed
+
+
+@dataclass(frozen=True)
+class _Replay:
+    """Gives paths that are there already, which is what events that do not interrupt ask for."""
+
+    recorded: tuple[Path, ...]
+
+    def paths(
+        self, _system: System, _points: Array, spans: Spans, _tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """The paths over the horizon."""
+        assert len(spans.ends) == len(self.recorded)
+        return self.recorded

@@ -1,0 +1,60 @@
+"""Solves of oscillators over stretches between markers."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+
+PREY = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
+BOX = {"x0": (8, 12), "y0": (4, 6)}
+
+
+def problem(end, **more):
+    return ro.Problem.from_strings(PREY, {"x": "x0", "y": "y0"}, BOX, (0, end), **more)
+
+
+def against_trajectories(solution, made, times, count=3):
+    """The largest error over the largest value, of each unknown."""
+    ends = np.array(list(solution.parameters.values()))
+    shares = np.random.default_rng(4).random((count, len(ends)))
+    errors, sizes = [], []
+    for point in ends[:, 0] + np.ptp(ends, axis=1) * shares:
+        named = dict(zip(solution.parameters, point, strict=True))
+        exact = made.trajectory(times, rtol=1e-10, **named).values
+        errors.append(np.abs(solution(t=times, **named) - exact).max(axis=1))
+        sizes.append(np.abs(exact).max(axis=1))
+    return np.max(errors, axis=0) / np.max(sizes, axis=0)
+
+
+def test_markers_of_the_user_keep_ranks_low():
+    made = problem(12)
+    solution = ro.solve(made, 1e-4, markers=["x - 3"])
+    assert solution.success
+    assert solution.rank < 20
+    assert "marker_0" in str(solution.timeline)
+    errors = against_trajectories(solution, made, np.linspace(0, 12, 201))
+    assert (errors < 3e-4).all()
+    marks = solution.event_times("marker_0", x0=9.0, y0=5.0)
+    states = solution(t=marks[np.isfinite(marks)], x0=9.0, y0=5.0)
+    np.testing.assert_allclose(states[0], 3.0, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_an_oscillator_over_twenty_periods():
+    made = problem(60)
+    solution = ro.solve(made, 1e-4)
+    assert solution.success
+    assert solution.rank <= 30
+    assert solution.timeline.stretches > 30
+    errors = against_trajectories(solution, made, np.linspace(0, 60, 801))
+    assert (errors < 3e-4).all()
+
+
+def test_a_short_horizon_stays_with_the_clock():
+    assert ro.solve(problem(3), 1e-3).outcome.timeline is None
+
+
+@pytest.mark.parametrize("markers", ["x - 3", [], ["z - 3"], 3, ["x +"]])
+def test_what_is_no_marker_is_refused(markers):
+    with pytest.raises(ro.OptionError, match="markers="):
+        ro.solve(problem(3), 1e-3, markers=markers)

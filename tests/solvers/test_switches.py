@@ -1,0 +1,95 @@
+"""Solves whose rates switch over the unknowns, against closed forms and narrow smooth steps."""
+
+import numpy as np
+import pytest
+import scipy.integrate
+
+import rankone as ro
+
+RTOL = 1e-4
+
+
+def problem(rhs, initial, box, end, **more):
+    return ro.Problem.from_strings(rhs, initial, box, (0, end), **more)
+
+
+def points(box, count=4):
+    ends = np.array(list(box.values()), dtype=float)
+    return ends[:, 0] + np.ptp(ends, axis=1) * np.random.default_rng(8).random((count, len(ends)))
+
+
+def smoothed(rates, start, times):
+    """A trajectory with a step as narrow as 1e-7 instead of a sign."""
+    run = scipy.integrate.solve_ivp(
+        rates, (0, times[-1]), start, "Radau", times, rtol=1e-8, atol=1e-10
+    )
+    return run.y
+
+
+def sign(z):
+    return np.tanh(z / 1e-7)
+
+
+def test_a_mass_that_sticks_and_slips():
+    box = {"F": (1.6, 1.7), "mu": (0.5, 0.55)}
+    stick = problem({"x": "v", "v": "F*cos(t/2) - x - mu*sign(v)"}, {"x": 0, "v": 0.5}, box, 15)
+    solution = ro.solve(stick, RTOL)
+    assert solution.success
+    assert solution.timeline.stretches > 3
+    times = np.linspace(0, 15, 80)
+    for force, mu in points(box):
+        exact = smoothed(
+            lambda t, u, f=force, m=mu: [u[1], f * np.cos(t / 2) - u[0] - m * sign(u[1])],
+            [0, 0.5],
+            times,
+        )
+        error = np.abs(solution(t=times, F=force, mu=mu) - exact).max(axis=1)
+        assert (error <= 3 * RTOL * np.abs(exact).max(axis=1)).all()
+    rest = np.abs(solution["v"](t=times, F=1.65, mu=0.52)) < 1e-6
+    assert 0 < rest.sum() < times.size  # it rests for a while
+
+
+def test_an_ideal_relay_slides():
+    relay = problem({"x": "-x + 2 - 2*Heaviside(x - c)"}, {"x": 0}, {"c": (0.5, 1)}, 3)
+    solution = ro.solve(relay, RTOL)
+    assert solution.success
+    times = np.linspace(0, 3, 50)
+    for (c,) in points({"c": (0.5, 1)}):
+        exact = np.minimum(2 - 2 * np.exp(-times), c)  # it is held at c
+        np.testing.assert_allclose(solution["x"](t=times, c=c), exact, atol=2 * RTOL)
+        (reached,) = solution.event_times("switch_0", c=c)
+        assert abs(reached + np.log(1 - c / 2)) < 3 * RTOL
+
+
+def test_no_time_beside_a_crossing_is_left_out():
+    clipped = problem(
+        {"x": "-x + 3*Max(0, y - c)", "y": "cos(t)"}, {"x": 1, "y": 0}, {"c": (0.4, 0.5)}, 8
+    )
+    solution = ro.solve(clipped, 1e-6)
+    assert solution.success
+    for (c,) in points({"c": (0.4, 0.5)}):
+        crossings = np.arcsin(c) + np.array([0, np.pi - 2 * np.arcsin(c)])
+        times = np.sort(np.concatenate([crossings + d for d in (-1e-9, 0.0, 1e-9, 0.3)]))
+        run = clipped.trajectory(times, c=c, rtol=1e-10)
+        np.testing.assert_allclose(solution(t=times, c=c), run.values, atol=3e-6)
+
+
+@pytest.mark.parametrize("markers", ["auto", None])
+def test_markers_none_keeps_the_clock(markers):
+    clipped = problem(
+        {"x": "-x + 3*Heaviside(y - c)", "y": "cos(t)"}, {"x": 1, "y": 0}, {"c": (0.4, 0.5)}, 4
+    )
+    solution = ro.solve(clipped, 1e-3, markers=markers)
+    assert (solution.outcome.timeline is None) == (markers is None)
+
+
+def test_an_order_that_changes_in_the_box_is_solved_over_the_clock():
+    two = problem(
+        {"x": "-x + Max(0, y - c) + Max(0, y - d)", "y": "cos(t)"},
+        {"x": 1, "y": 0},
+        {"c": (0.4, 0.6), "d": (0.45, 0.55)},
+        3,
+    )
+    solution = ro.solve(two, 1e-3)
+    assert solution.success
+    assert solution.outcome.timeline is None

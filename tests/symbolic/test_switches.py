@@ -1,0 +1,88 @@
+"""Switches of the rates, held on their sides."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+from rankone.interface.held import held_form, held_system
+from rankone.symbolic import first_order
+from rankone.symbolic.switches import held_switches
+
+t, k = sp.symbols("t k")
+x, v = sp.Function("x")(t), sp.Function("v")(t)
+BOX = {k: (0.5, 1.5)}
+
+
+def problem(rate, start=(1, 0), **more):
+    equations = [sp.Eq(x.diff(t), v), sp.Eq(v.diff(t), rate)]
+    return ro.Problem(equations, (t, 0, 3), BOX, {x: start[0], v: start[1]}, **more)
+
+
+def held(rate, **more):
+    return held_switches(first_order(problem(rate, **more)))
+
+
+def test_a_smooth_system_has_no_switches():
+    assert held(-k * x) is None
+
+
+def test_a_switch_in_time_is_left_to_known_times():
+    assert held(sp.Heaviside(t - k) * x) is None
+
+
+def test_absolute_values_become_products_with_their_side():
+    system = held(-k * v * sp.Abs(v))
+    side = system.functions[-1]
+    assert system.switches == (v,)
+    assert sp.simplify(system.rhs[1] + k * v**2 * side) == 0
+    assert system.rhs[-1] == 0
+    assert system.events[-1].then[-1] == -side
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        sp.Max(0, x - k) - sp.Min(x, v, 1),
+        sp.Abs(x - sp.Abs(v)) - x,
+        sp.Piecewise((k * x, x > 0.3), (-v, v < 0), (sp.sqrt(1 + x**2), True)),
+        -sp.sign(v) * k - x,
+        sp.Heaviside(x - v) * sp.Max(x, k) - sp.Heaviside(v),
+        sp.Abs(x) ** k - v,
+        -k * sp.sign(v - x) - sp.sign(v),
+    ],
+)
+def test_held_rates_are_those_that_were_written(rate):
+    system = first_order(problem(rate))
+    written = ro.compile(problem(rate)).system
+    sided = held_system(held_form(system), written, "held")
+    assert sided is not None
+    rng = np.random.default_rng(5)
+    u, p, at = rng.normal(size=(2, 200)), rng.uniform(0.5, 1.5, (1, 200)), np.full(200, 0.7)
+    sides = np.concatenate([u, np.ones((sided.n_sides, 200))])
+    for i, event in enumerate(sided.events, 2):
+        sides[i] = np.sign(event.when(at, sides, p))
+    np.testing.assert_allclose(
+        sided.rhs(at, sides, p)[:2], written.rhs(at, u, p), rtol=1e-12, atol=1e-14
+    )
+
+
+def test_a_side_is_where_a_trajectory_starts_or_goes_on_to():
+    def first(rate, start):
+        return ro.compile(problem(rate, start))._held.initial(np.array([[0.5, 1.5]]))[-1]
+
+    np.testing.assert_array_equal(first(-v * sp.Abs(v) - x, (1, 2)), 1)
+    np.testing.assert_array_equal(first(-v * sp.Abs(v) - x, (1, 0)), -1)  # it falls
+    # friction of at most 1 holds it where k <= 1, and lets it go elsewhere
+    np.testing.assert_array_equal(first(k - sp.sign(v), (0, 0)), [0, 1])
+
+
+def test_a_reset_sets_the_side_of_what_it_moves_alone():
+    bounce = ro.Event(x, "falling", then={v: -v}, name="bounce")
+    system = held(-1 - v * sp.Abs(v), events=[bounce])
+    side, before = system.functions[-1], {x: 0, v: -2}
+    after = system.events[0].then[-1]
+    assert after.xreplace({side: -1, **before}) == 1
+    mark = ro.Event(x - 1, then={x: x}, name="mark")
+    system = held(-1 - v * sp.Abs(v), events=[mark])
+    assert system.events[0].then[-1].xreplace({side: -1, x: 1, v: -2}) == -1
