@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.discretization.coordinates import name_of
+from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Range, free_parameters
@@ -49,6 +50,14 @@ class Candidates:
         """The information of all data at other times, (P, k, p, p)."""
         clock = checked_times(self.trial.solution, times)
         return _information(_moved(self.trial, clock, 1.0), self.names, self.points, self.scale)
+
+    def curves(self) -> Array:
+        """What each observable will be at the candidates, (observables, N)."""
+        at = {name: np.array([x]) for name, x in self.values.items()}
+        with np.errstate(all="ignore"):
+            predicted = self.trial.predicted(at, self.trial.states(at))
+        size = self.each.shape[1]
+        return np.array([np.broadcast_to(value_of(one.value), (1, size))[0] for one in predicted])
 
     def scaled(self, information: Array) -> Array:
         """Information (..., p, p) in units of the scale."""

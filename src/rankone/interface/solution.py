@@ -414,6 +414,32 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
         self._evaluator  # noqa: B018 - raises if nothing was solved
         return Solution(*with_restricted(self.outcome, self.metadata, merged(intervals, named)))
 
+    def plot(self, values: Mapping[Any, Any] | None = None, /, **options: Any) -> Any:
+        """Draw the solution: curves at values of the parameters, or bands over the box without any.
+
+        Parameters
+        ----------
+        values, **options
+            Values of the parameters, and options of
+            :func:`rankone.plotting.plot_trajectories`; without values those of
+            :func:`rankone.plotting.plot_bands`, such as ``unknowns``, ``t`` and ``ax``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        RankoneError
+            If Matplotlib is not installed.
+        EvaluationError
+            If nothing depends on time.
+        """
+        plotting = optional_module("rankone.plotting", "plots need Matplotlib", "pip install it")
+        if values or not self.metadata.parameters or set(options) & set(self.metadata.parameters):
+            return plotting.plot_trajectories(self, values, **options)
+        return plotting.plot_bands(self, **options)
+
     # --- exploring -----------------------------------------------------------------------------
 
     def explore(

@@ -33,6 +33,7 @@ _MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
 _SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark nor too light
 _FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
 _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
+_WIDEST_GRID = 9.0  # Width of a figure of many small panels, in inches
 _LINE_HEIGHT = 1.25  # Height of a line of labels, in units of the size of their letters
 
 
@@ -62,6 +63,17 @@ def several_axes(ax: object, count: int, title: str) -> NDArray[np.object_]:
         unused.remove()
     axes[:] = [_dressed(one) for one in [*grid.flat][:count]]
     figure.suptitle(title)
+    return axes
+
+
+def grid_of(n: int) -> NDArray[np.object_]:
+    """Axes of a new figure in n rows and columns, (n * n,)."""
+    width = min(_PANEL_SIZE[1], _WIDEST_GRID / n)
+    _, grid = _pyplot().subplots(
+        n, n, figsize=(width * n, width * n), layout="constrained", squeeze=False
+    )
+    axes = np.empty(n * n, dtype=object)
+    axes[:] = [_dressed(one) for one in grid.flat]
     return axes
 
 
