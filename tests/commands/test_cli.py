@@ -15,7 +15,7 @@ import pytest
 import rankone
 from rankone.commands.cli import main
 from rankone.commands.solve import ARGUMENTS
-from rankone.frontend.problem_files import TOML_LAYOUT
+from rankone.frontend.toml_tables import TOML_LAYOUT
 from rankone.interface.solution import Solution, load
 from rankone.ir.verdict import Status
 from rankone.support.errors import BlowUpError, OptionError, RankoneWarning

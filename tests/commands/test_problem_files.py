@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rankone.frontend.problem_files import TOML_LAYOUT, load_problem
+from rankone.frontend.problem_files import load_problem
+from rankone.frontend.toml_tables import TOML_LAYOUT
 from rankone.support.errors import ProblemError
 
 SCRIPT = """
@@ -76,7 +77,11 @@ def test_toml_with_tables_numbers_and_a_name(tmp_path: Path) -> None:
             r"\[\[jumps\]\] has a time twice",
         ),
         (TOML_LAYOUT.replace("times = [2, 4]", ""), r"\[\[jumps\]\] has no times"),
-        (TOML_LAYOUT.replace("times = [2, 4]", 'time = "2"'), r"\[\[jumps\]\] has `time` = '2'"),
+        (
+            TOML_LAYOUT.replace("times = [2, 4]", 'times = ["2"]'),
+            r"\[\[jumps\]\] has `times` = \['2'\]",
+        ),
+        (TOML_LAYOUT.replace("times = [2, 4]", 'time = "a b"'), "time of a jump.*not a formula"),
         (TOML_LAYOUT.replace("[[jumps]]", "[jumps]"), "`jumps` is .*, not a list of tables"),
         (TOML_LAYOUT.replace('"x + 1"', "[1]"), r"`x` in \[jumps\] is \[1\], neither text"),
         ("time = [0, 1]\nrhs = 3\ninitial = 4\n", r"`rhs` is 3, not a table; .* a line \[rhs\]"),

@@ -77,7 +77,7 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
 
 def toml_help() -> str:
     """The layout of a TOML file, for the help."""
-    from rankone.frontend.problem_files import TOML_LAYOUT
+    from rankone.frontend.toml_tables import TOML_LAYOUT
 
     return "layout of a TOML file:\n" + "".join(
         f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()

@@ -20,6 +20,8 @@
 :mod:`~.integration`    the integration of one trajectory, by SciPy
 :mod:`~.crossings`      where a trajectory crosses the surfaces of events
 :mod:`~.trajectory`     one trajectory at the times asked for
+:mod:`~.toml_tables`    tables of a TOML file as arguments in text
+:mod:`~.saving`         problems as TOML text
 :mod:`~.problem_files`  problems from Python and TOML files
 ======================  ==========================================================================
 """

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -63,15 +66,10 @@ from rankone.frontend.matrices import MatrixSystem
 from rankone.frontend.mistakes import check_symbols_as_unknowns
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.run_time import coupled_by, with_decisive
+from rankone.frontend.saving import toml_text
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
-from rankone.frontend.text import (
-    check_keys,
-    events_of_text,
-    formula,
-    has_names,
-    jumps_of_text,
-    normalised,
-)
+from rankone.frontend.text import problem_arguments
+from rankone.frontend.toml_tables import text_arguments
 from rankone.frontend.trajectory import Trajectory
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
@@ -79,15 +77,17 @@ from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
 from rankone.statistics.distributions import scale_of
 from rankone.support.errors import EvaluationError, ProblemError, bounded_depth, warn
+from rankone.support.files import as_path, write_files
 from rankone.support.options import checked_number
 from rankone.support.wording import (
     aligned_equations,
     count,
-    did_you_mean,
     is_line,
     quote,
     shown,
 )
+
+_IN_PYTHON = "keep it in a Python file with a variable `problem`"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -352,6 +352,8 @@ class Problem:
         constants: Mapping[str, float | str] | None = None,
         definitions: Mapping[str, str | float] | None = None,
         atol: Mapping[str, float] | None = None,
+        equations: Sequence[str] = (),
+        unknowns: Sequence[str] = (),
     ) -> Problem:
         """Build a problem from text.
 
@@ -385,70 +387,36 @@ class Problem:
             Formulas by name, in any order: ``{"F": "k*x + c*v"}``.
         atol : mapping of str to float, optional
             Absolute tolerances of unknowns by name.
+        equations : sequence of str, optional
+            Equations that give no single derivative, besides those in ``rhs``, which may be empty:
+            ``"m*x_tt + c*x_t + k*x = F"``. ``x_t`` and ``x_tt`` are derivatives; they have initial
+            values by these names.
+        unknowns : sequence of str, optional
+            Names of further unknowns, where ``equations`` have some without initial values.
 
         Raises
         ------
         ProblemError
             As for the class, and if a text is not a formula.
         """
-        t = sp.Symbol("t")
-        if not isinstance(time, tuple | list) or len(time) != 2:
-            raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
-        rhs, initial = normalised("rhs", rhs), normalised("initial", initial)
-        parameters = normalised("parameters", parameters)
-        constants = normalised("constants", constants or {})
-        definitions = normalised("definitions", definitions or {})
-        check_keys(rhs)
-        for state in initial:
-            if state not in rhs:
-                raise ProblemError(
-                    f"`initial` has a value for {quote(state)}, which has no equation"
-                    f"{did_you_mean(state, rhs)}",
-                    term=state,
-                    remedy="remove it, or give its derivative in `rhs`",
-                )
-        unknowns = {state: sp.Function(state)(t) for state in rhs}
-        symbols = {name: sp.Symbol(name) for name in (*parameters, *constants, *definitions)}
-        owners = [(name, f"constant {quote(name)}") for name in constants]
-        owners += [(name, f"definition {quote(name)}") for name in definitions]
-        check_names(list(unknowns.items()), [symbols[name] for name in parameters], t, owners)
-        names = {"t": t, **symbols, **unknowns}
-        if has_names(units):
-            units = normalised("units", units)
-        return cls(
-            equations=[
-                sp.Eq(
-                    unknowns[state].diff(t),
-                    formula(text, names, f"right-hand side of {quote(state)}", i),
-                    evaluate=False,
-                )
-                for i, (state, text) in enumerate(rhs.items(), 1)
-            ],
-            time=(t, time[0], time[1]),
-            parameters={symbols[parameter]: bounds for parameter, bounds in parameters.items()},
-            initial={
-                unknowns[state]: formula(
-                    initial[state], names, f"initial value of {quote(state)}", None
-                )
-                for state in rhs
-                if state in initial
-            },
-            name=name,
-            jumps=jumps_of_text(jumps, names, unknowns),
-            units=units,
-            tail=tail,
-            correlation=correlation,
-            events=events_of_text(events, names, unknowns),
-            constants={
-                symbols[name]: formula(number, {}, f"constant {quote(name)}", None)
-                for name, number in constants.items()
-            },
-            definitions={
-                symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
-                for name, text in definitions.items()
-            },
-            atol=atol,
-        )
+        written = {
+            "rhs": rhs,
+            "initial": initial,
+            "parameters": parameters,
+            "time": time,
+            "name": name,
+            "jumps": jumps,
+            "units": units,
+            "tail": tail,
+            "correlation": correlation,
+            "events": events,
+            "constants": constants,
+            "definitions": definitions,
+            "atol": atol,
+            "equations": equations,
+            "unknowns": unknowns,
+        }
+        return cls(**problem_arguments(written))
 
     @classmethod
     def from_matrices(
@@ -668,13 +636,80 @@ class Problem:
         states = map(name_of, self.initial)
         return type(self)(**with_parameters(self.written, changes_of(intervals, named), states))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        parameters = dict(self.parameters)
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the problem to a TOML file, which ``rankone solve`` and the like read.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.toml``.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Returns
+        -------
+        Path
+            The file. It reads back to an equal problem, but for the assumptions of symbols.
+
+        Raises
+        ------
+        ProblemError
+            If the path has another suffix, exists or cannot be written, or if the problem has
+            something that is not text: tables, functions of the user, names that are no
+            identifiers, or a time of another name than ``t``.
+        """
+        place = as_path(path, ProblemError)
+        if place.suffix != ".toml":
+            message = f"`{place}` is no .toml file"
+            raise ProblemError(message, term=path, remedy="give a name that ends in .toml")
+        if self.time[0].name != "t":
+            message = f"the time is called {quote(self.time[0])}, which is `t` in files"
+            raise ProblemError(message, term=self.time[0], remedy="call it t")
+        written = {**self.written, "equations": listed_equations(self.written["equations"])}
+        parameters = {symbol.name: ends for symbol, ends in self._written_parameters().items()}
+        text = toml_text(written, parameters, self.unknowns)
+        again = type(self).from_strings(**text_arguments(tomllib.loads(text), str(place)))
+        if self._content(plain=True) != again._content(plain=True):
+            message = "the problem does not read back from text as it is"
+            raise ProblemError(message, term=self.name, remedy=_IN_PYTHON)
+        write_files({place: lambda stream: stream.write(text.encode())}, overwrite, ProblemError)
+        return place
+
+    def _written_parameters(self) -> dict[sp.Symbol, Any]:
+        """The box with distributions as texts, and scales as words."""
+        parameters: dict[sp.Symbol, Any] = dict(self.parameters)
         for symbol, ends in self.parameters.items():
             text = self.distributions.get(symbol.name)
             word = written_scale(text)
             parameters[symbol] = (*ends, word) if word else text or ends
-        return _rebuilt, (type(self), {**self.written, "parameters": parameters})
+        return parameters
+
+    def _content(self, plain: bool = False) -> tuple[object, ...]:
+        """Everything that two equal problems have in common, perhaps of symbols by name alone."""
+        expressions: list[sp.Basic] = [sp.Tuple(*self.residuals), sp.Tuple(*self.unknowns)]
+        mappings = self.initial, self.parameters, self.constants, self.definitions
+        resets = ((sp.Float(at), reset) for at, reset in (self.jumps or {}).items())
+        expressions += [_tuple_of(mapping or {}) for mapping in mappings]
+        expressions += [sp.Tuple(at, _tuple_of(reset)) for at, reset in resets]
+        expressions += [sp.Tuple(*e.expressions, _tuple_of(e.then or {})) for e in self.events]
+        if plain:
+            names = {s: sp.Symbol(s.name) for e in expressions for s in e.free_symbols}
+            expressions = [expression.xreplace(names) for expression in expressions]
+        named = self.units, self.distributions, self.correlation, self.atol
+        flags = [(e.name, e.direction, e.terminal, e.persistent) for e in self.events]
+        others = [dict(mapping or {}) for mapping in named]
+        return expressions, others, flags, str(self.time[0]), self.time[1:], self.name, self.tail
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Problem):
+            return NotImplemented
+        return self is other or self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((self.residuals, self.unknowns, self.time))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuilt, (type(self), {**self.written, "parameters": self._written_parameters()})
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
@@ -747,6 +782,11 @@ def _kept(argument: Any) -> Any:
     if isinstance(argument, Mapping):
         return dict(argument)
     return tuple(argument) if isinstance(argument, list | Iterator) else argument
+
+
+def _tuple_of(mapping: Mapping[sp.Expr, Any]) -> sp.Tuple:
+    """The pairs of a mapping as an expression."""
+    return sp.Tuple(*(sp.Tuple(key, sp.sympify(value)) for key, value in mapping.items()))
 
 
 def _rebuilt(kind: type[Problem], arguments: dict[str, Any]) -> Problem:

@@ -6,19 +6,129 @@ import dataclasses
 import numbers
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard, TypeVar
 
 import sympy as sp
 
 from rankone.expressions.parsing import parse_expression
+from rankone.frontend.equations import check_names
 from rankone.frontend.events import Event, event_name
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
 Entry = TypeVar("Entry")
 Names = Mapping[str, sp.Expr]
+_NAMED = ("constants", "definitions")  # Names besides unknowns and parameters
+_HIGHEST_ORDER = 4  # Of derivatives in equations, ``x_tttt``
+_DERIVATIVE = re.compile("_t{1,4}$")
 _EVENT_KEYS = tuple(field.name for field in dataclasses.fields(Event))
+
+
+def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of :class:`Problem` from those of :meth:`Problem.from_strings`."""
+    t, time = sp.Symbol("t"), written["time"]
+    if not isinstance(time, tuple | list) or len(time) != 2:
+        raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
+    tables = {
+        key: normalised(key, written[key] or {})
+        for key in ("rhs", "initial", "parameters", "constants", "definitions")
+    }
+    rhs, initial, constants, definitions = (
+        tables[key] for key in ("rhs", "initial", "constants", "definitions")
+    )
+    check_keys(rhs)
+    symbols = {
+        name: sp.Symbol(name)
+        for key in ("parameters", "constants", "definitions")
+        for name in tables[key]
+    }
+    equations = listed_texts("equations", written["equations"])
+    unknowns = _unknowns(rhs, initial, listed_texts("unknowns", written["unknowns"]), equations)
+    functions = {name: sp.Function(name)(t) for name in unknowns}
+    owners = [(name, f"{key[:-1]} {quote(name)}") for key in _NAMED for name in tables[key]]
+    parameters = [symbols[name] for name in tables["parameters"]]
+    check_names(list(functions.items()), parameters, t, owners)
+    states: dict[str, sp.Expr] = {**functions}
+    if equations:
+        states |= {
+            f"{name}_{'t' * order}": function.diff(t, order)
+            for name, function in functions.items()
+            for order in range(1, _HIGHEST_ORDER + 1)
+        }
+    names = {**states, "t": t, **symbols, **functions}
+    units = written["units"]
+    return {
+        "equations": [
+            *(
+                sp.Eq(
+                    functions[state].diff(t),
+                    formula(text, names, f"right-hand side of {quote(state)}", i),
+                    evaluate=False,
+                )
+                for i, (state, text) in enumerate(rhs.items(), 1)
+            ),
+            *(_equation(text, names, i) for i, text in enumerate(equations, 1 + len(rhs))),
+        ],
+        "time": (t, *time),
+        "parameters": {symbols[name]: ends for name, ends in tables["parameters"].items()},
+        "initial": {
+            states[state]: formula(start, names, f"initial value of {quote(state)}", None)
+            for state, start in initial.items()
+        },
+        "jumps": jumps_of_text(written["jumps"], names, states),
+        "units": normalised("units", units) if has_names(units) else units,
+        "events": events_of_text(written["events"], names, states),
+        "constants": {
+            symbols[name]: formula(number, {}, f"constant {quote(name)}", None)
+            for name, number in constants.items()
+        },
+        "definitions": {
+            symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
+            for name, text in definitions.items()
+        },
+        **{key: written[key] for key in ("name", "tail", "correlation", "atol")},
+    }
+
+
+def listed_texts(argument: str, texts: object) -> list[str]:
+    """A list of texts."""
+    if isinstance(texts, list | tuple) and all(isinstance(text, str) for text in texts):
+        return [*texts]
+    raise ProblemError(
+        f"{argument} are {shown(texts)}, not a list of texts",
+        term=texts,
+        remedy='give for example ["m*x_tt + k*x = 0"]' if argument == "equations" else None,
+    )
+
+
+def _unknowns(
+    rhs: Mapping[str, Any],
+    initial: Mapping[str, Any],
+    unknowns: Sequence[str],
+    equations: Sequence[str],
+) -> list[str]:
+    """Names of unknowns: with a right-hand side, listed, or with initial values."""
+    named = dict.fromkeys([*rhs, *unknowns])
+    for state in initial:
+        if equations:
+            named.setdefault(_DERIVATIVE.sub("", state))
+        elif state not in rhs:
+            raise ProblemError(
+                f"`initial` has a value for {quote(state)}, which has no equation"
+                f"{did_you_mean(state, rhs)}",
+                term=state,
+                remedy="remove it, or give its derivative in `rhs`",
+            )
+    return [*named]
+
+
+def _equation(text: str, names: Names, index: int) -> sp.Eq:
+    """``m*x_tt + k*x = F``; without ``=`` it vanishes."""
+    left, equals, right = text.partition("=")
+    where = f"equation {quote(text)}"
+    sides = [formula(side, names, where, index) for side in (left, right if equals else "0")]
+    return sp.Eq(*sides, evaluate=False)
 
 
 def check_keys(rhs: Mapping[str, Any]) -> None:

@@ -1,0 +1,250 @@
+"""The tables of a TOML file as arguments of :meth:`rankone.Problem.from_strings`, and the reverse.
+
+A file has the arguments in the layout of :data:`TOML_LAYOUT`, and may have a ``name``. Instead of
+``time = [0, 6]`` there may be a table ``[time]`` with ``start`` and ``end``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any, TypeGuard
+
+from rankone.ir.measures import split
+from rankone.support.errors import ProblemError
+from rankone.support.wording import did_you_mean, listing, shown
+
+TOML_LAYOUT = """\
+time = [0, 6]
+
+[rhs]                      # right-hand side of each derivative; t is time
+x = "x*(1.5 - y)"
+y = "-y*(3 - x)"
+
+# equations = ["m*y_tt = -k*y"]  # above the tables: where no right-hand side gives a derivative
+
+[initial]                  # numbers or formulas of the parameters
+x = "x0"
+y = "y0"
+
+[[jumps]]                  # resets at known times, such as doses; may be left out
+times = [2, 4]             # or a single time = 2, or time = "lag"
+x = "x + 1"                # the value right after it
+
+# [[events]]               # where an expression crosses zero; may be left out
+# when = "y - 9"
+# direction = "rising"     # or "falling", or "both"
+# then = { y = "y/2" }     # the values right after it
+# terminal = false         # whether time ends there
+# name = "harvest"
+# delay = "1/4"            # from the crossing to the reset
+# priority = 1             # the highest one is first at one instant
+# persistent = true        # whether it happens though `when` turns back
+
+[units]                    # texts for t, parameters and unknowns; may be left out
+t = "years"
+
+# [constants]              # numbers, or formulas of numbers; may be left out
+# c = 1.5
+
+# [definitions]            # formulas by name, in any order; may be left out
+# eaten = "c*x*y"
+
+# [atol]                   # errors of unknowns that are or become zero; may be left out
+# y = 1e-6
+
+[parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
+x0 = [8, 12]
+y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
+"""
+
+_REQUIRED = ("time", "rhs", "initial")  # "equations" may stand for "rhs"
+_OPTIONAL = (
+    *("parameters", "name", "jumps", "units", "events", "constants", "definitions", "atol"),
+    *("equations", "unknowns", "tail", "correlation"),
+)
+_AS_THEY_ARE = ("name", "tail", "equations", "unknowns")
+SHOWN = "`rankone solve --help` shows the layout"
+
+
+def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
+    """Arguments of ``Problem.from_strings`` in the tables of a file, whose name is for messages.
+
+    A ProblemError says which table or key is not as it should be.
+    """
+    keys = (*_REQUIRED, *_OPTIONAL)
+    for key in content:
+        if key not in keys:
+            raise ProblemError(
+                f"`{file}` has the unknown key `{key}`{did_you_mean(key, keys)}; "
+                f"known are {listing(keys)}",
+                term=key,
+            )
+    given = {*content, *(["rhs"] if "equations" in content else [])}
+    missing = [key for key in _REQUIRED if key not in given]
+    if missing:
+        misplaced = [
+            f"; `{key}` in [{name}] belongs above the first table"
+            for key in missing
+            for name, table in content.items()
+            if isinstance(table, Mapping) and key in table
+        ]
+        raise ProblemError(
+            f"`{file}` lacks {listing(missing)}{''.join(misplaced)}", term=missing, remedy=SHOWN
+        )
+    return {
+        "rhs": {n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
+        "initial": _formulas(content, "initial"),
+        "constants": _formulas(content, "constants"),
+        "definitions": _formulas(content, "definitions"),
+        "atol": dict(_table(content, "atol")),
+        "parameters": {
+            name: ends if isinstance(ends, str) else _scaled(name, ends)
+            for name, ends in _table(content, "parameters").items()
+        },
+        "time": _horizon(content["time"]),
+        "jumps": _jumps(content.get("jumps", [])),
+        "units": dict(_table(content, "units")),
+        "events": _events(content.get("events", [])),
+        "correlation": _correlation(content.get("correlation", [])),
+        **{
+            key: content[key] for key in ("name", "tail", "equations", "unknowns") if key in content
+        },
+    }
+
+
+def _correlation(triples: object) -> dict[tuple[str, str], float]:
+    """``[["k", "c", 0.6]]`` as correlations of pairs."""
+    remedy = 'write it like correlation = [["k", "c", 0.6]]'
+    correlation: dict[tuple[str, str], float] = {}
+    for triple in triples if isinstance(triples, list) else [triples]:
+        match triple:
+            case [str(a), str(b), int() | float() as number]:
+                correlation[a, b] = number
+            case _:
+                message = f"`correlation` has {shown(triple)}, not two names and a number"
+                raise ProblemError(message, term=triple, remedy=remedy)
+    return correlation
+
+
+def _events(tables: object) -> list[dict[str, Any]]:
+    """The tables [[events]], with formulas that are text or finite numbers."""
+    remedy = f"write [[events]], and below it `when` and perhaps `then`; {SHOWN}"
+    events = []
+    for table in _tables("events", tables, remedy):
+        event = {**table}
+        for key in ("when", "delay", "priority"):
+            if key in event:
+                event[key] = _formula("events", key, event[key])
+        if "then" in event:
+            then = _table(event, "then", remedy='write then = { x = "0" }')
+            event["then"] = {name: _formula("events", name, f) for name, f in then.items()}
+        events.append(event)
+    return events
+
+
+def _tables(key: str, tables: object, remedy: str) -> list[Mapping[str, Any]]:
+    """A list of tables."""
+    if isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables):
+        return tables
+    message = f"`{key}` is {shown(tables)}, not a list of tables"
+    raise ProblemError(message, term=tables, remedy=remedy)
+
+
+def _jumps(tables: object) -> dict[tuple[float, ...] | str, dict[str, str | float]]:
+    """The tables [[jumps]]: for their times, or a formula of one, the values after them."""
+    remedy = f"write [[jumps]], and below it the times and the values; {SHOWN}"
+    jumps: dict[tuple[float, ...] | str, dict[str, str | float]] = {}
+    for table in _tables("jumps", tables, remedy):
+        keys = [key for key in ("time", "times") if key in table]
+        after = {n: _formula("jumps", n, f) for n, f in table.items() if n not in keys}
+        times = table[keys[0]] if keys else None
+        if keys == ["time"] and isinstance(times, str) and after and times not in jumps:
+            jumps[times] = after
+            continue
+        at = tuple(times) if isinstance(times, list) else (times,)
+        if len(keys) != 1 or not at or not all(map(_is_number, at)):
+            fault = f"`{keys[0]}` = {shown(times)}" if keys else f"no times, but {listing(table)}"
+            raise ProblemError(
+                f"[[jumps]] has {fault}",
+                term=table,
+                remedy="write time = 8, or times = [8, 16], once",
+            )
+        earlier = [time for times_of_table in jumps for time in times_of_table]
+        if len({*earlier, *at}) < len(earlier) + len(at):
+            raise ProblemError(
+                f"[[jumps]] has a time twice, among {listing(map(str, at))}",
+                term=table,
+                remedy="give all that is reset at a time in one table",
+            )
+        if not after:
+            raise ProblemError(
+                f"[[jumps]] at {listing(map(str, at))} resets nothing",
+                term=table,
+                remedy='write the values after it, for example x = "x + 1"',
+            )
+        jumps[at] = after
+    return jumps
+
+
+def _table(content: Mapping[str, Any], key: str, remedy: str | None = None) -> Mapping[str, Any]:
+    """A table of the file; an empty one if it is left out."""
+    table = content.get(key, {})
+    if not isinstance(table, Mapping):
+        raise ProblemError(
+            f"`{key}` is {shown(table)}, not a table",
+            term=table,
+            remedy=remedy or f"write a line [{key}], and below it one for each name; {SHOWN}",
+        )
+    return table
+
+
+def _formulas(content: Mapping[str, Any], key: str) -> dict[str, str | float]:
+    """A table of formulas and numbers."""
+    return {name: _formula(key, name, f) for name, f in _table(content, key).items()}
+
+
+def _formula(table: str, name: str, formula: object) -> str | float:
+    """A formula as text, or a number."""
+    if isinstance(formula, str) or (_is_number(formula) and abs(formula) <= sys.float_info.max):
+        return formula
+    raise ProblemError(
+        f"`{name}` in [{table}] is {shown(formula)}, neither text nor a finite number",
+        term=formula,
+        remedy=f'write the formula in quotes, for example {name} = "2*a + 1"',
+    )
+
+
+def _horizon(time: object) -> tuple[float, float]:
+    """Start and end, from a list or from a table."""
+    if not isinstance(time, Mapping):
+        return _pair("`time`", "time", time)
+    if set(time) != {"start", "end"}:
+        raise ProblemError(
+            f"the table [time] has {listing(time) or 'nothing'}",
+            term=time,
+            remedy="give `start` and `end`, or write time = [start, end]",
+        )
+    return _pair("what [time] holds", "time", [time["start"], time["end"]])
+
+
+def _scaled(name: str, ends: object) -> tuple[object, ...]:
+    """An interval, perhaps with its scale; :class:`Problem` checks the word."""
+    bounds, word = split(ends)
+    pair = _pair(f"`{name}` in [parameters]", name, bounds)
+    return pair if word is None else (*pair, word)
+
+
+def _pair(subject: str, name: str, bounds: object) -> tuple[float, float]:
+    """A list of two numbers; :class:`Problem` checks them."""
+    if isinstance(bounds, list) and len(bounds) == 2 and all(map(_is_number, bounds)):
+        return bounds[0], bounds[1]
+    raise ProblemError(
+        f"{subject} is {shown(bounds)}, not a list of two numbers",
+        term=bounds,
+        remedy=f"write it like {name} = [0.5, 1.5]",
+    )
+
+
+def _is_number(scalar: object) -> TypeGuard[float]:
+    return isinstance(scalar, int | float) and not isinstance(scalar, bool)
