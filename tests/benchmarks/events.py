@@ -218,14 +218,20 @@ def fits(count: int) -> None:
     solution = ro.solve(LAG, 1e-4)
     truth = {"k": 0.33, "lag": 1.23, "span": 1.97, "second": 5.41}
     times, generator = np.linspace(0.4, 9.8, 20), np.random.default_rng(0)
-    exact, inside, converged = solution["A"](times, truth), dict.fromkeys(truth, 0), 0
+    exact, inside = solution["A"](times, truth), dict.fromkeys(truth, 0)
+    converged = said = near = 0
     for _ in range(count):
         data = exact + 0.03 * generator.normal(size=times.size)
         fit = solution.fit(times, data, observe="A", sigma=0.03)
         converged += fit.converged
+        said += "the sum of squares jumps" in fit.message
+        near += fit.converged and bool(fit.jumps)
         for name, (low, high) in fit.interval().items():
             inside[name] += low <= truth[name] <= high
-    print(f"of {count}: {converged} converged; inside the 95 % interval: {inside}")
+    print(
+        f"of {count}: {converged} converged, {near} of them with a jump inside an interval; {said} "
+        f"ended at a jump and say so; inside the 95 % interval: {inside}"
+    )
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ import scipy.optimize
 import scipy.stats
 
 from rankone.support.errors import OptionError
+from tests.estimation.experiments import bateman, oral
 from tests.estimation.systems import decay
 
 TIMES = np.linspace(0.05, 2.0, 25)
@@ -184,3 +185,26 @@ def test_residuals_are_looked_at():
 def test_log_normal_noise_of_data_below_zero():
     with pytest.raises(OptionError, match=r"-1 of `u` is not positive, as log-normal noise wants"):
         decay().fit([0.1, 0.2, 0.3, 0.4], [1, -1, 1, 1], noise="log-normal")
+
+
+@pytest.mark.parametrize("options", [{"noise": "proportional"}, {"sigma": "s0 + s1*C"}])
+def test_a_value_that_is_certain(options):
+    """Nothing is in the blood before the dose is absorbed: relative noise is zero there."""
+    hours = np.array([0.0, 1, 2, 4, 8, 12])
+    data = bateman(hours)
+    with pytest.raises(OptionError, match="`C` at t = 0 is zero for all parameters"):
+        oral().fit(hours, data, observe="C", fixed={"dose": 100}, **options)
+    assert oral().fit(hours, data, observe="C", fixed={"dose": 100}, sigma="s0").x["ke"] > 0.2
+
+
+def test_priors_bound_the_search():
+    prior = {"k": scipy.stats.uniform(1.0, 0.2)}
+    fit = decay().fit(TIMES, closed(**TRUE) + 0.05 * draws(), sigma=0.05, prior=prior)
+    assert fit.at_bounds == {"k": "upper"}
+    assert fit.x["k"] == pytest.approx(1.2)
+
+
+def test_noise_that_is_too_small_to_be_seen():
+    fit = decay().fit(TIMES, closed(**TRUE), noise="constant")
+    assert not fit.success
+    assert "the level of noise `sigma_u` tends to zero" in fit.message

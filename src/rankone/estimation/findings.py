@@ -61,9 +61,10 @@ def findings_of(fit: Judged) -> Iterator[str]:
     if fit.stuck or (fit.jumps and not fit.converged):
         times = sorted({jump.time for jump in fit.jumps})
         of = f"the time {times[0]:.6g}" if len(times) == 1 else "a time"
+        reason = f", because an event passes {of} of the data there" if times else ""
         yield with_remedy(
-            "the search ended where the sum of squares jumps, because an event passes "
-            f"{of} of the data there: intervals by linearisation are not valid",
+            f"the search ended where the sum of squares jumps{reason}: intervals by linearisation "
+            "are not valid",
             'use interval(method="profile"), or measure at times that no event can pass',
         )
     elif not fit.converged:

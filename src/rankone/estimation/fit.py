@@ -490,7 +490,7 @@ class Fit(Labelled):
     @property
     def at_bounds(self) -> dict[str, str]:
         """Parameters whose estimate is at the ``"lower"`` or ``"upper"`` end of its bounds."""
-        return self._problem.free.at_bounds(self._z)
+        return self._problem.free.at_bounds(self._best.z)
 
     def _table(self) -> Table:
         return fit_table(self)

@@ -7,13 +7,13 @@ ch. 10.3; bounds by an active set, Kelley, Iterative Methods for Optimization, c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.estimation.likelihood import Held, Likelihood
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, bisected
 
 _MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where it does not settle
 # Promised decrease, in shares of the sum of squares, below which a search ends: rounding
@@ -35,6 +35,7 @@ _EXACT = 1e-9  # Residuals, in shares of the data, that are rounding: nobody is 
 # Lengths of steps across a jump, in widths of the cube, and how often they are tried
 _HOPS = np.array([0.003, 0.01, 0.03, 0.1, 0.3])
 _HOP_ROUNDS = 3
+_BISECTIONS = 40  # Bisections of the last step before a jump
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,10 @@ def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
 
 
 def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
-    """The same; searches that end where the cost jumps begin again on the other side."""
+    """The same; searches that end where the cost jumps begin again on the other side.
+
+    Those that do not get below the end go up to the jump.
+    """
     ends = last = minima(problem, starts)
     for _ in range(_HOP_ROUNDS):
         rows = np.flatnonzero(last.stuck)
@@ -113,7 +117,24 @@ def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
         beyond = stuck.z[:, None] + _HOPS[:, None] * way[:, None]
         last = minima(problem, beyond.reshape(-1, starts.shape[1]))
         ends = ends.joined(last)
-    return ends
+    best = int(np.argmin(ends.cost))
+    if not ends.stuck[best]:
+        return ends
+    return ends.joined(_at_jump(problem, ends.selected(np.array([best]))))
+
+
+def _at_jump(problem: Likelihood, stuck: Minima) -> Minima:
+    """The minima (n,) close to a jump, where one of n coordinates is held at it."""
+    z, n = stuck.z, stuck.z.shape[1]
+    free = np.zeros(z.shape, dtype=bool)
+    step, _ = _step(z, stuck.residuals, stuck.jacobian, free, np.zeros(1))
+
+    def before(points: Array) -> NDArray[np.bool_]:
+        return np.asarray(problem.costs(points)[1] <= stuck.cost)[:, None]
+
+    near, _ = bisected(z, np.clip(z + step, 0.0, 1.0), before, _BISECTIONS)
+    ends = minima(problem, np.repeat(near, n, axis=0), np.eye(n, dtype=bool))
+    return replace(ends, converged=np.zeros(n, dtype=bool), stuck=np.ones(n, dtype=bool))
 
 
 def squares_of(residuals: Array) -> Array:

@@ -298,8 +298,9 @@ class Likelihood:
         for q, measure in enumerate(self.priors):
             assert measure.distribution is not None
             j = self.free.names.index(measure.name)
+            inside = np.clip(z, _PRIOR_STEP, 1.0 - _PRIOR_STEP)
             ends = np.stack(
-                [z - _PRIOR_STEP * (np.arange(n) == j), z, z + _PRIOR_STEP * (np.arange(n) == j)]
+                [inside + step * _PRIOR_STEP * (np.arange(n) == j) for step in (-1.0, 0.0, 1.0)]
             )
             logs = measure.distribution.logpdf(self.free.unclipped(ends)[..., j])
             slope = -(logs[2] - logs[0]) / (2.0 * _PRIOR_STEP)

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rankone.estimation.experiments import Trial
+from rankone.estimation.duals import value_of
+from rankone.estimation.experiments import Predicted, Trial
 from rankone.estimation.formulas import linear_names
-from rankone.estimation.free_parameters import Range
+from rankone.estimation.free_parameters import FreeParameters, Range
 from rankone.estimation.likelihood import START_ROUNDS, Likelihood
 from rankone.estimation.observations import MISSPELT
+from rankone.statistics.distributions import Measure
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
@@ -23,6 +26,7 @@ _LEAST_LEVEL, _LARGEST_LEVEL = 1e-6, 10.0
 _GOOD_SHARE = 0.25
 # Rise of -2 log L without a level of noise below which the data do not need it
 _IDLE_RISE = 0.02
+_NOTHING = 1e-9  # Predictions and noise below this share of the largest ones are none
 _MARGIN = 2.0  # Margin of their interval to both sides, in lengths of what those points have
 
 
@@ -106,6 +110,56 @@ def _check_spelling(name: str, trial: Trial) -> None:
             remedy=f"it has {listing(own)}; a parameter of the observable with such a name needs "
             "bounds",
         )
+
+
+def within_support(free: FreeParameters, priors: Sequence[Measure]) -> FreeParameters:
+    """The same with bounds inside of the supports of priors."""
+    lower, upper = free.lower.copy(), free.upper.copy()
+    for measure in priors:
+        assert measure.distribution is not None
+        j = free.names.index(measure.name)
+        low, high = measure.distribution.support()
+        lower[j], upper[j] = max(lower[j], float(low)), min(upper[j], float(high))
+    return replace(free, lower=lower, upper=upper)
+
+
+def check_certain(problem: Likelihood, points: Array) -> None:
+    """Raise an OptionError for data without noise: their likelihood has no bound.
+
+    They are where the prediction is zero for all parameters, and the noise with it.
+    """
+    values = problem.free.values(points)
+    for trial, predicted in zip(problem.trials, problem.predictions(values), strict=True):
+        observations = trial.observations
+        for i, one in enumerate(predicted):
+            here = observations.of(i)
+            data, times = observations.values[here], observations.times[here]
+            vanishing = _vanishing(trial, i, one, data)
+            if vanishing.any():
+                k, time = int(np.argmax(vanishing)), trial.solution.metadata.time
+                raise OptionError(
+                    f"{quote(observations.names[i])} at {time} = {times[k]:g} is zero for all "
+                    "parameters, and noise that is relative to it vanishes there",
+                    term=float(data[k]),
+                    remedy="leave this measurement out",
+                )
+
+
+def _vanishing(trial: Trial, i: int, one: Predicted, data: Array) -> NDArray[np.bool_]:
+    """Which data (m,) of an observable have no noise, wherever it was predicted."""
+    noise, name = trial.observations.noises[i], trial.observations.names[i]
+    own = {name, *trial.solution.states}
+    if noise.formula is None or not own & set(noise.formula.names) or not data.size:
+        return np.zeros(data.size, dtype=bool)
+
+    error = np.nan_to_num(trial.solution.error)
+
+    def none(rows: Array) -> NDArray[np.bool_]:
+        largest = np.abs(np.broadcast_to(rows, (len(rows), data.size))).max(axis=0)
+        return np.asarray(largest <= max(_NOTHING, error) * largest.max())
+
+    silent = none(value_of(one.sigma)) | none(data[None])
+    return none(value_of(one.value)) & silent
 
 
 def idle_levels(problem: Likelihood, z: Array, cost: float) -> dict[str, float]:

@@ -17,7 +17,13 @@ from rankone.estimation.least_squares import minima_across_jumps
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.noise import noise_of
 from rankone.estimation.observations import Measurements, Observations, Sigma
-from rankone.estimation.ranges import idle_levels, ranges_of, with_linear_ranges
+from rankone.estimation.ranges import (
+    check_certain,
+    idle_levels,
+    ranges_of,
+    with_linear_ranges,
+    within_support,
+)
 from rankone.estimation.tables import is_table
 from rankone.solution.core import SolutionCore
 from rankone.statistics.joint_distribution import Distributions, by_name, measures_of
@@ -216,6 +222,7 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
         named = by_name("start", options.start, problem.free.order)
         problem = replace(problem, free=with_start(problem.free, named))
     _check_size(problem)
+    check_certain(problem, points)
     ends = minima_across_jumps(problem, _starts(problem, starts, points))
     k = chosen(problem, ends)
     idle = idle_levels(problem, ends.z[k], float(ends.cost[k]))
@@ -227,6 +234,8 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
 
 def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     """The likelihood of trials, with what is fixed, bounded or known before."""
+    if options.prior:
+        trials = with_levels(trials, always=True)
     solutions = list({id(trial.solution): trial.solution for trial in trials}.values())
     used = {name for trial in trials for name in trial.parameters}
     every = {name for solution in solutions for name in solution.parameters}
@@ -250,11 +259,7 @@ def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
     measures = measures_of(free.names, box, priors, {})
     informed = tuple(measure for measure in measures if measure.distribution is not None)
-    if informed:
-        trials = with_levels(trials, always=True)
-        if {name for trial in trials for name in trial.extras} - set(free.order):
-            return problem_of(trials, options)
-    return Likelihood(trials, free, informed)
+    return Likelihood(trials, within_support(free, informed), informed)
 
 
 def with_levels(trials: tuple[Trial, ...], *, always: bool = False) -> tuple[Trial, ...]:
