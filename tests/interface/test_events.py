@@ -422,3 +422,22 @@ def test_the_error_at_equal_shares_of_a_stretch():
         worst = max(worst, (missed / np.abs(exact).max(axis=1)).max())
     assert worst <= 3.0 * solution.share_error < 3.0 * RTOL
     assert np.isnan(solution.at(0.3).share_error)
+
+
+def test_an_event_where_a_rate_of_first_order_crosses_zero():
+    driven = ro.Problem.from_strings(
+        {"x": "-k*x + cos(t)"},
+        {"x": 2},
+        {"k": (0.5, 1)},
+        (0, 6),
+    )
+    t = driven.time[0]
+    (x,) = driven.unknowns
+    marked = type(driven)(**{**driven.written, "events": [ro.Event(x.diff(t), name="turn")]})
+    solution = ro.solve(marked, 1e-5)
+    assert solution.success
+    for k in (0.55, 0.9):
+        turns = solution.event_times("turn", k=k)
+        turns = turns[np.isfinite(turns)]
+        np.testing.assert_allclose(k * solution[x](t=turns, k=k), np.cos(turns), atol=1e-4)
+        np.testing.assert_allclose(marked.trajectory(6.0, k=k).events["turn"], turns, atol=1e-4)

@@ -241,13 +241,22 @@ def check_names(
 
 
 class Symbols(NamedTuple):
-    """What the expressions of a problem may name; states are unknowns and lower derivatives."""
+    """What the expressions of a problem may name; states are unknowns and lower derivatives.
+
+    ``rates`` are the highest derivatives, where equations say what they are.
+    """
 
     time: Time
     parameters: tuple[sp.Symbol, ...]
     unknowns: tuple[sp.Expr, ...]
     states: list[sp.Expr]
     shorthand: Shorthand = Shorthand()
+    rates: tuple[sp.Expr, ...] = ()
+
+    @property
+    def with_rates(self) -> Symbols:
+        """The same where highest derivatives may be named too."""
+        return self._replace(states=[*self.states, *self.rates])
 
     def explained(self, symbol: sp.Symbol, declared: Iterable[sp.Symbol]) -> tuple[str, str]:
         """Guess what an undeclared symbol was meant for: (message, remedy)."""

@@ -47,8 +47,7 @@ class Event:
     Parameters
     ----------
     when : Expr
-        What crosses zero: an expression of time, unknowns, their derivatives that are states, and
-        parameters.
+        What crosses zero: an expression of time, unknowns, their derivatives, and parameters.
     direction : {"both", "rising", "falling"}
         Which crossings count.
     then : mapping of Expr to Expr, optional
@@ -217,7 +216,7 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=event,
             remedy="give the direction of the crossing that starts it; the other one withdraws it",
         )
-    when = check_of_states(event.when, f"`when` of {subject}", symbols, _WHEN_REMEDY)
+    when = check_of_states(event.when, f"`when` of {subject}", symbols.with_rates, _WHEN_REMEDY)
     if not when.has(AppliedUndef) and symbols.time[0] not in when.free_symbols:
         raise ProblemError(
             f"`when` of {subject}, {quote(when)}, changes neither with time nor with an unknown",
@@ -264,6 +263,11 @@ def _then(event: Event, subject: str, symbols: Symbols) -> dict[sp.Expr, sp.Expr
         raise ProblemError(message, term=then, remedy=_THEN_REMEDY)
     after = check_reset(then, subject, symbols, _THEN_REMEDY)
     return {state: closed(value) for state, value in after.items()}
+
+
+def without_rates(events: Sequence[Event], rates: Mapping[sp.Expr, sp.Expr]) -> tuple[Event, ...]:
+    """Events of states alone: what crosses zero has expressions in place of highest derivatives."""
+    return tuple(replace(event, when=event.when.xreplace(rates)) for event in events)
 
 
 def event_texts(events: Iterable[Event]) -> Iterator[str]:

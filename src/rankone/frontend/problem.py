@@ -52,6 +52,7 @@ from rankone.frontend.events import (
     event_texts,
     impulse_events,
     moving_jumps,
+    without_rates,
 )
 from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
 from rankone.frontend.jumps import (
@@ -247,7 +248,10 @@ class Problem:
         states = state_expressions(residuals, unknowns, time[0])
         named_states = [(name_of(state), state) for state in states]
         check_names(named_states, box, time[0], shorthand.owners)
-        symbols = Symbols(time, tuple(box), unknowns, states, shorthand)
+        constrained = has_constraints(residuals, unknowns, time[0])
+        highest = {state.diff(time[0]) for state in states} - {*states}
+        rates = () if constrained else tuple(sorted(highest, key=sp.default_sort_key))
+        symbols = Symbols(time, tuple(box), unknowns, states, shorthand, rates)
         check_symbols(residuals, symbols)
         initial = check_initial(self.initial, symbols, algebraic_unknowns(residuals))
         initial = {state: closed(start) for state, start in initial.items()}
@@ -288,11 +292,19 @@ class Problem:
         }
         for name, attribute in checked.items():
             object.__setattr__(self, name, attribute)
-        if has_constraints(residuals, unknowns, time[0]):
+        if constrained:
             self._reduce(states)
             return
         object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
         self._take_out_impulses(symbols, len(moving))
+        self._take_out_rates()
+
+    def _take_out_rates(self) -> None:
+        """Put what equations say of highest derivatives in their place, where events cross zero."""
+        leading = set(self.mass.leading)
+        if any(event.when.atoms(sp.Derivative) & leading for event in self.events):
+            rates = dict(zip(self.mass.leading, self.mass.solved()[0], strict=True))
+            object.__setattr__(self, "events", without_rates(self.events, rates))
 
     def _reduce(self, states: Sequence[sp.Expr]) -> None:
         """Reduce algebraic equations, and complete initial values and resets by them."""

@@ -84,6 +84,18 @@ class Timeline:
         return self.instants[:-1] if beyond else self.instants
 
     @property
+    def moving_resets(self) -> tuple[str, ...]:
+        """The events that reset states at times that are not known to be the same everywhere."""
+        fixed = {border for border, (_, *slopes) in self.affine_times if not any(slopes)}
+        moving = (
+            name
+            for border, (instant, resets) in enumerate(zip(self.met, self.resets, strict=False), 1)
+            if resets and border not in fixed
+            for name in instant
+        )
+        return tuple(dict.fromkeys(moving))
+
+    @property
     def affine_borders(self) -> dict[int, tuple[float, ...]]:
         """The constant and slopes of borders at affine times and at the ends of the horizon."""
         start, end = self.horizon

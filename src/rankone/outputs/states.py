@@ -87,17 +87,20 @@ def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome
         )
     if rtol is not None:
         rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+    if moving := timeline.moving_resets:
+        raise ConvergenceError(
+            f"values over clock time are not resolved, since {listing(moving)} may reset states at "
+            "times that move with the parameters",
+            remedy="keep the solution as it is",
+        )
     sources = tuple(Source(i) for i in range(len(metadata.states)))
     quantities = _as_they_are(metadata, metadata.states, sources, ())
     interpolation = OutputInterpolation(solution, quantities, clock_time=True)
     outcome, rtol = interpolation.solve(rtol, operations_for("normal"), math.inf)
     if outcome.status is not Status.CONVERGED:
-        met = {name for instant in timeline.met for name in instant}
-        moving = [name for name in timeline.events if name in met]
         raise ConvergenceError(
             f"values over clock time are not resolved: {outcome.message}",
-            remedy=f"keep the solution as it is, since {listing(moving)} may reset states at times "
-            "that move with the parameters",
+            remedy="keep the solution as it is, or loosen rtol",
         )
     return outcome, replace(metadata, rtol=rtol)
 

@@ -65,8 +65,7 @@ def event_order(
     if not terminal and min(counts) == max(counts) and not more:
         sides = sides_of(system, followed[longest], len(instants) + 1, length)
         order = EventOrder(instants, Ending.HORIZON, sides=sides)
-        for each, point in zip(followed, points, strict=True):
-            check_order(Clock(system, order, horizon), each, point)
+        check_orders(Clock(system, order, horizon), followed, points)
         return order
     if not terminal:
         count = len(instants) + 1 + more
@@ -81,8 +80,7 @@ def event_order(
     if more:
         raise MoreEventsError("trajectories meet different numbers of events", remedy=_REMEDY)
     reached = follow(some, integrator, points, tolerances, len(instants), followed)
-    for each, point in zip(reached, points, strict=True):
-        check_order(some, each, point)
+    check_orders(some, reached, points)
     if terminal:
         return some.order
     last = min(instants_of(each, length)[len(instants) - 1][0].time for each in reached)
@@ -167,6 +165,19 @@ def sides_of(
 
 def _ids(instants: Sequence[Sequence[Occurrence]]) -> list[tuple[int, ...]]:
     return [tuple(sorted(each.event for each in instant)) for instant in instants]
+
+
+def check_orders(clock: Clock, trajectories: Sequence[EventTrajectory], points: Array) -> None:
+    """Raise an OrderError, with the share of the trajectories, if some have another order."""
+    errors: list[OrderError] = []
+    for each, point in zip(trajectories, points, strict=True):
+        try:
+            check_order(clock, each, point)
+        except OrderError as error:
+            errors.append(error)
+    if errors:
+        share = f"; so for {len(errors)} of {len(points)} trajectories over the box"
+        raise type(errors[0])(f"{errors[0].message}{share}", remedy=errors[0].remedy)
 
 
 def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None:
