@@ -148,6 +148,21 @@ def test_a_guess_chooses_among_solutions():
         np.testing.assert_allclose(squares.trajectory([0, 1], k=1)[z], sign * np.sqrt([4, 5]))
 
 
+def test_unknowns_with_guesses_are_not_put_into_each_other():
+    """A ladder of diodes: solved one after the other, it is an exponential of exponentials."""
+    nodes = [sp.Function(f"v{i}")(t) for i in range(4)]
+    across = zip([1 + t, *nodes], nodes, [*nodes[1:], x], strict=False)
+    currents = [((b - a) + (b - c), k * (1 - sp.exp(4 * b)) / 100) for a, b, c in across]
+    ladder = problem(
+        (x.diff(t), nodes[-1] - x), *currents, initial={x: 0, **dict.fromkeys(nodes, 0)}
+    )
+    assert set(ladder.reduction.guessed) == set(nodes)
+    trajectory = ladder.trajectory([0.0, 0.5, 1.0], k=1.5, rtol=1e-10)
+    values = [1 + trajectory.t, *(trajectory[node] for node in nodes), trajectory[x]]
+    for a, b, c in zip(values, values[1:], values[2:], strict=False):
+        np.testing.assert_allclose(2 * b - a - c, 0.015 * (1 - np.exp(4 * b)), atol=1e-8)
+
+
 def test_what_is_solved_for_follows_resets():
     event = ro.Event(t - k / 4, then={x: x + 1}, name="dose")
     dosed = problem(

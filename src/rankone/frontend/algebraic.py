@@ -104,7 +104,7 @@ def reduced(
 ) -> Reduction:
     """Reduce the residuals, one for each unknown, to rates and constraints.
 
-    Algebraic unknowns that have ``guesses`` are solved for last. A ProblemError says which
+    Algebraic unknowns that have ``guesses`` are not solved for alone. A ProblemError says which
     equations or unknowns leave no solution, or more than one.
     """
     return _Shuffle(residuals, unknowns, coordinates, guesses).reduction()
@@ -179,7 +179,13 @@ class _Shuffle:
         )
 
     def _solve_algebraic(self) -> None:
-        """Solve algebraic equations that are linear in an algebraic unknown, as long as any is."""
+        """Solve algebraic equations that are linear in an algebraic unknown, as long as any is.
+
+        Where all is linear anyway, all is solved together. Unknowns with a guess are left to
+        Newton's method, since functions put into each other lose digits.
+        """
+        if not self._nonlinear():
+            return
         while (found := self._solvable()) is not None:
             row, unknown, meaning = found
             self.rows.remove(row)
@@ -197,12 +203,11 @@ class _Shuffle:
             for row in self.rows
             if not row.residual.has(*highest)
         ]
-        uses = {
-            z: (z in self.guesses, sum(row.residual.has(z) for row in self.rows))
-            for z in self.algebraic
-        }
+        uses = {z: sum(row.residual.has(z) for row in self.rows) for z in self.algebraic}
         for row, present in sorted(rows, key=lambda pair: len(pair[1])):
             for unknown in sorted(present, key=uses.__getitem__):
+                if unknown in self.guesses:
+                    continue
                 symbol = sp.Dummy()
                 residual = row.residual.xreplace({unknown: symbol})
                 coefficient = sp.diff(residual, symbol)
@@ -217,6 +222,13 @@ class _Shuffle:
 
     def _guess_nonlinear(self) -> None:
         """Make states of the algebraic unknowns that enter in a nonlinear way."""
+        for unknown in self._nonlinear():
+            self.algebraic.remove(unknown)
+            self.guessed.append(unknown)
+            self.leading[unknown] = sp.Derivative(unknown, self.time)
+
+    def _nonlinear(self) -> list[sp.Expr]:
+        """The algebraic unknowns that enter in a nonlinear way."""
         nonlinear: set[sp.Expr] = set()
         stand_ins = {v: sp.Dummy() for v in self._unsolved()}
         symbols = {symbol: v for v, symbol in stand_ins.items()}
@@ -228,10 +240,7 @@ class _Shuffle:
                     other = sp.diff(term, stand_ins[unknown]).free_symbols & symbols.keys()
                     if other:
                         nonlinear |= {unknown} | {symbols[s] for s in other}
-        for unknown in [u for u in self.algebraic if u in nonlinear]:
-            self.algebraic.remove(unknown)
-            self.guessed.append(unknown)
-            self.leading[unknown] = sp.Derivative(unknown, self.time)
+        return [unknown for unknown in self.algebraic if unknown in nonlinear]
 
     def _linear(self, leading: Sequence[sp.Expr], *, stable: bool) -> list[LinearRow]:
         """The equations as they are linear in derivatives and unknowns; ``stable`` ones return."""

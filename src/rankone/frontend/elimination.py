@@ -68,12 +68,13 @@ class Elimination:
             columns.remove(c)
             for r in waiting:
                 if c in entries[r]:
-                    share = entries[r].pop(c) / entries[p][c]
+                    share = _without_nesting(entries[r].pop(c) / entries[p][c])
                     for k in columns:
                         if k in entries[p]:
                             entries[r][k] = entries[r].get(k, sp.S.Zero) - share * entries[p][k]
                     rests[r] = rests[r] - share * rests[p]
                     entries[r] = {k: e for k, e in entries[r].items() if not self.vanishes(e)}
+                    entries[r] = {k: _without_nesting(e) for k, e in entries[r].items()}
         constraints = {r: rests[r] for r in waiting if not set(entries[r]) & set(columns)}
         core = [[entries[r].get(k, sp.S.Zero) for k in columns] for r in waiting]
         if not constraints and core:
@@ -171,6 +172,13 @@ class Elimination:
             terms = (weight / row[last] * rests[r] for r, weight in row.items())
             constraints[last] = sp.Add(*terms)
         return constraints
+
+
+def _without_nesting(entry: sp.Expr) -> sp.Expr:
+    """An entry of parameters alone as one fraction: fractions of fractions would pile up."""
+    if entry.has(AppliedUndef) or not entry.free_symbols:
+        return entry
+    return sp.cancel(entry) if entry.is_rational_function(*entry.free_symbols) else entry
 
 
 def evaluation(coordinates: Sequence[Coordinate], trial: int) -> Callable[[sp.Expr], sp.Expr]:
