@@ -1,4 +1,4 @@
-"""Parameters from data, posterior distributions and best values: methods of a solution.
+"""Parameters from data, posterior distributions, designs and best values: methods of a solution.
 
 ======================  ==========================================================================
 ``tables``              tables of measurements, cut into experiments
@@ -13,18 +13,19 @@
 ``least_squares``       its minima, for many starts at once
 ``search``              ``fit``, of one experiment or several
 ``choice``              the minimum that a fit reports
-``fit``                 the result of a fit
+``estimates``           best values, residuals, criteria
+``intervals``           how sure they are
+``fit``                 the result of a fit: both, and whether to believe it
 ``residuals``           predictions and residuals at a point
 ``curves``              fitted curves and their derivatives
 ``findings``            reasons not to trust a fit
 ``checks``              what is odd about residuals
 ``jumps``               events that pass times of the data
-``presentation``        fits as text
 ``identification``      which parameters and combinations the data identify; profile likelihoods
 ``posterior``           ``posterior``, by quadrature or by a Markov chain
 ``cube_distributions``  distributions in a unit cube, on cells or as points of a chain
-``design``           where to measure next
-``candidates``       the information of measurements at candidate times
+``design``              where to measure next
+``candidates``          the information of measurements at candidate times
 ``objective``           objectives and constraints on a unit cube, with derivatives
 ``minimize``            ``minimize``
 ``expressions``         quantities of parameters: functions, text, or symbols

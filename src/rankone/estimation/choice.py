@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from rankone.estimation.fit import Fit, quantile_of
+from rankone.estimation.fit import Fit
 from rankone.estimation.identification import Best, identify
+from rankone.estimation.intervals import quantile_of
 from rankone.estimation.jumps import jumps_within
 from rankone.estimation.least_squares import Minima, squares_of
 from rankone.estimation.likelihood import Likelihood

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rankone.discretization.coordinates import name_of
 from rankone.estimation.candidates import Candidates, candidates_of
-from rankone.estimation.fit import Fit, checked_level
+from rankone.estimation.fit import Fit
+from rankone.estimation.intervals import checked_level
 from rankone.estimation.observations import Sigma, checked_times
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array

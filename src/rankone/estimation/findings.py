@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Protocol
 
 import numpy as np
 
-from rankone.estimation.experiments import Trial
-from rankone.estimation.jumps import Jump
-from rankone.support.arrays import Array
+from rankone.estimation.intervals import Intervals
 from rankone.support.errors import with_remedy
 from rankone.support.wording import listing, quote
 
@@ -19,44 +16,7 @@ _UNLIKELY = 1e-3  # Probability of residuals this large below which the model is
 _MODEL_SHARE = 0.5
 
 
-class Judged(Protocol):
-    """What the findings need of a fit."""
-
-    @property
-    def converged(self) -> bool: ...
-    @property
-    def stuck(self) -> bool: ...
-    @property
-    def x(self) -> dict[str, float]: ...
-    @property
-    def identifiable(self) -> dict[str, bool]: ...
-    @property
-    def combinations(self) -> tuple[str, ...]: ...
-    @property
-    def at_bounds(self) -> dict[str, str]: ...
-    @property
-    def noise_levels(self) -> tuple[str, ...]: ...
-    @property
-    def jumps(self) -> tuple[Jump, ...]: ...
-    @property
-    def others(self) -> tuple[dict[str, float], ...]: ...
-    @property
-    def p_value(self) -> float: ...
-    @property
-    def sigma(self) -> float: ...
-    @property
-    def chi2(self) -> float: ...
-    @property
-    def dof(self) -> int: ...
-    @property
-    def trials(self) -> tuple[Trial, ...]: ...
-    @property
-    def model_errors(self) -> list[Array]: ...
-    @property
-    def deviations(self) -> list[Array]: ...
-
-
-def findings_of(fit: Judged) -> Iterator[str]:
+def findings_of(fit: Intervals) -> Iterator[str]:
     """The sentences, the most important first."""
     if fit.stuck or (fit.jumps and not fit.converged):
         times = sorted({jump.time for jump in fit.jumps})
@@ -102,7 +62,7 @@ def _not_identified(
         yield with_remedy(f"{subject} within their bounds", remedy)
 
 
-def _at_bound(fit: Judged, name: str, end: str) -> str:
+def _at_bound(fit: Intervals, name: str, end: str) -> str:
     if name in fit.noise_levels and end == "lower":
         return with_remedy(
             f"the level of noise {quote(name)} tends to zero", "fix it, or give sigma as a number"
@@ -114,7 +74,7 @@ def _at_bound(fit: Judged, name: str, end: str) -> str:
     )
 
 
-def _error_of_solution(fit: Judged) -> Iterator[str]:
+def _error_of_solution(fit: Intervals) -> Iterator[str]:
     """Where the error of the solution is not small beside the noise."""
     told: set[str] = set()
     for trial, errors, sigma in zip(fit.trials, fit.model_errors, fit.deviations, strict=True):

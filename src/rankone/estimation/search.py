@@ -11,8 +11,9 @@ import numpy as np
 
 from rankone.estimation.choice import chosen, judged
 from rankone.estimation.experiments import Experiment, Trial, trials_of
-from rankone.estimation.fit import Fit, checked_level
+from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters, with_start
+from rankone.estimation.intervals import checked_level
 from rankone.estimation.least_squares import minima_across_jumps
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.noise import noise_of

@@ -1,0 +1,237 @@
+"""Best values of a fit, its residuals, and how well the model describes the data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from rankone.estimation.experiments import Trial
+from rankone.estimation.identification import Best, Identification
+from rankone.estimation.jumps import Jump
+from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.observations import Observations
+from rankone.estimation.residuals import Rows, model_errors, rows_of
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
+
+
+@dataclass(frozen=True, repr=False)
+class Estimates:
+    """The best values of parameters, and what they leave of the data.
+
+    Attributes
+    ----------
+    level : float
+        Default level of intervals.
+    converged : bool
+        Whether the search converged.
+    stuck : bool
+        Whether it ended where the likelihood jumps: an event passes a time of the data there.
+    others : tuple of dict of str to float
+        Other minima that the data do not exclude at the level.
+    jumps : tuple of Jump
+        Parameters in whose intervals an event passes a time of the data, and that time.
+    sizes : tuple of dict of str to float
+        For each experiment the largest values of the observed states over the box.
+    """
+
+    level: float
+    converged: bool
+    stuck: bool
+    _problem: Likelihood
+    _best: Best
+    _z: Array
+    _identification: Identification
+    _freedom: dict[int, float] = field(default_factory=dict)
+    others: tuple[dict[str, float], ...] = ()
+    jumps: tuple[Jump, ...] = ()
+    sizes: tuple[dict[str, float], ...] = ()
+
+    # --- what was fitted -----------------------------------------------------------------------
+
+    @property
+    def trials(self) -> tuple[Trial, ...]:
+        """The experiments, each with its solution and its data in a row."""
+        return self._problem.trials
+
+    @property
+    def solution(self) -> SolutionCore:
+        """The solution; that of the first experiment if there are several."""
+        return self.trials[0].solution
+
+    @property
+    def observations(self) -> Observations:
+        """What was measured, in a row; in the first experiment if there are several."""
+        return self.trials[0].observations
+
+    @property
+    def size(self) -> int:
+        """Number of data."""
+        return self._problem.size
+
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of what was measured."""
+        return tuple(dict.fromkeys(n for trial in self.trials for n in trial.observations.names))
+
+    # --- best values ---------------------------------------------------------------------------
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the covariance."""
+        return self._problem.free.names
+
+    @property
+    def noise_levels(self) -> tuple[str, ...]:
+        """Those of the free parameters that are levels of noise."""
+        return tuple(self.parameters[j] for j in self._problem.levels)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that were fixed in all experiments, and their values."""
+        return dict(self._problem.free.fixed)
+
+    @cached_property
+    def x(self) -> dict[str, float]:
+        """The estimate of each free parameter."""
+        return self._problem.free.named(self._z)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters of the solution: ``solution(times, fit.values)`` is the curve.
+
+        Those of the first experiment if there are several; see :meth:`values_in`.
+        """
+        return self.values_in(0)
+
+    def values_in(self, experiment: int | str) -> dict[str, float]:
+        """All parameters of the solution in one experiment, by its name or its position."""
+        trial = self.trial(experiment)
+        every = {**self._problem.free.complete(self.x), **trial.fixed}
+        return {name: every[name] for name in trial.solution.parameters}
+
+    def trial(self, experiment: int | str) -> Trial:
+        """One experiment, by its name or its position."""
+        names = [trial.name for trial in self.trials]
+        if isinstance(experiment, str) and experiment in names:
+            return self.trials[names.index(experiment)]
+        if isinstance(experiment, int) and -len(names) <= experiment < len(names):
+            return self.trials[experiment]
+        raise OptionError(
+            f"there is no experiment {quote(experiment)}{did_you_mean(str(experiment), names)}",
+            term=experiment,
+            remedy=f"choose from {listing(names)}" if any(names) else f"give 0 to {len(names) - 1}",
+        )
+
+    @cached_property
+    def residuals(self) -> Array | dict[str, Array] | dict[str, Array | dict[str, Array]]:
+        """Data minus model, in the shape of the data.
+
+        By name if the data were so; by experiment if there are several.
+        """
+        rows = [
+            trial.observations.arranged(trial.observations.values - row.predicted)
+            for trial, row in zip(self.trials, self._rows, strict=True)
+        ]
+        return rows[0] if len(rows) == 1 else dict(zip(self._names, rows, strict=True))
+
+    @property
+    def standardised(self) -> tuple[Array, ...]:
+        """For each experiment the residuals in standard deviations, in a row."""
+        unit = self._unit if self._unit > 0.0 else 1.0
+        return tuple(row.scaled / unit for row in self._rows)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the experiments."""
+        return tuple(trial.name for trial in self.trials)
+
+    @cached_property
+    def _rows(self) -> list[Rows]:
+        return rows_of(self._problem, self._z)
+
+    @property
+    def deviations(self) -> list[Array]:
+        """For each experiment the standard deviations of the data (m,), as given or estimated.
+
+        Those of log-normal noise are in the unit of the data, to first order.
+        """
+        return [row.deviations * self._unit for row in self._rows]
+
+    @property
+    def model_errors(self) -> list[Array]:
+        """For each experiment how far the error of the solution moves the predictions (m,)."""
+        return model_errors(self._problem, self._z, self.sizes)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals over sigma; of weighted residuals if sigma is not known."""
+        return float(sum(np.sum(row.scaled**2) for row in self._rows))
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: number of data less the number of fitted directions."""
+        return self.size - self._identification.used + len(self._problem.levels)
+
+    @property
+    def unit_known(self) -> bool:
+        """Whether standard deviations are given or have levels, not one that all data share."""
+        return self._problem.unit_known
+
+    @property
+    def noise_given(self) -> bool:
+        """Whether the standard deviations of all data were given."""
+        return self._problem.unit_known and not self._problem.levels
+
+    @cached_property
+    def sigma(self) -> float:
+        """Standard deviation of the residuals, in units of sigma where sigma was given.
+
+        Where none was given it is the estimate of sigma; with weights, for a datum of weight one.
+        """
+        return math.sqrt(self.chi2 / self.dof) if self.dof > 0 else math.nan
+
+    @property
+    def p_value(self) -> float:
+        """Probability of residuals as large as these or larger; NaN where sigma is not given."""
+        if not self.noise_given or not self.dof > 0:
+            return math.nan
+        return float(scipy.stats.chi2.sf(self.chi2, self.dof))
+
+    # --- how well the model describes the data -------------------------------------------------
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """The largest logarithm of the probability density of the data, with all constants."""
+        values = self._problem.free.values(self._best.z)
+        if self._problem.unit_known:
+            return self._problem.log_likelihood(values)
+        variance = max(self._best.cost / self.size, 1e-300)
+        unit = self._problem.log_likelihood(values) + 0.5 * self._best.cost
+        return unit - 0.5 * self.size * (math.log(variance) + 1.0)
+
+    @property
+    def _estimated(self) -> int:
+        """Number of estimates, an unknown sigma among them."""
+        return len(self.parameters) + (not self._problem.unit_known)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion: the smaller, the better the model predicts."""
+        return 2.0 * self._estimated - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """The Bayesian information criterion (Schwarz 1978), smaller for better models."""
+        return math.log(self.size) * self._estimated - 2.0 * self.log_likelihood
+
+    @property
+    def _unit(self) -> float:
+        """Standard deviation of scaled residuals: one, or its estimate."""
+        return 1.0 if self._problem.unit_known else self.sigma
