@@ -18,6 +18,7 @@ from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.markers import SolveStart, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
+from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
@@ -49,13 +50,15 @@ class Engine:
 
     ``name`` is the ``method`` of ``rankone.solve``, ``record`` the class of the items of its
     history. ``marcher`` makes what it does in an attempt from a request, its reference set, and the
-    workers that integrate trajectories.
+    workers that integrate trajectories. ``first_points`` (m, d) of a request are those whose
+    trajectories it begins with: the reference integrates them too.
     """
 
     name: str
     options: type[Options]
     record: type[SlabRecord]
     marcher: Callable[[SolveRequest, ReferenceSet, Workers], Marcher]
+    first_points: Callable[[SolveRequest], Array] | None = None
 
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance.
@@ -132,12 +135,13 @@ class Engine:
     ) -> Outcome:
         """The outcome of attempts, perhaps over stretches between markers."""
         options = request.options_of(self.options)
+        first = None if self.first_points is None else self.first_points(request)
         start: SolveStart | None = None
         with ExitStack() as stack:
 
             def marcher() -> Marcher:
                 nonlocal start
-                start = start_of(system, request, markers)
+                start = start_of(system, request, markers, first)
                 there = open_workers(start.reference_set.system, options.executor)
                 workers = stack.enter_context(there)
                 return self.marcher(start.request, start.reference_set, workers)

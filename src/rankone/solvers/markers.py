@@ -38,8 +38,12 @@ class SolveStart:
     clock: Clock | None = None
 
 
-def start_of(system: System, request: SolveRequest, markers: bool) -> SolveStart:
+def start_of(
+    system: System, request: SolveRequest, markers: bool, first_points: Array | None = None
+) -> SolveStart:
     """The reference, over stretches between markers if these are allowed and pay.
+
+    Over clock time it has trajectories at the ``first_points`` (m, d) of an engine as well.
 
     Raises
     ------
@@ -47,15 +51,15 @@ def start_of(system: System, request: SolveRequest, markers: bool) -> SolveStart
         If trajectories do not meet the markers in the same order.
     """
     if not markers or request.check.points == 0 or _interrupted(system):
-        return SolveStart(request, ReferenceSet.of(system, request))
+        return SolveStart(request, ReferenceSet.of(system, request, first_points))
     try:
         with limited(_FIRST_LOOK):
-            reference_set = ReferenceSet.of(system, request)
+            reference_set = ReferenceSet.of(system, request, first_points)
     except OutOfWorkError:
         if work_left() <= 0.0:
             raise
         start = _by_pilots(system, request)
-        return start or SolveStart(request, ReferenceSet.of(system, request))
+        return start or SolveStart(request, ReferenceSet.of(system, request, first_points))
     return _by_reference(reference_set, request) or SolveStart(request, reference_set)
 
 

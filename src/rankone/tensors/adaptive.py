@@ -180,7 +180,7 @@ class AdaptiveInterpolation:
         self._undivided = None
         if not self.box:
             return ()
-        count = min(max(round(4.0 + 1.4 * -math.log10(self.level)), 6), self.limits.max_nodes)
+        count = self._line_nodes
         if self.bases is None:
             return self._first_bases(self._lines(columns), count, known_elements(count))
         if not self._divides:
@@ -199,9 +199,7 @@ class AdaptiveInterpolation:
         the ``count`` of the lines.
         """
         most, tolerance = self.limits.max_nodes, TAIL_SHARE * self.level
-        scaled_box = zip(self.box, self.scales, strict=True)
-        kind = self.limits.basis
-        line_bases = [kind(a, b, count, scale=scale) for (a, b), scale in scaled_box]
+        line_bases = self._line_bases(count)
         on_lines = lines([(j, basis.nodes) for j, basis in enumerate(line_bases)])
         drawn = [LineColumns(*pair) for pair in zip(line_bases, on_lines, strict=True)]
         free = [not (known.borders or known.least_nodes) for known in known_elements]
@@ -223,8 +221,26 @@ class AdaptiveInterpolation:
             bases.append(replace(basis, degree=min(degree, most)))
         return tuple(bases)
 
+    @property
+    def _line_nodes(self) -> int:
+        """Nodes of a line, or of an element: a smooth function of the box needs about as many."""
+        return min(max(round(4.0 + 1.4 * -math.log10(self.level)), 6), self.limits.max_nodes)
+
+    def _line_bases(self, count: int) -> list[Basis1D]:
+        """Bases of the first lines: ``count`` nodes of each parameter."""
+        kind, scaled_box = self.limits.basis, zip(self.box, self.scales, strict=True)
+        return [kind(a, b, count, scale=scale) for (a, b), scale in scaled_box]
+
+    @property
+    def first_points(self) -> Array:
+        """The points (m, d) of the lines with which the first attempt begins."""
+        if not self.box:
+            return np.zeros((0, 0))
+        places = [(j, basis.nodes) for j, basis in enumerate(self._line_bases(self._line_nodes))]
+        return LinePoints(self.box, self.scales)(places)
+
     def _lines(self, columns: Columns, steep: Array | None = None) -> Lines:
-        return Lines(columns, self.box, self.scales, steep)
+        return Lines(columns, LinePoints(self.box, self.scales, steep))
 
     def _divided(self, bases: Sequence[Basis1D], lines: Lines, count: int) -> tuple[Basis1D, ...]:
         """The same bases, but elements where one element of many nodes does no better."""
@@ -334,20 +350,18 @@ class AdaptiveInterpolation:
         return tuple(finer)
 
 
-class Lines:
-    """Columns on lines for each parameter: through the centre of the box, and past it.
+class LinePoints:
+    """Points of lines for each parameter: through the centre of the box, and past it.
 
     With several parameters also through some of the ``steep`` points (m, d), if there are any.
     """
 
     def __init__(
         self,
-        columns: Columns,
         box: Sequence[tuple[float, float]],
         scales: Sequence[Scale],
         steep: Array | None = None,
     ) -> None:
-        self.columns = columns
         scaled = [scale.to_scale(np.array(ends)) for scale, ends in zip(scales, box, strict=True)]
         lower, upper = np.array(scaled, dtype=float).reshape(-1, 2).T
         centre = 0.5 * (lower + upper)
@@ -359,20 +373,32 @@ class Lines:
         ]
         if steep is not None:
             points += list(steep[:: -(-len(steep) // MAX_STEEP_LINES)])
-        self.points = points[: None if centre.size > 1 else 1]
+        self.through = points[: None if centre.size > 1 else 1]
 
-    def __call__(self, places: Sequence[tuple[int, Array]]) -> list[Array]:
-        """Coefficients (rank, lines, N) at places (N,) of the parameters j in pairs (j, places)."""
+    def __call__(self, places: Sequence[tuple[int, Array]]) -> Array:
+        """Points (m, d) at places (N,) of the parameters j in pairs (j, places), line by line."""
         points = []
         for j, coordinates in places:
-            for point in self.points:
+            for point in self.through:
                 line = np.tile(point, (coordinates.size, 1))
                 line[:, j] = coordinates
                 points.append(line)
-        coefficients = self.columns(np.concatenate(points))
-        sizes = np.cumsum([len(self.points) * coordinates.size for _, coordinates in places])[:-1]
+        return np.concatenate(points)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Columns on lines."""
+
+    columns: Columns
+    points: LinePoints
+
+    def __call__(self, places: Sequence[tuple[int, Array]]) -> list[Array]:
+        """Coefficients (rank, lines, N) at places (N,) of the parameters j in pairs (j, places)."""
+        coefficients, count = self.columns(self.points(places)), len(self.points.through)
+        sizes = np.cumsum([count * coordinates.size for _, coordinates in places])[:-1]
         on_lines = np.split(coefficients, sizes, axis=1)
-        return [block.reshape(len(block), len(self.points), -1) for block in on_lines]
+        return [block.reshape(len(block), count, -1) for block in on_lines]
 
 
 def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:

@@ -88,8 +88,10 @@ class ReferenceSet:
     """Reference trajectories at the check points, and what is derived from them.
 
     The trajectories, of the relative tolerance ``accuracy``, begin at the centre, at ``corners``
-    corners and at interior points. Corners count like the other points if ``whole_box``. Without
-    interior points nothing is ``checked``, and no error can be stated.
+    corners, ``on_lines`` points of lines that an engine begins with, and at interior points.
+    Corners count like the other points if ``whole_box``; errors on lines count, but tell nothing of
+    sizes and of what is usual. Without interior points nothing is ``checked``, and no error can be
+    stated.
 
     ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
     are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
@@ -108,10 +110,11 @@ class ReferenceSet:
     counted: tuple[int, ...] | None = None
     integrator: str = "auto"
     rtol: float = 0.0
+    on_lines: int = 0
 
     @classmethod
-    def of(cls, system: System, request: SolveRequest) -> ReferenceSet:
-        """Integrate the reference for a solve."""
+    def of(cls, system: System, request: SolveRequest, lines: Array | None = None) -> ReferenceSet:
+        """Integrate the reference for a solve, and with it trajectories on ``lines`` (m, d)."""
         domain, check = request.domain, request.check
         few = len(domain.box) <= FEW_PARAMETERS
         whole_box = few if check.cover is None else check.cover == "box"
@@ -132,6 +135,10 @@ class ReferenceSet:
         points = inside_jumps(points, system, domain)
         interior = 1 + check.points + 2 * sum(map(len, beside))
         corners = len(points) - interior if check.points and domain.box else 0
+        beside_corners = np.split(points, [1 + corners])
+        if lines is None or not check.points or system.clock is not None:
+            lines = points[:0]
+        points = np.concatenate([beside_corners[0], lines, beside_corners[1]])
         if check.points:
             active, surfaces = active_points(system, domain), surface_points(system, domain)
             cells = cell_points(domain, all_cuts)
@@ -152,6 +159,7 @@ class ReferenceSet:
             check.states,
             request.integrator,
             request.rtol,
+            len(lines),
         )
         reference_set._check_sizes()
         return reference_set
@@ -192,7 +200,7 @@ class ReferenceSet:
         if (clock := self.system.clock) is not None:  # what comes after the horizon does not count
             now = states[len(self.system.unknowns) - CLOCK_STATES]
             states = np.where(now <= clock.horizon[1], states, 0.0)
-        sizes = np.abs(self._without_corners(states, axis=1)).max(axis=(1, 2))
+        sizes = np.abs(self._interior(states, axis=1)).max(axis=(1, 2))
         if clock is not None and clock.markers:
             self._size_clock(sizes, times, states)
         n = self.system.n_differential
@@ -274,7 +282,7 @@ class ReferenceSet:
         with unlimited():
             errors = clock_errors(self.reference, clock, slabs, self.rtol)
         largest = errors.largest + self._added[: len(errors.largest), None]
-        interior = self._without_corners(largest, axis=1).max(axis=1)
+        interior = self._interior(largest, axis=1).max(axis=1)
         units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
         corners = slice(1, 1 + self.corners)
         units[:, corners] = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))[
@@ -297,13 +305,15 @@ class ReferenceSet:
         of_states = errors if self.counted is None else errors[list(self.counted)]
         of_points = of_states[:, counts].max(axis=0)
         corner_errors = errors[:, corners].max(axis=1, initial=0.0)
+        spread = counts.copy()
+        spread[self._on_lines] = False
         return Measured(
             interior=tuple(errors[:, counts].max(axis=1).tolist()),
             corners=tuple(corner_errors.tolist()) if self.corners else (),
             points=m,
             method=reference.method,
             cover="box" if self.whole_box else "interior",
-            quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
+            quantile=float(np.quantile(of_points[spread[counts]], _SAFE_QUANTILE, method="higher")),
             worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
             counted=self.counted,
             integrator=reference.integrator,
@@ -350,7 +360,7 @@ class ReferenceSet:
     @property
     def interior_points(self) -> Array:
         """The centre and the interior points, (m, d)."""
-        return self._without_corners(self.reference.points, axis=0)
+        return self._interior(self.reference.points, axis=0)
 
     @property
     def zeros(self) -> tuple[NumericallyZero, ...]:
@@ -368,8 +378,22 @@ class ReferenceSet:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
 
-    def _without_corners(self, array: Array, axis: int) -> Array:
-        return np.delete(array, np.s_[1 : 1 + self.corners], axis=axis)
+    @property
+    def lines(self) -> Array:
+        """The points of lines, (m, d)."""
+        return self.reference.points[self._on_lines]
+
+    def trajectories_on_lines(self, times: Array) -> Array:
+        """States (n, m, T) of the trajectories on lines."""
+        return self.reference(times)[:, self._on_lines]
+
+    @property
+    def _on_lines(self) -> slice:
+        return slice(1 + self.corners, 1 + self.corners + self.on_lines)
+
+    def _interior(self, array: Array, axis: int) -> Array:
+        """What belongs to the centre and the interior points."""
+        return np.delete(array, np.s_[1 : 1 + self.corners + self.on_lines], axis=axis)
 
     def _check_sizes(self) -> None:
         """Raise a ConvergenceError for states whose products are not floating-point numbers."""

@@ -37,6 +37,41 @@ def test_trajectories_are_held_in_a_growing_basis(trajectories):
     assert states.shape == (3, 20, 20)
 
 
+def test_trajectories_on_lines_are_read_from_the_reference():
+    system = ro.compile(EXAMPLES["coupled"].problem).system
+    lines = np.array([[0.5, 1.0, 1.0], [1.5, 1.0, 1.0], [1.0, 0.6, 1.2]])
+    request = SolveRequest(1e-6, Domain.of(system), Check(24))
+    plain, reference_set = ReferenceSet.of(system, request), ReferenceSet.of(system, request, lines)
+    np.testing.assert_array_equal(reference_set.lines, lines)
+    np.testing.assert_array_equal(plain.interior_points, reference_set.interior_points)
+    np.testing.assert_allclose(plain.sizes, reference_set.sizes, rtol=1e-8)  # not those on lines
+    assert reference_set.corners == plain.corners == 8
+    assert len(reference_set.reference.points) == len(plain.reference.points) + 3
+
+    read = Trajectories(reference_set, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
+    columns = read.basis.columns(read(lines))
+    assert read.count == 0
+    np.testing.assert_allclose(columns, read._integrated(lines), rtol=1e-6, atol=1e-8)
+    assert read(lines[:2]).shape[1] == 2
+    assert read.count > 0
+
+
+def test_errors_on_lines_count():
+    """A solution that is wrong there alone is not accurate; and nothing is stated unchecked."""
+    system = ro.compile(EXAMPLES["coupled"].problem).system
+    lines = np.array([[0.5, 1.0, 1.0], [1.5, 1.0, 1.0]])
+    reference_set = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(24)), lines)
+    errors = np.full((3, len(reference_set.reference.points)), 1e-9)
+    errors[1, 9] = 1e-3  # after the centre and eight corners
+    measured = reference_set._measured(errors, np.zeros(errors.shape[1]))
+    assert measured.error == 1e-3
+    assert measured.worst == (0.5, 1.0, 1.0)
+    assert measured.quantile == 1e-9
+    unchecked = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(0)), lines)
+    assert len(unchecked.lines) == 0
+    assert not unchecked.checked
+
+
 def test_each_trajectory_is_integrated_once(trajectories):
     bases = [ChebyshevBasis(0.5, 1.5, 4)] * 3
     samples, before = Samples(trajectories, bases), trajectories.count

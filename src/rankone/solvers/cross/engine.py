@@ -33,6 +33,7 @@ from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
+    LinePoints,
     Lines,
 )
 from rankone.tensors.scale_choice import LineColumns
@@ -41,7 +42,7 @@ from rankone.tensors.train import Train
 from rankone.trajectories.workers import Workers
 from rankone.verification.cuts import Cuts, in_scale, resolving_pieces
 from rankone.verification.measure import ReferenceSet
-from rankone.verification.points import candidate_points, steepest_point
+from rankone.verification.points import FEW_PARAMETERS, candidate_points, steepest_point
 
 # Failures for which a steep dependence on a parameter may be the reason
 _UNRESOLVED = (
@@ -97,11 +98,7 @@ class CrossMarcher:
         self.workers = workers
         self.rtol, self.options = request.rtol, request.options_of(CrossOptions)
         self.reference_set = reference_set
-        options, box = self.options, reference_set.domain.box
-        limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
-        self.adaptive = AdaptiveInterpolation(
-            box, limits, self.rtol, constants.TIGHTENING, reference_set.domain.first_coordinates
-        )
+        self.adaptive = _interpolation(request)
         self.breaks: set[float] = set()
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
@@ -272,7 +269,7 @@ class CrossMarcher:
             return states.reshape(-1, len(points)) / math.sqrt(states.shape[1])
 
         scales = domain.first_coordinates
-        lines = Lines(columns, domain.box, scales)
+        lines = Lines(columns, LinePoints(domain.box, scales))
         for j, ((lower, upper), scale) in enumerate(zip(domain.box, scales, strict=True)):
             basis = kind(lower, upper, count, scale=scale)
             (on_line,) = lines([(j, basis.nodes)])
@@ -301,4 +298,19 @@ class CrossMarcher:
         return (status, cause) if front is None else (Status.STEEP, front)
 
 
-ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher)
+def _interpolation(request: SolveRequest) -> AdaptiveInterpolation:
+    """The interpolation of a solve, before its first attempt."""
+    options, domain = request.options_of(CrossOptions), request.domain
+    limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
+    return AdaptiveInterpolation(
+        domain.box, limits, request.rtol, constants.TIGHTENING, domain.first_coordinates
+    )
+
+
+def _first_points(request: SolveRequest) -> Array:
+    """The points of the first lines, where they are few beside the check points."""
+    points = _interpolation(request).first_points
+    return points if len(request.domain.box) <= FEW_PARAMETERS else points[:0]
+
+
+ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher, _first_points)

@@ -70,10 +70,13 @@ class Trajectories:
 
     def __call__(self, points: Array) -> Array:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
-        if self.count + len(points) > self.most:
-            raise TooManyTrajectories
-        columns = self._integrated(points) if self.calibrated else self._calibrated(points)
-        self.count += len(points)
+        if len(points) and np.array_equal(points, self.reference_set.lines):
+            columns = self._on_lines()
+        else:
+            if self.count + len(points) > self.most:
+                raise TooManyTrajectories
+            columns = self._integrated(points) if self.calibrated else self._calibrated(points)
+            self.count += len(points)
         highest_modes = self.grid.highest_modes(self._in_sizes(columns))
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
@@ -93,6 +96,12 @@ class Trajectories:
         columns = self.basis.columns(coefficients)
         states = columns.reshape(self.units.size, -1, coefficients.shape[1])
         return np.asarray(states * self.units[:, None, None])
+
+    def _on_lines(self) -> Array:
+        """The trajectories on lines that the reference has, (n T, m)."""
+        states = self.reference_set.trajectories_on_lines(self.grid.times).transpose(0, 2, 1)
+        scaled = states / self.units[:, None, None]
+        return np.asarray(scaled.reshape(-1, states.shape[2]))
 
     def _calibrated(self, points: Array) -> Array:
         """The first trajectories, at a tolerance that brings the allowed error."""
