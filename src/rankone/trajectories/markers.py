@@ -24,12 +24,15 @@ from rankone.trajectories.event_trajectory import EventTrajectory
 from rankone.trajectories.events import integrate_to_events
 from rankone.trajectories.instants import SAME_INSTANT
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Path
+from rankone.trajectories.paths import Path, Paths
 from rankone.trajectories.stretches import marker_event
 
 OUT_OF_PHASE = 8.0
 """Spread of the times of a crossing, over the time in which the state runs through its range, from
 which markers pay."""
+# Trajectories that are looked at first, corners of the box among them, and the part of the spread
+# that they have to show before all are
+_SCOUTS, _SCOUTED = 9, 0.5
 _FEWEST = 3  # Crossings that each trajectory has to pass
 _LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
 _TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
@@ -48,29 +51,32 @@ def chosen_marker(system: System, paths: Sequence[Path], points: Array) -> Marke
     """The marker for a system, by trajectories at points (m, d); None where none pays.
 
     Of the states that all trajectories cross transversally, with a spread that pays, it is the one
-    that they cross most steeply.
+    that they cross most steeply. The first trajectories are looked at alone before the others.
     """
-    candidates = [
-        candidate
-        for state in range(system.n_differential)
-        if (candidate := _candidate(system, paths, points, state)) is not None
-        and candidate.spread >= OUT_OF_PHASE
-    ]
+    candidates: list[_Candidate] = []
+    lower = np.max([path.nodal.min(axis=(0, 1)) for path in paths], axis=0)
+    upper = np.min([path.nodal.max(axis=(0, 1)) for path in paths], axis=0)
+    for state in np.flatnonzero(lower < upper).tolist():
+        span = float(lower[state]), float(upper[state])
+        scout = _candidate(system, paths[:_SCOUTS], points[:_SCOUTS], state, span)
+        if scout is None or scout.spread < _SCOUTED * OUT_OF_PHASE:
+            continue
+        candidate = _candidate(system, paths, points, state, span)
+        if candidate is not None and candidate.spread >= OUT_OF_PHASE:
+            candidates.append(candidate)
     best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
     return None if best is None else best.marker
 
 
 def _candidate(
-    system: System, paths: Sequence[Path], points: Array, state: int
+    system: System, paths: Sequence[Path], points: Array, state: int, span: tuple[float, float]
 ) -> _Candidate | None:
-    """How trajectories cross the middle of the range of a state."""
-    ranges = [(np.min(p.nodal[:, :, state]), np.max(p.nodal[:, :, state])) for p in paths]
-    lower, upper = np.max(ranges, axis=0)[0], np.min(ranges, axis=0)[1]
+    """How trajectories cross the middle of the range of a state that all run through."""
+    lower, upper = span
     level = 0.5 * (lower + upper)
-    sides = {bool(path.nodal[0, 0, state] > level) for path in paths}
-    if not lower < upper or len(sides) > 1:
+    if len({bool(path.nodal[0, 0, state] > level) for path in paths}) > 1:
         return None
-    marker = Marker(state, float(level))
+    marker = Marker(state, level)
     event = marker_event(marker, "")
     nothing = [frozenset[int]()] * len(paths)
     first = np.ones(len(paths), dtype=bool)
@@ -95,7 +101,7 @@ def _slopes(
     system: System, paths: Sequence[Path], points: Array, times: Array, state: int
 ) -> Array:
     """Rates of a state at times (m, T) of trajectories."""
-    states = np.stack([path(each) for path, each in zip(paths, times, strict=True)], axis=1)
+    states = Paths.of(paths)(times)
     charge(function_cost(system.rhs, system.user_functions)(times.size))
     p = np.repeat(points.T, times.shape[1], axis=1)
     with np.errstate(all="ignore"):
