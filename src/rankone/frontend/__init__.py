@@ -3,6 +3,7 @@
 ======================  ==========================================================================
 :mod:`~.problem`        :class:`rankone.Problem`, which calls all the checks below
 :mod:`~.box`            the time interval, the intervals or distributions of parameters, units
+:mod:`~.content`        what a checked problem holds, shows, and is compared by
 :mod:`~.shorthand`      constants and definitions
 :mod:`~.run_time`       which constants are run-time values of compiled problems
 :mod:`~.changes`        other problems from one: constants set, parameters fixed or set free

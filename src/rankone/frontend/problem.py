@@ -16,7 +16,6 @@ import sympy as sp
 
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
-from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.algebraic import Reduction, has_constraints, reduced
 from rankone.frontend.box import (
     check_correlation,
@@ -33,6 +32,7 @@ from rankone.frontend.consistency import (
     consistent_initial,
     consistent_jumps,
 )
+from rankone.frontend.content import ProblemContent
 from rankone.frontend.equations import (
     Symbols,
     algebraic_unknowns,
@@ -48,8 +48,6 @@ from rankone.frontend.equations import (
 from rankone.frontend.events import (
     Event,
     check_events,
-    event_latex,
-    event_texts,
     impulse_events,
     moving_jumps,
     without_rates,
@@ -57,10 +55,7 @@ from rankone.frontend.events import (
 from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
 from rankone.frontend.jumps import (
     check_jumps,
-    jump_latex,
-    jump_texts,
     moving_impulses,
-    system_jumps,
 )
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.matrices import MatrixSystem
@@ -72,17 +67,11 @@ from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.text import problem_arguments
 from rankone.frontend.toml_tables import text_arguments
 from rankone.frontend.trajectory import Trajectory
-from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
-from rankone.ir.measures import LINEAR, with_measure, written_scale
-from rankone.ir.metadata import with_unit
-from rankone.statistics.distributions import scale_of
 from rankone.support.errors import EvaluationError, ProblemError, bounded_depth, warn
 from rankone.support.files import as_path, write_files
 from rankone.support.options import checked_number
 from rankone.support.wording import (
-    aligned_equations,
-    count,
     is_line,
     quote,
     shown,
@@ -92,7 +81,7 @@ _IN_PYTHON = "keep it in a Python file with a variable `problem`"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Problem:
+class Problem(ProblemContent):
     """A parametric initial value problem.
 
     Parameters
@@ -569,25 +558,6 @@ class Problem:
             self.reduction,
         )
 
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The dimensions of the box: time, then the parameters in the order given."""
-        intervals = [self.time, *((symbol, *ends) for symbol, ends in self.parameters.items())]
-        return tuple(
-            Coordinate(symbol.name, symbol, a, b, self._scales.get(symbol.name, LINEAR))
-            for symbol, a, b in intervals
-        )
-
-    @cached_property
-    def _scales(self) -> dict[str, str]:
-        """The scales of parameters that have one other than the linear one."""
-        scales = {
-            symbol.name: scale_of(self.distributions[symbol.name], lower)
-            for symbol, (lower, _) in self.parameters.items()
-            if symbol.name in self.distributions
-        }
-        return {name: scale for name, scale in scales.items() if scale != LINEAR}
-
     def set(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with other numbers of constants; of a parameter its fixed number.
 
@@ -678,115 +648,17 @@ class Problem:
             message = f"the time is called {quote(self.time[0])}, which is `t` in files"
             raise ProblemError(message, term=self.time[0], remedy="call it t")
         written = {**self.written, "equations": listed_equations(self.written["equations"])}
-        parameters = {symbol.name: ends for symbol, ends in self._written_parameters().items()}
+        parameters = {symbol.name: ends for symbol, ends in self.written_parameters().items()}
         text = toml_text(written, parameters, self.unknowns)
         again = type(self).from_strings(**text_arguments(tomllib.loads(text), str(place)))
-        if self._content(plain=True) != again._content(plain=True):
+        if self.content(plain=True) != again.content(plain=True):
             message = "the problem does not read back from text as it is"
             raise ProblemError(message, term=self.name, remedy=_IN_PYTHON)
         write_files({place: lambda stream: stream.write(text.encode())}, overwrite, ProblemError)
         return place
 
-    def _written_parameters(self) -> dict[sp.Symbol, Any]:
-        """The box with distributions as texts, and scales as words."""
-        parameters: dict[sp.Symbol, Any] = dict(self.parameters)
-        for symbol, ends in self.parameters.items():
-            text = self.distributions.get(symbol.name)
-            word = written_scale(text)
-            parameters[symbol] = (*ends, word) if word else text or ends
-        return parameters
-
-    def _content(self, plain: bool = False) -> tuple[object, ...]:
-        """Everything that two equal problems have in common, perhaps of symbols by name alone."""
-        expressions: list[sp.Basic] = [sp.Tuple(*self.residuals), sp.Tuple(*self.unknowns)]
-        mappings = self.initial, self.parameters, self.constants, self.definitions
-        resets = ((sp.Float(at), reset) for at, reset in (self.jumps or {}).items())
-        expressions += [_tuple_of(mapping or {}) for mapping in mappings]
-        expressions += [sp.Tuple(at, _tuple_of(reset)) for at, reset in resets]
-        expressions += [sp.Tuple(*e.expressions, _tuple_of(e.then or {})) for e in self.events]
-        if plain:
-            names = {s: sp.Symbol(s.name) for e in expressions for s in e.free_symbols}
-            expressions = [expression.xreplace(names) for expression in expressions]
-        named = self.units, self.distributions, self.correlation, self.atol
-        flags = [(e.name, e.direction, e.terminal, e.persistent) for e in self.events]
-        others = [dict(mapping or {}) for mapping in named]
-        return expressions, others, flags, str(self.time[0]), self.time[1:], self.name, self.tail
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Problem):
-            return NotImplemented
-        return self is other or self._content() == other._content()
-
-    def __hash__(self) -> int:
-        return hash((self.residuals, self.unknowns, self.time))
-
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuilt, (type(self), {**self.written, "parameters": self._written_parameters()})
-
-    def __repr__(self) -> str:
-        title = "Problem" if self.name is None else f"Problem {self.name!r}"
-        unknowns = count(len(self.unknowns), "unknown")
-        lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
-        definitions = (self.written["definitions"] or {}).items()
-        lines += [f"  {name_of(symbol)} = {text_of(sp.sympify(e))}" for symbol, e in definitions]
-        lines += [f"  {text_of(equation)}" for equation in self._shown()]
-        starts = self._shown_initial()
-        guessed = {
-            i for i, u in enumerate(starts) if self.reduction and u in self.reduction.guessed
-        }
-        at_start = initial_texts(map(name_of, starts), self.time[1], starts.values(), guessed)
-        units = self.units or {}
-        intervals = [
-            with_measure(
-                with_unit(f"{c.name} in [{c.lower:g}, {c.upper:g}]", units, c.name),
-                self.distributions.get(c.name),
-            )
-            for c in self.coordinates
-        ]
-        lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
-        numbers = (
-            with_unit(f"{symbol.name} = {text_of(number)}", units, symbol.name)
-            for symbol, number in (self.constants or {}).items()
-        )
-        lines += [f"  {', '.join(numbers)}"] if self.constants else []
-        with_units = [name for name in map(name_of, self.initial) if name in units]
-        if with_units:
-            lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))
-        if self.atol:
-            tolerances = (f"{name} to {size:g}" for name, size in self.atol.items())
-            lines.append(f"  absolute tolerances: {', '.join(tolerances)}")
-        texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
-        return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
-
-    def _repr_latex_(self) -> str:
-        written = {**(self.written["definitions"] or {}), **(self.constants or {})}
-        lines = [f"{sp.latex(s)} &= {latex_of(sp.sympify(e))}" for s, e in written.items()]
-        lines += [latex_of(equation) for equation in self._shown()]
-        starts = self._shown_initial()
-        lines += initial_latex(starts, self.time[1], starts.values())
-        lines += [
-            rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
-        ]
-        lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
-        lines += event_latex(self.events)
-        return aligned_equations(lines)
-
-    def _shown_initial(self) -> dict[sp.Expr, sp.Expr]:
-        """The initial values without those that algebraic equations give."""
-        solved = self.reduction.solved if self.reduction else {}
-        return {state: start for state, start in self.initial.items() if state not in solved}
-
-    def _jumps(self) -> tuple[Jump, ...]:
-        """The jumps that were given, in the states as they are written."""
-        states = {state: state for state in self.initial}
-        return system_jumps(self.jumps or {}, {}, states, self.time)
-
-    def _shown(self) -> list[sp.Eq]:
-        """The equations; an expression that vanishes equals zero."""
-        return [
-            equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
-            for equation in self.equations
-        ]
+        return _rebuilt, (type(self), {**self.written, "parameters": self.written_parameters()})
 
 
 def _kept(argument: Any) -> Any:
@@ -794,11 +666,6 @@ def _kept(argument: Any) -> Any:
     if isinstance(argument, Mapping):
         return dict(argument)
     return tuple(argument) if isinstance(argument, list | Iterator) else argument
-
-
-def _tuple_of(mapping: Mapping[sp.Expr, Any]) -> sp.Tuple:
-    """The pairs of a mapping as an expression."""
-    return sp.Tuple(*(sp.Tuple(key, sp.sympify(value)) for key, value in mapping.items()))
 
 
 def _rebuilt(kind: type[Problem], arguments: dict[str, Any]) -> Problem:
