@@ -191,6 +191,23 @@ def test_resets_that_contradict_equations(reset, message):
         problem((x.diff(t), -k * z), (z**3, x), initial={x: 1, z: 1}, jumps={0.5: reset})
 
 
+def test_events_beside_guessed_unknowns_are_for_cross():
+    event = ro.Event(t - k / 4, then={y: 2 * y}, name="dose")
+    guessed = problem(
+        (x.diff(t), -k * z),
+        (y.diff(t), z),
+        (z**3 + z, x),
+        initial={x: 1, y: 1, z: 0.5},
+        events=[event],
+    )
+    compiled = ro.compile(guessed)
+    with pytest.raises(ro.OptionError, match="'train' takes no events beside guessed unknowns"):
+        compiled.solve(1e-4, method="train")
+    solution = compiled.solve(1e-5)
+    trajectory = guessed.trajectory([0.2, 0.9], k=1.3)
+    np.testing.assert_allclose(solution([0.2, 0.9], k=1.3), trajectory.values, atol=3e-5)
+
+
 def test_printed_and_pickled():
     guessed = problem((x.diff(t), -k * z), (z**3 + z, x), (w, z + x), initial={x: 1, z: 0.5})
     assert "x(0) = 1, z(0) near 0.5\n" in repr(guessed)

@@ -189,9 +189,10 @@ class CompiledProblem:
         if self._stretched is not None:
             return self._stretched
         if self.first_order.events:
+            guessed = self.first_order.constraints.guessed
+            which = "no events beside guessed unknowns" if guessed else "events at known times only"
             raise OptionError(
-                f"method={method!r} takes events at known times only",
-                remedy="leave method= out, or take cross",
+                f"method={method!r} takes {which}", remedy="leave method= out, or take cross"
             )
         raise SeparationError(
             str(self.methods[method]),
