@@ -21,6 +21,7 @@ COUNTS = {
     "data": 3,
     "doses": 4,
     "events": 5,
+    "switches": 4,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")
@@ -38,6 +39,7 @@ QUICK = {
     ("data", 0),
     ("doses", 3),
     ("events", 2),
+    ("switches", 0),
 }
 """What is tried in every run: one case of a kind, of those that take less than a second."""
 CASES = [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
