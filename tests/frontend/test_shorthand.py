@@ -101,6 +101,15 @@ def test_set_and_vary_make_new_problems():
     assert problem.vary(k=(1, 3, "log")).distributions == {"k": "loguniform(1.0, 3.0)"}
 
 
+def test_a_constant_in_text_is_no_formula_of_others():
+    with pytest.raises(
+        ProblemError, match=r"`k` in the constant `a`.*give a formula .*`definitions`"
+    ):
+        ro.Problem.from_strings(
+            {"x": "-a*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1), constants={"a": "2*k"}
+        )
+
+
 def test_pickles():
     problem = pickle.loads(pickle.dumps(oscillator(units={F: "N"})))
     assert repr(problem) == repr(oscillator(units={F: "N"}))
@@ -198,6 +207,7 @@ def test_what_is_refused(changes, message):
     [
         (lambda p: p.set(mm=2), "no constant or parameter `mm` \\(did you mean `m`"),
         (lambda p: p.set(F=2), "`F` is a definition"),
+        (lambda p: ro.compile(p.set(m=1e-310)), "is not a finite real number; remedy: rescale"),
         (lambda p: p.set({x: 2}), "`x` is a state, neither"),
         (lambda p: p.set({m: 2}, m=3), "`m` is given twice"),
         (lambda p: p.set(3), "not a mapping"),

@@ -15,18 +15,21 @@ from rankone.frontend.events import Event
 from rankone.frontend.jumps import instants_of
 from rankone.frontend.shorthand import Shorthand
 
+_LARGEST = 1e150  # Of run-time constants, and with its reciprocal the smallest
+
 
 def with_decisive(
     shorthand: Shorthand, written: Mapping[str, Any], coupled: Set[str] = frozenset()
 ) -> Shorthand:
     """The same with the constants that decide what is generated of the arguments of a problem.
 
-    A constant that is zero does: terms vanish. So do those of expressions that are not finite, for
-    the errors to say so, and those with the names ``coupled``.
+    A constant that is zero does: terms vanish. So do those whose squares are no floating-point
+    numbers, those of expressions that are not finite, for the errors to say so, and those with the
+    names ``coupled``.
     """
     constants = frozenset(shorthand.constants)
     numbers = shorthand.constants.items()
-    decisive = {symbol for symbol, at in numbers if at.is_zero or symbol.name in coupled}
+    decisive = {symbol for symbol, at in numbers if _is_extreme(at) or symbol.name in coupled}
     for expression in _smooth(written):
         expression = shorthand.expanded(expression)
         decisive |= written_in(expression, constants)
@@ -37,6 +40,11 @@ def with_decisive(
         if not _of_states(expression):
             decisive |= expression.free_symbols & constants
     return replace(shorthand, decisive=frozenset(decisive))
+
+
+def _is_extreme(number: sp.Expr) -> bool:
+    """Whether a number is zero, or so small or large that products may be lost."""
+    return not 1.0 / _LARGEST <= abs(float(number)) <= _LARGEST
 
 
 def coupled_by(residuals: Sequence[sp.Expr]) -> set[str]:

@@ -20,6 +20,7 @@ from rankone.support.wording import did_you_mean, listing, quote, shown
 Entry = TypeVar("Entry")
 Names = Mapping[str, sp.Expr]
 _NAMED = ("constants", "definitions")  # Names besides unknowns and parameters
+_DEFINE = "a constant is a number; give a formula of others in `definitions`"
 _HIGHEST_ORDER = 4  # Of derivatives in equations, ``x_tttt``
 _DERIVATIVE = re.compile("_t{1,4}$")
 _EVENT_KEYS = tuple(field.name for field in dataclasses.fields(Event))
@@ -80,7 +81,7 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         "units": normalised("units", units) if has_names(units) else units,
         "events": events_of_text(written["events"], names, states),
         "constants": {
-            symbols[name]: formula(number, {}, f"constant {quote(name)}", None)
+            symbols[name]: formula(number, {}, f"constant {quote(name)}", None, _DEFINE)
             for name, number in constants.items()
         },
         "definitions": {
@@ -214,11 +215,18 @@ def has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
 
 
 def formula(
-    text: object, names: Mapping[str, sp.Expr], where: str, equation: int | None
+    text: object,
+    names: Mapping[str, sp.Expr],
+    where: str,
+    equation: int | None,
+    unknown_name_remedy: str = "declare it in `parameters` or give it in `rhs`",
 ) -> sp.Expr:
     """Parse a text; let numbers pass."""
     if isinstance(text, str):
-        return parse_expression(text, names, where=where, equation=equation)
+        remedy = unknown_name_remedy
+        return parse_expression(
+            text, names, where=where, equation=equation, unknown_name_remedy=remedy
+        )
     if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
         return sp.sympify(text)
     raise ProblemError(
