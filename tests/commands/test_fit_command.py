@@ -92,3 +92,36 @@ def test_bad_input(saved, tmp_path, capsys, text, options, message):
 def test_no_file(saved, capsys):
     assert main(["fit", saved, "nowhere.csv"]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_noise_bounds_profile_and_posterior(saved, tmp_path, capsys):
+    noise = 0.05 * np.random.default_rng(1).standard_normal(10)
+    columns = TIMES, 3.0 * 2.0 * np.exp(-1.3 * TIMES) * (1.0 + noise)
+    data = table(tmp_path / "d.csv", "t,signal", *columns)
+    options = ["--observe", "signal=scale*u", "--noise", "proportional", "--fixed", "a=2"]
+    more = ["--bounds", "k=0.3:3:log", "--profile", "--posterior"]
+    assert main(["fit", saved, data, *options, *more, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert list(answer["x"]) == ["k", "scale", "relative_signal"]
+    assert answer["x"]["scale"] == pytest.approx(3.0, rel=0.1)
+    assert answer["profile"]["k"] == pytest.approx(answer["interval"]["k"], rel=0.05)
+    assert answer["posterior"]["mean"]["k"] == pytest.approx(answer["x"]["k"], rel=0.02)
+    assert answer["aic"] < 0
+    assert main(["fit", saved, data, *options, *more]) == 0
+    text = capsys.readouterr().out
+    assert "profile intervals:" in text
+    assert "Posterior of k, scale, relative_signal" in text
+
+
+def test_conditions(tmp_path, capsys):
+    file = str(decay().save(tmp_path / "decay.npz"))
+    rows = [(t, a * np.exp(-1.3 * t), a) for a in (1.0, 2.0) for t in TIMES]
+    data = table(tmp_path / "d.csv", "t,u,a", *zip(*rows))
+    assert main(["fit", file, data, "--sigma", "0.02 + 0.01*u", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["experiments"] == ["a=1", "a=2"]
+    assert answer["x"] == {"k": pytest.approx(1.3, abs=1e-2)}
+    assert main(["fit", file, data, "--noise", "gaussian"]) == 2
+    assert "noise='gaussian' is unknown" in capsys.readouterr().err
+    assert main(["fit", file, data, "--bounds", "k=1"]) == 2
+    assert "the bounds of `k` are (1.0,), not a pair" in capsys.readouterr().err

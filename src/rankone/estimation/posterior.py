@@ -310,7 +310,7 @@ def posterior_of(
         message = links.message + boxed
         return Posterior(fit, "mcmc", math.nan, links.success, message, log_density, links)
     cells, evidence = adapted(log_density, likely, extents)
-    success = cells.error <= _ACCURATE
+    success = bool(cells.error <= _ACCURATE)
     message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:
         remedy = "restrict the box to where the density is, or fix parameters"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -59,8 +60,10 @@ def quiet(event: ProgressEvent, /) -> None:
 
 @contextmanager
 def progress_bar() -> Iterator[Report]:
-    """A bar on standard error, and the callback that moves it."""
-    from tqdm import tqdm
+    """A bar and the callback that moves it: a widget in notebooks, else on standard error."""
+    with warnings.catch_warnings():  # without ipywidgets it is text, in notebooks as well
+        warnings.simplefilter("ignore")
+        from tqdm.auto import tqdm
 
     with tqdm(
         total=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
