@@ -31,10 +31,12 @@ def with_decisive(
     numbers = shorthand.constants.items()
     decisive = {symbol for symbol, at in numbers if _is_extreme(at) or symbol.name in coupled}
     for expression in _smooth(written):
-        expression = shorthand.expanded(expression)
-        decisive |= written_in(expression, constants)
-        if expression.xreplace(dict(numbers)).has(sp.zoo, sp.nan, sp.oo, -sp.oo):
-            decisive |= expression.free_symbols & constants
+        for term in _terms(shorthand.expanded(expression)):
+            involved = term.free_symbols & constants
+            if involved - decisive:
+                decisive |= written_in(term, constants)
+                if term.xreplace(dict(numbers)).has(sp.zoo, sp.nan, sp.oo, -sp.oo):
+                    decisive |= involved
     for expression in _deciding(written):
         expression = shorthand.expanded(expression)
         if not _of_states(expression):
@@ -65,6 +67,12 @@ def coupled_by(residuals: Sequence[sp.Expr]) -> set[str]:
             terms = (term for term in sp.Add.make_args(residual) if term.has(*orders))
             names |= {constant.name for constant in named_constants(terms)}
     return names
+
+
+def _terms(expression: sp.Basic) -> Iterator[sp.Basic]:
+    """The addends of an expression, or of both sides of an equation."""
+    for side in expression.args if isinstance(expression, sp.Eq) else (expression,):
+        yield from sp.Add.make_args(side)
 
 
 def _of_states(expression: sp.Basic) -> bool:

@@ -99,7 +99,7 @@ class Shorthand:
 
     def expanded(self, expression: sp.Basic) -> sp.Basic:
         """An expression with definitions put in, and symbols for constants."""
-        return expression.xreplace(dict(self.definitions))
+        return expression.xreplace(dict(self.definitions)) if self.definitions else expression
 
     def put_in(self, expression: sp.Expr) -> sp.Expr:
         """An expression with numbers for constants and expressions for definitions.
