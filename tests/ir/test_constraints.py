@@ -21,6 +21,27 @@ def test_guessed_states_are_found_from_far_away():
     np.testing.assert_allclose(found, [[0.6] * 3, [0.8, 0.8, -0.8]], rtol=1e-14)
 
 
+def test_rounding_ends_the_iteration():
+    """Terms of size one leave few digits of the last state, which is near 1e-5."""
+    matrix = np.array([[4.0, 0.7, -0.3], [0.9, 4.0, 0.5], [-0.6, 0.8, 4.0]])
+    solution = np.array([0.3, -0.7, 1e-5])
+
+    def residuals(t, u, p):
+        return np.einsum("ij,j...->i...", matrix, u) + 0.9 * np.cos(u[::-1]) - p
+
+    def slopes(t, u, p):
+        curved = np.zeros((3, 3, u.shape[1]))
+        curved[[0, 1, 2], [2, 1, 0]] = -0.9 * np.sin(u[::-1])
+        return matrix[:, :, None] + curved
+
+    scale = 1.0 + np.linspace(0.0, 1.0, 400)
+    exact = solution[:, None] * scale
+    p = residuals(0.0, exact, 0.0)
+    constraints = Constraints(("",) * 3, (0, 1, 2), residuals, slopes)
+    found = constraints.consistent(0.0, 0.0 * exact, p)
+    np.testing.assert_allclose(found, exact, rtol=1e-9)
+
+
 def test_points_without_a_solution_are_not_numbers():
     found = circle().consistent(0.0, np.array([[2.0, 0.6], [1.0, 1.0]]), np.ones((1, 2)))
     assert np.isnan(found[1, 0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 
 import rankone as ro
 
@@ -243,3 +243,51 @@ def test_a_slider_crank_is_the_same_in_a_standalone_solver(tmp_path):
     np.testing.assert_array_equal(
         names["solve"](1e-4)(1.3, point), compiled.solve(1e-4)(1.3, point)
     )
+
+
+def random_problem(seed):
+    """One to three unknowns of either kind, with functions of all of them; and f, g."""
+    rng = np.random.default_rng(seed)
+    k, a = sp.symbols("k a")
+    n, m = rng.integers(1, 4, 2)
+    shapes = [sp.sin, sp.tanh, lambda e: e**2 / 4, sp.cos, lambda e: e]
+    us = functions(" ".join(f"u{i}" for i in range(n)))
+    zs = functions(" ".join(f"z{i}" for i in range(m)))
+
+    def number():
+        return sp.Rational(int(rng.integers(-9, 10)), 10)
+
+    def terms():
+        return sum(number() * shapes[rng.integers(5)](v) for v in (*us, *zs))
+
+    f = [-u + terms() + k * number() + number() * sp.cos(2 * t) for u in us]
+    g = [4 * z + z**3 * int(seed % 3 == 0) + terms() - a * number() - sp.sin(t) / 2 for z in zs]
+    equations = [*(sp.Eq(u.diff(t), e) for u, e in zip(us, f, strict=True)), *g]
+    initial = {**{u: number() for u in us}, **dict.fromkeys(zs, 0)}
+    problem = ro.Problem(equations, (t, 0, 3), {k: (1, 2), a: (0.5, 1.5)}, initial)
+    arguments = [t, k, a, *us, *zs]
+    return problem, us, zs, sp.lambdify(arguments, f), sp.lambdify(arguments, g)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_random_systems_against_roots_at_every_step(seed):
+    problem, us, zs, f, g = random_problem(seed)
+    solution = ro.solve(problem, rtol=1e-5)
+    assert solution.success, solution.message
+    times = np.linspace(0, 3, 13)
+    for k, a in ((1.0, 0.5), (1.7, 1.2)):
+        guess = np.zeros(len(zs))
+
+        def roots(s, states, k=k, a=a, guess=guess):
+            found = root(lambda z: g(s, k, a, *states, *z), guess, tol=1e-13).x
+            guess[:] = found
+            return found
+
+        rates = lambda s, *u, k=k, a=a, roots=roots: f(s, k, a, *u, *roots(s, u))  # noqa: E731
+        states = integrated(rates, times, [float(problem.initial[u]) for u in us])
+        guess[:] = 0.0
+        others = np.array([roots(*pair) for pair in zip(times, states.T, strict=True)]).T
+        for unknown, exact in zip([*us, *zs], [*states, *others], strict=True):
+            size = max(np.abs(exact).max(), 1e-3)
+            assert np.abs(solution[unknown](times, k=k, a=a) - exact).max() <= 5e-5 * size

@@ -19,6 +19,7 @@ _MOST_HALVINGS = 30  # Of a step that does not lower the residual
 _LEAST_FALL = 0.1  # Part of the residual by which a step lowers it, at least, for its length
 _SHORT = 1e-8  # Relative length of steps from which rounding decides on the residual
 _CONVERGED = 1e-12  # Relative change by the last step
+_STALLED = 0.9  # Of a short step by the next one, which is then rounding
 _LEAST_SIZE = 1e-9  # Of a state beside the largest one: smaller changes are relative to it
 _SATISFIED = 1e-9  # Relative residual left by it, of equations that have a solution
 _MOST_PROJECTIONS = 20  # Steps of Newton's method towards all constraints, from close by
@@ -49,12 +50,15 @@ class Constraints:
             return states
         with np.errstate(all="ignore"):
             converged = np.zeros(states.shape[1], dtype=bool)
+            before = np.full(states.shape[1], np.inf)
             for _ in range(steps):
                 open_ = np.flatnonzero(~converged)
                 if not open_.size:
                     break
                 states[:, open_], changes = self._stepped(t, states[:, open_], p[:, open_])
-                converged[open_] = changes <= _CONVERGED
+                rounding = (changes <= _SHORT) & (changes >= _STALLED * before[open_])
+                converged[open_] = (changes <= _CONVERGED) | rounding
+                before[open_] = changes
             states[rows] = np.where(converged & self._hold(t, states, p), states[rows], np.nan)
         return states
 
