@@ -636,3 +636,21 @@ def test_only_what_runs_counts_as_needed():
 def test_unknown_roots_are_refused():
     with pytest.raises(ExportError, match="not at hand"):
         bundle(["rankone.tensors.nothing"])
+
+
+def test_switches_are_held_in_exported_solvers_as_in_the_library(alone, tmp_path):
+    relay = ro.Problem.from_strings(
+        {"x": "-x + 2 - 2*Heaviside(x - c)"}, {"x": 0}, {"c": (0.5, 1)}, (0, 3)
+    )
+    compiled = ro.compile(relay)
+    compiled.export(tmp_path / "solver.py")
+    wanted = compiled.solve(1e-3)
+    script = (
+        "s = solver.solve(rtol=1e-3)\n"
+        "assert s.success, s.message\n"
+        "np.save('values.npy', s(t=np.linspace(0, 3, 9), c=0.7))\n"
+    )
+    (run,) = alone(tmp_path, script)
+    assert run.returncode == 0, run.stderr
+    values = wanted(t=np.linspace(0, 3, 9), c=0.7)
+    np.testing.assert_allclose(np.load(tmp_path / "values.npy"), values, rtol=1e-12, atol=1e-12)

@@ -100,7 +100,8 @@ def export_solver(
             remedy="export with method='cross'",
         )
     metadata = compiled.metadata(method=engine.name)
-    text = standalone_source(compiled.problem.name, form.source, metadata)
+    held = compiled.held_source if form is compiled else None
+    text = standalone_source(compiled.problem.name, form.source, metadata, held)
     write_files({target: text}, overwrite, ExportError)
     return target
 

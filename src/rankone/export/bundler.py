@@ -49,7 +49,7 @@ def module(body: Callable[[], None]) -> types.ModuleType:
 def bundle(roots: Iterable[str]) -> list[str]:
     """The blocks of text that run the roots and all modules they need, in order of import."""
     blocks = [inspect.getsource(module).rstrip()]
-    return blocks + [_block(name) for name in needed_modules(roots)]
+    return blocks + [block(name, source_text(name)) for name in needed_modules(roots)]
 
 
 def banner(title: str) -> str:
@@ -106,9 +106,8 @@ def _exists(name: str) -> bool:
 
 
 @cache
-def _block(name: str) -> str:
+def block(name: str, source: str) -> str:
     """A module as a function of the exported file, under a banner."""
-    source = source_text(name)
     tree = ast.parse(source)
     lines = _without_annotations(source, tree)
     opening = (tree.body[0].end_lineno or 0) if ast.get_docstring(tree) else 0

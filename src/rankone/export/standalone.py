@@ -20,18 +20,23 @@ from rankone.codegen.text import (
     quoted,
     tuple_lines,
 )
-from rankone.export.bundler import banner, bundle, bundled_name
+from rankone.export.bundler import banner, block, bundle, bundled_name
 from rankone.export.templates import TERMS
 from rankone.ir.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
 from rankone.support import __version__, errors
 
+_HELD = "rankone.held"  # The module of the system with the sides of its switches as states
 
-def standalone_source(title: str | None, source: str, metadata: SolutionMetadata) -> str:
+
+def standalone_source(
+    title: str | None, source: str, metadata: SolutionMetadata, held: str | None = None
+) -> str:
     """Text of the standalone solver of a problem: the same text, byte for byte, each time.
 
-    ``source`` is the text of the generated module, and the metadata name the engine.
+    ``source`` is the text of the generated module, ``held`` that of the one with the sides of
+    switches as states, if there is one; and the metadata name the engine.
     """
     engine, *_ = engines_for(metadata.method)
     home = f"rankone.solvers.{engine.name}"
@@ -42,7 +47,8 @@ def standalone_source(title: str | None, source: str, metadata: SolutionMetadata
         f"{banner('The system')}\n\n{system}",
         _RUNTIME.strip(),
         *bundle(["rankone.export.program", home]),
-        _end(engine, bundled_name(home), metadata),
+        *([] if held is None else [block(_HELD, held)]),
+        _end(engine, bundled_name(home), metadata, held is not None),
     ]
     return "\n\n\n".join(blocks) + "\n"
 
@@ -130,6 +136,7 @@ def solve(
     max_seconds: float | None = None,
     unknowns: Sequence[str] | None = None,
     integrator: str = "auto",
+    markers: str | None = "auto",
     **options: Any,
 ) -> Solution:
     """Solve for every parameter value at once.
@@ -152,6 +159,8 @@ def solve(
         The unknowns whose error has to be within the tolerance; by default all.
     integrator : {{"auto", "stack", "single", "compiled"}}
         How trajectories are integrated: stacked, each alone, or by heyoka; chosen by counted work.
+    markers : {{"auto", None}}
+        Whether crossings of states and of switches may end stretches of time.
     **options
         Fields of `{options}`.
 
@@ -164,7 +173,7 @@ def solve(
     """
     # SYSTEM, ENGINE and METADATA are made at the end of this file, from what stands below
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
-    domain = {{"parameters": parameters, "t_final": t_final}}
+    domain = {{"parameters": parameters, "t_final": t_final, "markers": markers is not None}}
     limits = {{"effort": effort, "max_seconds": max_seconds, "integrator": integrator}}
     request = ir__request.SolveRequest.of(
         SYSTEM, [ENGINE.options], options, **accuracy, **domain, **limits
@@ -192,7 +201,7 @@ _RUNTIME = f"""
 """
 
 
-def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
+def _end(engine: Engine, home: str, metadata: SolutionMetadata, holds: bool) -> str:
     """The objects that the front uses, and the classes that its callers use."""
     written = dataclasses.replace(metadata, source=None)
     entries = [
@@ -207,7 +216,7 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
             "# fmt: on",
             banner("This solver"),
             "",
-            "SYSTEM = ir__system.system_of(globals())",
+            f"SYSTEM = ir__system.system_of(globals(){_held_argument(holds)})",
             f"ENGINE = {home}.ENGINE",
             "METADATA = ir__metadata.SolutionMetadata(",
             *entries,
@@ -220,6 +229,10 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
             "    sys.exit(main())",
         ]
     )
+
+
+def _held_argument(holds: bool) -> str:
+    return f", vars({bundled_name(_HELD)})" if holds else ""
 
 
 def _text(entry: object) -> str | list[str]:

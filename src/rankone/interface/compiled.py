@@ -158,6 +158,12 @@ class CompiledProblem:
         """The generated module of the same."""
         return held_system(self._held_form, self.system, self.problem.name or "system")
 
+    @property
+    def held_source(self) -> str | None:
+        """Text of that module; None where no switches are held."""
+        specification = None if self._held is None else self._held.specification
+        return getattr(specification, "source", None)
+
     @cached_property
     def features(self) -> SymbolicFeatures:
         """All that is not smooth in the equations, or so narrow that samples may miss it.

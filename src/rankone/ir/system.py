@@ -243,8 +243,10 @@ _REQUIRED_BY_FORM = {
 """Names of every system, and by whether it separates."""
 
 
-def system_of(names: Mapping[str, object]) -> System:
+def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = None) -> System:
     """The system that the names of a generated module make: the one way a System is built.
+
+    ``held`` has those of the module with the sides of its switches as states, if there is one.
 
     Any mapping will do that has the module's names, such as ``vars(module)``. Features, jumps, gaps
     and what else a system may be without become empty members where the module leaves them out.
@@ -326,6 +328,7 @@ def system_of(names: Mapping[str, object]) -> System:
         constraints=constraints,
         atol=member("ATOL", ()),
         n_sides=member("N_SIDES", 0),
+        held=None if held is None else system_of(held),
     )
 
 
