@@ -29,7 +29,12 @@ def derivatives(times, sigma=0.1):
     return np.stack(columns, axis=1)
 
 
-@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "criterion", ["D", pytest.param("A", marks=SLOW), pytest.param("E", marks=SLOW)]
+)
 def test_three_times_are_those_of_an_exhaustive_search(criterion):
     design = oral().design(
         3, CANDIDATES, at=AT, observe="C", sigma=0.1, fixed={"dose": 100}, criterion=criterion
@@ -60,6 +65,7 @@ def test_three_times_are_those_of_an_exhaustive_search(criterion):
         np.testing.assert_allclose(design.covariance, covariance, rtol=1e-3)
 
 
+@SLOW
 def test_expected_intervals_are_those_of_fits():
     design = oral().design(8, at=AT, observe="C", sigma=0.1, fixed={"dose": 100})
     estimates = []

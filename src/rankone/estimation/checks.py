@@ -28,22 +28,26 @@ def residual_checks(
     """Sentences about standardised residuals (m,) and predictions (m,) of each trial."""
     names = dict.fromkeys(name for trial in trials for name in trial.observations.names)
     for name in names:
-        series = []
+        series, heavy = [], False
         for trial, r, p in zip(trials, standardised, predicted, strict=True):
             if name in trial.observations.names:
-                here = trial.observations.of(trial.observations.names.index(name))
+                index = trial.observations.names.index(name)
+                here = trial.observations.of(index)
+                heavy |= trial.observations.noises[index].distribution == "student"
                 order = np.argsort(trial.observations.times[here], kind="stable")
                 series.append(
                     (r[here][order], p[here][order], trial.observations.times[here][order])
                 )
-        yield from _of_observable(name, series)
+        yield from _of_observable(name, series, heavy)
 
 
-def _of_observable(name: str, series: Sequence[tuple[Array, Array, Array]]) -> Iterator[str]:
+def _of_observable(
+    name: str, series: Sequence[tuple[Array, Array, Array]], heavy: bool
+) -> Iterator[str]:
     r, p, times = (np.concatenate(column) for column in zip(*series, strict=True))
     if not np.isfinite(r).all() or r.size < 3 or not np.abs(r).max() > _NEGLIGIBLE:
         return
-    yield from _outlier(name, r, times)
+    yield from () if heavy else _outlier(name, r, times)
     if r.size < _LEAST:
         return
     yield from _runs(name, [each for each, _, _ in series])
