@@ -5,17 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
+    from rankone.frontend.problem import Problem
     from rankone.interface.solution import Solution
 
 SUCCESS = 0  # Exit status: the measured error is within the tolerance
 FAILURE = 1  # Exit status: it is not, or is not known
 BAD_INPUT = 2  # Exit status: an argument or a file is wrong
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
+MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
 _DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
 
@@ -94,6 +96,7 @@ def solution_of(
     """Load a saved solution, which takes no tolerance and no method, or solve a problem file."""
     import rankone
     from rankone.frontend.problem_files import load_problem
+    from rankone.models.document import is_model_file
     from rankone.support.budget import preparing
     from rankone.support.errors import OptionError, ProblemError
 
@@ -106,16 +109,33 @@ def solution_of(
                 )
         return rankone.load(path)
     if path.suffix not in (".py", ".toml"):
+        solved_first = f"rankone solve {path} --t-final 10 --save {path.stem}.npz"
         raise ProblemError(
             f"`{path}` is neither a saved solution nor a problem file",
             term=path,
-            remedy="give an .npz, .nc, .py or .toml file",
+            remedy=f"solve the model first: {solved_first}"
+            if is_model_file(path)
+            else "give an .npz, .nc, .py or .toml file",
         )
     with preparing(None):
         compiled = rankone.compile(load_problem(path))
     rtol = _DEFAULT_RTOL if rtol is None else rtol
     engine = "auto" if method is None else method
     return compiled.solve(rtol=rtol, method=engine, effort=effort)  # type: ignore[arg-type]
+
+
+def model_problem(path: Path, box: Mapping[str, Any], t_final: float | None) -> Problem:
+    """The problem of a model file: its box and the end of its horizon, which starts at 0."""
+    from rankone.models.sbml import read_sbml
+    from rankone.support.errors import OptionError
+
+    model = read_sbml(path)
+    if t_final is None:
+        raise OptionError(
+            f"`{path}` is a model, which has no horizon", remedy="give its end: --t-final 10"
+        )
+    intervals = {name: tuple(interval) for name, interval in box.items()}
+    return model.problem(intervals, time=(0.0, t_final))
 
 
 def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:

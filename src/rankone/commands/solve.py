@@ -6,19 +6,24 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rankone.commands.common import (
     FAILURE,
-    PROBLEM_HELP,
+    MODEL_HELP,
     SUCCESS,
     Commands,
     add_command,
     complain,
+    model_problem,
     summary,
     toml_help,
 )
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
+
+if TYPE_CHECKING:
+    from rankone.frontend.problem import Problem
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
@@ -35,7 +40,11 @@ _STAGES = {
     "source": ("generated module", "source"),
 }
 _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
-_BOX_HELP = "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in the logarithm"
+_BOX_HELP = (
+    "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in the logarithm; "
+    "of a model the parameters that are free"
+)
+_END_HELP = "another end of the horizon, for this solve; a model starts at 0 and needs it"
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"
 _COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
 _UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
@@ -62,14 +71,14 @@ def register(commands: Commands) -> None:
         epilog=f"{toml_help()}\n{_EXIT_HELP}",
     )
     add = solve.add_argument
-    add("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
+    add("file", metavar="FILE", type=Path, help=MODEL_HELP)
     add("--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)")
     add("--save", metavar="PATH", type=Path, help="write the solution (.npz, or .nc for netCDF)")
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--check", metavar="N", type=_count, help=_CHECK_HELP)
     add("--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)")
     add("--box", metavar="NAME=LOWER:UPPER[:SCALE]", nargs="+", action="extend", help=_BOX_HELP)
-    add("--t-final", metavar="T", type=float, help="another end of the horizon, for this solve")
+    add("--t-final", metavar="T", type=float, help=_END_HELP)
     add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
@@ -88,7 +97,20 @@ def register(commands: Commands) -> None:
         description="Print what a problem compiles to; everything if no flag selects.",
         epilog=toml_help(),
     )
-    show.add_argument("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
+    show.add_argument("file", metavar="FILE", type=Path, help=MODEL_HELP)
+    show.add_argument(
+        "--box",
+        metavar="NAME=LOWER:UPPER[:SCALE]",
+        nargs="+",
+        action="extend",
+        help="of a model the parameters that are free",
+    )
+    show.add_argument(
+        "--t-final",
+        metavar="T",
+        type=float,
+        help="of a model the end of the horizon; without it the model itself is printed",
+    )
     for stage, (title, _) in _STAGES.items():
         show.add_argument(f"--{stage}", action="store_true", help=f"the {title}")
 
@@ -114,6 +136,7 @@ def _solve(arguments: argparse.Namespace) -> int:
     import rankone
     from rankone.export.program import box_of, options_of
     from rankone.frontend.problem_files import load_problem
+    from rankone.models.document import is_model_file
     from rankone.storage import target
     from rankone.support.budget import preparing
     from rankone.support.errors import ConvergenceError
@@ -122,16 +145,21 @@ def _solve(arguments: argparse.Namespace) -> int:
     if arguments.save is not None:  # find out before the solve, not after it
         target(arguments.save, arguments.overwrite)
 
+    of_model = is_model_file(arguments.file)  # its box and horizon are those of the problem
     with preparing(arguments.max_seconds):
-        compiled = rankone.compile(load_problem(arguments.file))
+        compiled = rankone.compile(
+            model_problem(arguments.file, box, arguments.t_final)
+            if of_model
+            else load_problem(arguments.file)
+        )
     check = True if arguments.check is None else arguments.check or False
     bar = sys.stderr.isatty() and not arguments.quiet
     try:
         solution = compiled.solve(
             rtol=arguments.rtol,
             method=arguments.method,
-            parameters=box,
-            t_final=arguments.t_final,
+            parameters={} if of_model else box,
+            t_final=None if of_model else arguments.t_final,
             check=check,
             cover=arguments.cover,
             effort=arguments.effort,
@@ -161,12 +189,36 @@ def _solve(arguments: argparse.Namespace) -> int:
     return SUCCESS if solution.success else FAILURE
 
 
-def _show(arguments: argparse.Namespace) -> int:
-    """Print the stages that are flagged, or all."""
-    import rankone
+def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
+    """The problem whose stages are printed; None for a model, which has been printed."""
+    from rankone.export.program import box_of
     from rankone.frontend.problem_files import load_problem
+    from rankone.models.document import is_model_file
+    from rankone.models.sbml import read_sbml
+    from rankone.support.errors import OptionError
 
-    compiled = rankone.compile(load_problem(arguments.file))
+    file, box, t_final = arguments.file, box_of(arguments.box), arguments.t_final
+    given = bool(box) or t_final is not None
+    if is_model_file(file) and given:
+        return model_problem(file, box, t_final)
+    if is_model_file(file):
+        print(read_sbml(file))
+        return None
+    if given:
+        raise OptionError(
+            f"--box and --t-final are for models; `{file}` has its own", remedy="leave them out"
+        )
+    return load_problem(file)
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    """Print the stages that are flagged, or all; of a model without a horizon the model."""
+    import rankone
+
+    problem = _shown_problem(arguments)
+    if problem is None:
+        return SUCCESS
+    compiled = rankone.compile(problem)
     flags = vars(arguments)
     stages = [stage for stage in _STAGES if flags[stage.replace("-", "_")]]
     if not stages:

@@ -92,8 +92,7 @@ class Model:
         symbol = self._symbol(name)
         if symbol in self._functions:
             return self._functions[symbol]
-        full = self._expanded.get(symbol, symbol)
-        return full.xreplace(self._functions)
+        return self._full(symbol)
 
     @cached_property
     def _expanded(self) -> dict[sp.Symbol, sp.Expr]:
@@ -137,23 +136,14 @@ class Model:
         box = self._box(parameters, spread)
         functions = self._functions
         decided = {self.start: sp.Rational(repr(start))}
-        point = StartingPoint(
-            self.time,
-            start,
-            initial={functions[s]: e.xreplace(decided) for s, e in self.initial.items()},
-            rates={functions[s]: e.xreplace(functions) for s, e in self.rates.items()},
-        )
-        decided |= self._decisive(point, box)
+        point = self._starting_point(start, decided)
+        while decisive := self._decisive(point, box):
+            decided |= decisive
+            point = self._starting_point(start, decided)
 
         def full(expression: Any) -> Any:
-            return expression.xreplace(self._expanded).xreplace({**functions, **decided})
+            return self._full(expression).xreplace(decided)
 
-        point = StartingPoint(
-            self.time,
-            start,
-            initial={functions[s]: full(e) for s, e in self.initial.items()},
-            rates={functions[s]: full(e) for s, e in self.rates.items()},
-        )
         unknowns = {symbol.name: unknown for symbol, unknown in functions.items()}
         events, memory = events_of(self.happenings, full, unknowns, point)
         written = {**functions, **decided}
@@ -178,15 +168,28 @@ class Model:
             definitions=definitions,
         )
 
+    def _full(self, expression: Any) -> Any:
+        """An expression or condition in unknowns and numbers, without definitions."""
+        return expression.xreplace(self._expanded).xreplace(self._functions)
+
+    def _starting_point(self, start: float, decided: Mapping[sp.Symbol, sp.Expr]) -> StartingPoint:
+        """Where trajectories start; ``decided`` has what is put in for some numbers."""
+        initial, rates = (
+            {
+                self._functions[symbol]: self._full(expression).xreplace(decided)
+                for symbol, expression in table.items()
+            }
+            for table in (self.initial, self.rates)
+        )
+        return StartingPoint(self.time, start, initial, rates)
+
     def _decisive(
         self, point: StartingPoint, box: Mapping[sp.Symbol, Any]
     ) -> dict[sp.Symbol, sp.Rational]:
         """The numbers that tell which triggers hold at the start: nothing may change them later."""
-        triggers = [
-            point.value(each.trigger.xreplace(self._expanded).xreplace(self._functions))
-            for each in self.happenings
-        ]
-        symbols = set().union(*(trigger.free_symbols for trigger in triggers))
+        triggers = [self._full(each.trigger) for each in self.happenings]
+        at_start = [truth(each) for each in triggers for truth in (point.value, point.after)]
+        symbols = set().union(*(truth.free_symbols for truth in at_start))
         numbers = {s: number for s, number in self.numbers.items() if s in symbols - set(box)}
         return {symbol: number for symbol, number in numbers.items() if number is not None}
 
