@@ -16,6 +16,7 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 
+import matplotlib.pyplot
 import numpy as np
 import pytest
 import scipy.stats
@@ -202,7 +203,8 @@ def test_times_of_events(case):
     solution, (_, end) = case.solution, case.solution.time
     for point in case.points():
         trajectory = case.problem.trajectory(np.array([end]), point)
-        assert set(solution.timeline.events) == set(trajectory.events)
+        switches = {name for name in solution.timeline.events if name.startswith("switch_")}
+        assert set(solution.timeline.events) - switches == set(trajectory.events)
         for event, instants in trajectory.events.items():
             times = solution.event_times(event, point)
             times = times[np.isfinite(times)]
@@ -525,6 +527,20 @@ def test_standalone_solvers(case, tmp_path):
     wanted = case.problem.trajectory(times, point).values
     assert_close(np.array(values, dtype=float), wanted, 2.0 * RTOL * case.size)
     np.testing.assert_allclose(instants, case.solution.event_times(case.event, point), rtol=1e-12)
+
+
+@takes("plot", "design")
+def test_pictures_and_designs(case):
+    point, *_ = case.points(1)
+    ax = case.solution.plot(point, unknowns=case.unknown, t=np.linspace(0.0, case.same, 9))
+    assert ax.lines
+    matplotlib.pyplot.close(ax.figure)
+    names = [*case.solution.parameters]
+    fixed = {name: point[name] for name in names[1:]}
+    candidates = np.linspace(0.1, 0.9, 5) * case.same
+    times = {"times": 1, "candidates": candidates, "observe": case.unknown, "sigma": 0.1}
+    design = case.solution.design(at={names[0]: point[names[0]]}, fixed=fixed, **times)
+    assert set(np.ravel(design.times)) <= set(candidates)
 
 
 def test_all_that_a_solution_has_is_tried():

@@ -26,7 +26,8 @@ from rankone.tensors.timeline import TimelineEvaluator
 def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMetadata]:
     """The states of a solution with events at one time; see :meth:`rankone.Solution.at`.
 
-    An EvaluationError if an event comes before that time for some parameters alone.
+    An EvaluationError if an event that resets states, or ends them, comes before that time for some
+    parameters alone.
     """
     metadata, evaluator = solution.metadata, solution._evaluator
     timeline = solution.outcome.timeline
@@ -41,9 +42,11 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
     interpolation = OutputInterpolation(solution, quantities)
     points = CheckPoints.of(interpolation.domain, quantities).aimed
     borders = evaluator.borders(np.ascontiguousarray(points.T))
+    jumping = [i for i, resets in enumerate(timeline.resets) if resets or timeline.terminal]
+    jumped = (borders[1:][jumping] <= time).sum(axis=0)
     passed = (borders[1:] <= time).sum(axis=0)
-    if passed.min() < passed.max():
-        event = " and ".join(timeline.instants[passed.min()])
+    if jumped.min() < jumped.max():
+        event = " and ".join(timeline.instants[jumping[jumped.min()]])
         raise EvaluationError(
             f"at {metadata.time} = {time:g} {quote(event)} has happened for some parameters alone",
             term=time,
