@@ -409,7 +409,10 @@ LAWLESS = d.document(
             ),
             "circle: `x` needs `y`, `y` needs `x`",
         ),
-        (changing(d.assignment_rule("x", "time")), "rules alone"),
+        (
+            changing(d.assignment_rule("x", "time")),
+            "rules alone, for `x`: nothing",
+        ),
         (
             changing(d.rate_rule("x", "1"), d.algebraic_rule("y*y - x"), names=("x", "y")),
             "algebraic rule `2`: not linear in `y`",

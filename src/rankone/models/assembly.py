@@ -16,7 +16,7 @@ from rankone.models.happenings import Happening
 from rankone.models.quantities import Quantity, Species
 from rankone.models.reactions import unused
 from rankone.support.errors import ProblemError
-from rankone.support.wording import quote
+from rankone.support.wording import listing, quote
 
 
 class Assembly:
@@ -107,8 +107,9 @@ class Assembly:
         quantities, assigned = self.elements.quantities, self.elements.rules.assigned
         free = {name for name in quantities if name not in assigned}
         if not free:
+            content = f"rules alone, for {listing(sorted(assigned))}" if assigned else "no elements"
             raise ProblemError(
-                "the model has rules alone: nothing in it has a rate of change",
+                f"the model has {content}: nothing in it has a rate of change",
                 term=sorted(assigned),
                 remedy="evaluate its formulas; there is nothing to integrate",
             )
