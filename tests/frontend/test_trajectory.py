@@ -186,3 +186,12 @@ def test_bad_arguments(at, error, message):
 def test_an_unknown_that_is_not_there():
     with pytest.raises(ro.EvaluationError, match="no unknown `y`; the trajectory has `x`"):
         decay().trajectory(1.0, k=1.0)[y]
+
+
+def test_integers_beyond_those_of_numpy():
+    """Exact numbers of many digits, as formulas of a file with decimal numbers have them."""
+    root = sp.sqrt(sp.Integer(10) ** 30 + 7 + 10**30 * k) / 10**15  # sqrt(1 + k), all but exactly
+    made = problem(-root * x, {k: (0.5, 1)}, root, (t, 0, 1))
+    exact = np.sqrt(1.7) * np.exp(-np.sqrt(1.7))
+    assert made.trajectory(1.0, k=0.7)["x"] == pytest.approx(exact, rel=1e-6)
+    assert ro.solve(made, rtol=1e-6)(t=1.0, k=0.7) == pytest.approx(exact, rel=1e-5)

@@ -23,7 +23,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import Boolean
 
-from rankone.expressions.stable import NUMPY, stable
+from rankone.expressions.stable import NUMPY, in_floats, stable
 from rankone.ir.forms import Coordinate
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
@@ -147,7 +147,9 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
 
 def numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[ArrayLike], Array]:
     """Compile a function of one coordinate; it gives nan where it is not real."""
-    function = sp.lambdify(coordinate.symbol, stable(expression), [NUMPY, "numpy", "scipy"])
+    function = sp.lambdify(
+        coordinate.symbol, in_floats(stable(expression)), [NUMPY, "numpy", "scipy"]
+    )
 
     def evaluate(points: ArrayLike) -> Array:
         with np.errstate(all="ignore"):

@@ -24,6 +24,7 @@ _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compare
 _DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
 # Numerators and denominators up to this stay exact; larger ones are rounded to the digits above
 _LARGEST_INTEGER = 10**_DIGITS
+_LARGEST_OF_NUMPY = 2**63 - 1  # Integers beyond it are objects, of which NumPy takes no functions
 _SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number except for rounding
 
 
@@ -100,6 +101,12 @@ NUMPY: dict[str, Callable[..., object]] = {
     "scaled_power": np.power,
 }
 """The functions that SymPy does not have, or does not write for NumPy."""
+
+
+def in_floats(expression: sp.Basic) -> sp.Basic:
+    """An expression with floating-point numbers for integers that NumPy takes for objects."""
+    large = [n for n in expression.atoms(sp.Integer) if abs(n) > _LARGEST_OF_NUMPY]
+    return expression.xreplace({n: sp.Float(n, _DIGITS) for n in large})
 
 
 def stable(expression: sp.Expr) -> sp.Expr:

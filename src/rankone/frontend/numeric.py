@@ -19,7 +19,7 @@ from rankone.discretization.coordinates import name_of
 from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
-from rankone.expressions.stable import NUMPY, stable
+from rankone.expressions.stable import NUMPY, in_floats, stable
 from rankone.frontend.algebraic import Reduction
 from rankone.frontend.box import Time
 from rankone.frontend.consistency import no_consistent_values
@@ -258,7 +258,7 @@ class NumericEquations:
             plain = [e.replace(kind, sp.Function(name, real=True)) for e in plain]
         modules = [implementations, NUMPY, "numpy", "scipy"]
         arguments = list(self._arguments.values())
-        compiled = sp.lambdify(arguments, [stable(e) for e in plain], modules, cse=True)
+        compiled = sp.lambdify(arguments, [in_floats(stable(e)) for e in plain], modules, cse=True)
 
         def evaluate(time: float, states: Array, parameters: Array) -> Array:
             return np.array(compiled(np.float64(time), *states, *parameters), dtype=float)

@@ -20,7 +20,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from rankone.expressions.stable import NUMPY
+from rankone.expressions.stable import NUMPY, in_floats
 from rankone.ir.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, State
 from rankone.ir.functions import namespace_of
 from rankone.support.arrays import Array
@@ -234,7 +234,7 @@ def _side(node: sp.Basic, variables: Sequence[sp.Symbol], places: Array) -> sp.B
 
 def _values(expression: sp.Basic, variables: Sequence[sp.Symbol], places: Array) -> Array:
     """An expression at places (variables, N): shape (N,)."""
-    function = sp.lambdify(list(variables), expression, [NUMPY, "numpy", "scipy"])
+    function = sp.lambdify(list(variables), in_floats(expression), [NUMPY, "numpy", "scipy"])
     with np.errstate(all="ignore"):
         values = np.asarray(function(*places), dtype=float)
     return np.broadcast_to(values, places.shape[1:])

@@ -21,6 +21,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.expressions.admissible import gaps, known_functions, located_defect, numeric
+from rankone.expressions.stable import in_floats
 from rankone.frontend.consistency import no_consistent_values
 from rankone.frontend.problem import Problem
 from rankone.ir.features import GAP_REMEDY
@@ -329,7 +330,7 @@ def _point_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | Non
 
 def _truth(condition: sp.Basic, involved: Sequence[Coordinate]) -> Callable[[Array], Array]:
     """A condition as a function of points (d, m): (m,)."""
-    function = sp.lambdify([c.symbol for c in involved], condition, ["numpy", "scipy"])
+    function = sp.lambdify([c.symbol for c in involved], in_floats(condition), ["numpy", "scipy"])
 
     def evaluate(points: Array) -> Array:
         with np.errstate(all="ignore"):
