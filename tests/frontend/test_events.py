@@ -160,6 +160,7 @@ def test_bad_files(tmp_path, old, new, message):
         ([ro.Event(x, 1)], "the direction of event `event_0` is 1;"),
         ([ro.Event(x, terminal="yes")], "`terminal` of event `event_0` is 'yes'"),
         ([ro.Event(x, persistent=0)], "`persistent` of event `event_0` is 0; remedy: give True or"),
+        ([ro.Event(x, overlapping=1)], "`overlapping` of event `event_0` is 1; remedy: give True"),
         ([ro.Event(x, persistent=False)], "`event_0` is not persistent, and happens in both dire"),
         ([ro.Event(x, then={x: 1}, delay=-1)], "the delay of event `event_0` is `-1`; remedy: giv"),
         ([ro.Event(x, delay=1)], "event `event_0` has a delay, and resets nothing"),

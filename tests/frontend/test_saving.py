@@ -36,7 +36,7 @@ def oscillator(**changes):
 def switched():
     events = [
         ro.Event(x - 0.5, "falling", then={x: x + 1}, name="up"),
-        ro.Event(y - 3, terminal=True, delay=0.1),
+        ro.Event(y - 3, terminal=True, delay=0.1, overlapping=False),
         ro.Event(x - 3, "rising", persistent=False, then={x: 0}, priority=2),
     ]
     equations = [sp.Eq(x.diff(t), -k * x + sp.Max(x, y) / 3), sp.Eq(y.diff(t), x * 0.1234567890123)]

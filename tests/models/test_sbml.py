@@ -291,6 +291,46 @@ def test_a_trigger_that_parameters_decide(read):
     assert [problem.trajectory(1.0, c_0=c)["x"] for c in (0.7, 1.5)] == [0.5, 9.0]
 
 
+def waving(delay, **options):
+    """A sine that sets off an event each 2 pi, from pi/6 on, which keeps the time for a delay."""
+    return d.document(
+        parameters=[d.parameter("s", 0, False), d.parameter("x", 0, False), d.parameter("k", 5)],
+        rules=[d.rate_rule("s", "cos(time)")],
+        events=[d.event("E", options.pop("trigger", "s > 0.5"), {"x": "time"}, delay, **options)],
+    )
+
+
+OVERLAP = "event `E` is set off again at t = 6.806.*while an earlier one.*useValuesFromTriggerTime"
+
+
+def test_values_taken_at_overlapping_triggers_are_no_solution(read):
+    problem = read(waving("k")).problem({"k": (6.5, 7.5)}, time=(0, 14))
+    with pytest.raises(ProblemError, match=OVERLAP):
+        problem.trajectory([10.0], k=7.0)
+    with pytest.raises(ProblemError, match=OVERLAP):
+        ro.solve(problem, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "delay", "expected"),
+    [
+        ({}, 5.0, [0, np.pi / 6, np.pi * 13 / 6]),
+        ({"at_trigger": False}, 7.0, [0, 0, np.pi / 6 + 7]),
+        ({"persistent": False}, 7.0, [0, 0, 0]),
+    ],
+)
+def test_repeated_triggers_without_overlap(read, options, delay, expected):
+    problem = read(waving("k", **options)).problem(["k"], spread=1.5, time=(0, 14))
+    np.testing.assert_allclose(problem.trajectory([0.5, 6.0, 13.0], k=delay)["x"], expected)
+
+
+def test_a_trigger_at_the_start_and_one_during_its_delay(read):
+    """The first values, at 0, are set at 5; the next ones, of 5/6 pi, 5 later."""
+    model = read(waving("k", trigger="s < 0.5", before=False))
+    x = model.problem(time=(0, 8)).trajectory([4.9, 5.1, 7.5, 7.7])["x"]
+    np.testing.assert_allclose(x, [0, 0, 0, np.pi * 5 / 6])
+
+
 # -- problems -------------------------------------------------------------------------------------
 
 

@@ -317,6 +317,7 @@ def _events(writer: PointwiseWriter, system: FirstOrderSystem) -> list[Block]:
     ranked = [i for i, e in enumerate(events) if e.priority is not None]
     priorities = f"Which event at one instant is first, at u ({n}, ...): ({len(ranked)}, ...)."
     withdrawn = [i for i, e in enumerate(events) if not e.persistent]
+    single = [i for i, e in enumerate(events) if not e.overlapping]
     return [
         [
             "# name, direction, whether it ends the trajectory, whether it resets states",
@@ -327,6 +328,7 @@ def _events(writer: PointwiseWriter, system: FirstOrderSystem) -> list[Block]:
             *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
             *([f"RANKED_EVENTS = {tuple(ranked)}"] if ranked else []),
             *([f"WITHDRAWN_EVENTS = {tuple(withdrawn)}"] if withdrawn else []),
+            *([f"SINGLE_EVENTS = {tuple(single)}"] if single else []),
         ],
         writer.vector("known_event_times", "p", times, [e.at for e in events if e.at is not None]),
         writer.vector("event_heights", "t, u, p", heights, [e.when for e in events]),

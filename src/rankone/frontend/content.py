@@ -82,7 +82,9 @@ class ProblemContent:
             names = {s: sp.Symbol(s.name) for e in expressions for s in e.free_symbols}
             expressions = [expression.xreplace(names) for expression in expressions]
         named = self.units, self.distributions, self.correlation, self.atol
-        flags = [(e.name, e.direction, e.terminal, e.persistent) for e in self.events]
+        flags = [
+            (e.name, e.direction, e.terminal, e.persistent, e.overlapping) for e in self.events
+        ]
         others = [dict(mapping or {}) for mapping in named]
         return expressions, others, flags, str(self.time[0]), self.time[1:], self.name, self.tail
 

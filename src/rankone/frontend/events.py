@@ -67,6 +67,10 @@ class Event:
     persistent : bool
         Whether the event still happens if ``when`` crosses zero back before the delay is over, or
         is turned back by an event before it at the same instant. ``False`` needs a direction.
+    overlapping : bool
+        Whether ``when`` may cross zero again before the delay of an earlier crossing is over. With
+        ``False`` that is an error: where ``then`` reads what a crossing keeps, the next one would
+        overwrite it.
 
     Examples
     --------
@@ -85,6 +89,7 @@ class Event:
     delay: Any = None
     priority: Any = None
     persistent: bool = True
+    overlapping: bool = True
 
     @property
     def expressions(self) -> list[sp.Expr]:
@@ -205,7 +210,8 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=direction,
             remedy=f"choose from {listing(_DIRECTIONS)}",
         )
-    for field, value in (("terminal", terminal), ("persistent", event.persistent)):
+    for field in ("terminal", "persistent", "overlapping"):
+        value = getattr(event, field)
         if not isinstance(value, bool):
             raise ProblemError(
                 f"`{field}` of {subject} is {shown(value)}", term=value, remedy="give True or False"
@@ -244,7 +250,7 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
                 term=event,
                 remedy="give `then` or `terminal`, or leave out the delay to mark the crossing",
             )
-    return Event(closed(when), direction, then, terminal, name, delay, priority, event.persistent)
+    return replace(event, when=closed(when), then=then, name=name, delay=delay, priority=priority)
 
 
 def _then(event: Event, subject: str, symbols: Symbols) -> dict[sp.Expr, sp.Expr] | None:

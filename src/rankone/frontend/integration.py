@@ -15,6 +15,7 @@ import scipy
 
 from rankone.frontend.crossings import Crossing, Sides, first_change
 from rankone.frontend.numeric import NumericEquations
+from rankone.ir.events import overlap
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote
@@ -334,6 +335,8 @@ class Integration:
                     f"the delay of event {name} is {later:.6g} at {self._place()}",
                     remedy="let it be a time that is not negative, everywhere in the box",
                 )
+            if self._due[k] and not self.equations.events.overlapping[k]:
+                raise overlap(self.equations.events.names[k], self._place())
             self._due[k] = sorted([*self._due[k], time + later])
         for k, due in enumerate(self._due):
             if due and due[0] <= time + self._instant:

@@ -135,6 +135,8 @@ class NumericEvents:
         For each event one number (1,), at the same arguments; None if it has none.
     withdrawn : list of bool
         Whether it does not happen once its ``when`` has turned back.
+    overlapping : list of bool
+        Whether it may be set off again before its delay is over.
     """
 
     def __init__(self, equations: NumericEquations, events: Sequence[Event]) -> None:
@@ -143,6 +145,7 @@ class NumericEvents:
         self.terminal = [event.terminal for event in events]
         self.known = [known_time(event, equations.time[0]) is not None for event in events]
         self.withdrawn = [not event.persistent for event in events]
+        self.overlapping = [event.overlapping for event in events]
         self.delays, self.priorities = (
             [None if each is None else equations.function([each]) for each in expressions]
             for expressions in (

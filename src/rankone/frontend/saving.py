@@ -141,8 +141,9 @@ class _Writer:
             for key, usual in (("name", None), ("direction", "both"), ("terminal", False)):
                 if (value := getattr(event, key)) != usual:
                     yield f"{key} = {_literal(value)}"
-            if not event.persistent:
-                yield "persistent = false"
+            for key in ("persistent", "overlapping"):
+                if not getattr(event, key):
+                    yield f"{key} = false"
 
 
 def _table(key: str, entries: Mapping[str, Any]) -> Lines:

@@ -40,6 +40,7 @@ x = "x + 1"                # the value right after it
 # delay = "1/4"            # from the crossing to the reset
 # priority = 1             # the highest one is first at one instant
 # persistent = true        # whether it happens though `when` turns back
+# overlapping = true       # whether `when` may cross again before the delay is over
 
 [units]                    # texts for t, parameters and unknowns; may be left out
 t = "years"

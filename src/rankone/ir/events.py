@@ -8,6 +8,8 @@ from enum import StrEnum
 from typing import TypeAlias
 
 from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
 
 RISING, FALLING, BOTH = 1, -1, 0
 
@@ -23,8 +25,9 @@ class SystemEvent:
     ``at`` maps parameters (d, N) to its times (N,) where they are known; then it happens once,
     unless that is before the start. Where they are affine, ``coefficients`` are the constant and
     the slope of each parameter. With a ``delay`` the states are reset that much later, unless
-    ``when`` turns back and the event is not ``persistent``. Of several at one instant the one of
-    the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates switch
+    ``when`` turns back and the event is not ``persistent``; a further root before that is an error
+    unless they may be ``overlapping``. Of several at one instant the one of the highest
+    ``priority`` is first. It is ``timed`` if it is no event of the user; rates switch
     at a ``switch``, which resets sides of surfaces alone; it ``starts`` or ``cancels`` the event at
     that position, whose times trajectories tell one by one.
     """
@@ -40,6 +43,7 @@ class SystemEvent:
     delay: OfTrajectory | None = None
     priority: OfTrajectory | None = None
     persistent: bool = True
+    overlapping: bool = True
     starts: int | None = None
     cancels: int | None = None
     coefficients: tuple[float, ...] | None = None
@@ -54,6 +58,17 @@ class SystemEvent:
     def jumps(self) -> bool:
         """Whether values of the solution jump there, or end."""
         return self.terminal or (self.then is not None and not self.switch)
+
+
+def overlap(name: str, place: str) -> ProblemError:
+    """The error for an event that is set off again before its delay is over."""
+    return ProblemError(
+        f"event {quote(name)} is set off again at {place}, while an earlier one is still to come: "
+        "its new values, taken when it is set off, would be overwritten",
+        term=name,
+        remedy="let its delay be shorter than the time between two of them, or take its values "
+        'after the delay (useValuesFromTriggerTime="false" in SBML)',
+    )
 
 
 OfPoints: TypeAlias = Callable[[Array], Array]

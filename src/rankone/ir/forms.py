@@ -106,6 +106,7 @@ class EventForm:
     delay: sp.Expr | None = None
     priority: sp.Expr | None = None
     persistent: bool = True
+    overlapping: bool = True
 
     def coefficients(self, parameters: Sequence[sp.Symbol]) -> tuple[float, ...] | None:
         """The constant and the slopes of ``at`` if it is affine in the parameters."""

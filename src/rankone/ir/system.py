@@ -335,9 +335,9 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
 def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     """The events of a generated module."""
     listed = cast("Sequence[tuple[str, int, bool, bool]]", names.get("EVENTS", ()))
-    known, delayed, ranked, withdrawn = (
+    known, delayed, ranked, withdrawn, single = (
         cast("Sequence[int]", names.get(f"{kind}_EVENTS", ()))
-        for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN")
+        for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN", "SINGLE")
     )
 
     first_side = len(listed) - cast(int, names.get("N_SIDES", 0))
@@ -366,6 +366,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
             delay=row("event_delays", delayed.index(k)) if k in delayed else None,
             priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
             persistent=k not in withdrawn,
+            overlapping=k not in single,
             coefficients=coefficients.get(k),
         )
 

@@ -38,11 +38,21 @@ class _Reset:
     sizes: Mapping[sp.Expr, sp.Expr]
     delay: sp.Expr | None
     priority: sp.Expr | None
+    overlapping: bool = True
 
     def event(self, when: sp.Expr, name: str) -> Event:
         then = {state: value * self.sizes.get(state, 1) for state, value in self.then.items()}
         persistent = self.happening.persistent
-        return Event(when, "rising", then, False, name, self.delay, self.priority, persistent)
+        return Event(
+            when,
+            "rising",
+            then,
+            name=name,
+            delay=self.delay,
+            priority=self.priority,
+            persistent=persistent,
+            overlapping=self.overlapping,
+        )
 
 
 def events_of(
@@ -60,12 +70,18 @@ def events_of(
     events: list[Event] = []
     memory: list[sp.Expr] = []
     for reset in resets:
-        later = reset
-        if _needs_memory(reset, resets, point):
-            keeper, later = _kept(reset, point.time)
+        if not _needs_memory(reset, resets, point):
+            events += [*_at_start(reset, point), *_at_crossings(reset, point)]
+            continue
+        keeper, later = _kept(reset, point.time)
+        if reset.delay is None:
+            starting = [*_at_start(keeper, point), *_at_start(later, point)]
+        else:
+            starting = _at_start(_with_first_values(reset, point), point)
+        crossings = [*_at_crossings(keeper, point), *_at_crossings(later, point)]
+        if crossings or reset.delay is None:
             memory += keeper.then
-            events += _events(keeper, point)
-        events += _events(later, point)
+        events += [*starting, *crossings]
     return events, memory
 
 
@@ -148,18 +164,22 @@ def _kept(reset: _Reset, time: sp.Symbol) -> tuple[_Reset, _Reset]:
     keeper = replace(
         reset, name=f"{reset.name}_trigger", then=values, sizes={}, delay=None, priority=_FIRST
     )
-    return keeper, replace(reset, then=kept)
+    return keeper, replace(reset, then=kept, overlapping=reset.delay is None)
 
 
-def _events(reset: _Reset, point: StartingPoint) -> list[Event]:
-    """What happens where the trigger becomes true, and what happens at the start."""
-    events = _at_start(reset, point)
+def _with_first_values(reset: _Reset, point: StartingPoint) -> _Reset:
+    """An event that sets the values at the start, which are known and need no memory."""
+    return replace(reset, then={state: point.value(v) for state, v in reset.then.items()})
+
+
+def _at_crossings(reset: _Reset, point: StartingPoint) -> list[Event]:
+    """The event where the trigger becomes true after the start, if it may do so."""
     if not point.changes(reset.trigger):
-        return events
+        return []
     event = reset.event(surface(reset.trigger, point, reset.happening.label), reset.name)
     if known_time(event, point.time) is not None and point.value(event.when) == 0:
-        return events  # it happens at the start alone, if at all
-    return [*events, event]
+        return []  # it happens at the start alone, if at all
+    return [event]
 
 
 def _at_start(reset: _Reset, point: StartingPoint) -> list[Event]:

@@ -168,6 +168,7 @@ class FirstOrderSystem(Stage):
                 delay=form.delay,
                 priority=form.priority,
                 persistent=form.persistent,
+                overlapping=form.overlapping,
             )
 
 
@@ -256,6 +257,7 @@ def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr], time: sp.Symbol) 
         delay=delay,
         priority=priority,
         persistent=event.persistent,
+        overlapping=event.overlapping,
     )
 
 

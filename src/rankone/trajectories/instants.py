@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import BOTH, SystemEvent
+from rankone.ir.events import BOTH, SystemEvent, overlap
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
@@ -166,6 +166,8 @@ class Instants:
                 )
             for trajectory, due in zip(some, (times[met] + delays).tolist(), strict=True):
                 known = trajectory.due.get(event.starts, [])
+                if known and not event.overlapping:
+                    raise overlap(self.events[event.starts].name, f"t = {trajectory.end:.6g}")
                 trajectory.put_off(event.starts, [*known, due])
 
     def _triggered(
