@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+import rankone as ro
 from rankone.support.errors import EvaluationError, OptionError
 from tests.estimation.experiments import HOURS, TRUE, bateman, draws, oral
 from tests.estimation.systems import decay, fall
@@ -130,3 +131,18 @@ def test_outside():
         decay().design(2, [0, 5], at={"k": 1, "a": 1})
     with pytest.raises(EvaluationError, match="outside its range"):
         decay().design(2, at={"k": 10, "a": 1})
+
+
+def test_a_time_at_which_relative_noise_vanishes_tells_nothing():
+    drug = ro.Problem.from_strings(
+        {"gut": "-ka*gut", "level": "ka*gut/10 - ke*level"},
+        {"gut": 100, "level": 0},
+        {"ka": (0.8, 1.6), "ke": (0.2, 0.4)},
+        (0, 24),
+    )
+    solution = ro.solve(drug, 1e-5)
+    at = {"ka": 1.2, "ke": 0.3}
+    design = solution.design(
+        2, [0.0, 0.5, 2.0, 12.0], at=at, observe="level", sigma=0.1, noise="proportional"
+    )
+    assert 0.0 not in design.times

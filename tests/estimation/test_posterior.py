@@ -124,3 +124,17 @@ def test_two_modes(sigma):
     assert found.mean["k"] == pytest.approx(0.0, abs=1e-6)
     assert found.std["k"] == pytest.approx(1.2, rel=0.02)
     np.testing.assert_allclose(found.quantile([0.25, 0.75])["k"], [-1.2, 1.2], atol=sigma)
+
+
+def test_the_posterior_of_a_fit_keeps_its_prior():
+    decay = ro.solve(
+        ro.Problem.from_strings({"u": "-k*u"}, {"u": "a"}, {"k": (0.1, 2), "a": (0.5, 2)}, (0, 2)),
+        1e-5,
+    )
+    times = np.linspace(0.2, 2, 5)
+    data = decay["u"](t=times, k=0.8, a=1.0) + 0.1 * np.array([1, -1, 1, -1, 1])
+    prior = {"k": scipy.stats.norm(0.5, 0.01)}
+    fit = decay.fit(times, data, sigma=0.1, prior=prior)
+    kept, again = ro.posterior(fit), ro.posterior(fit, prior=prior)
+    assert kept.mean["k"] == pytest.approx(again.mean["k"], abs=1e-6)
+    assert abs(kept.mean["k"] - 0.5) < 0.03

@@ -23,6 +23,7 @@ from rankone.estimation.observations import (
     observables,
     observed,
 )
+from rankone.estimation.ranges import vanishing_noise
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
@@ -180,8 +181,8 @@ def _information(trial: Trial, names: Sequence[str], points: Array, scale: Array
     free = free_parameters([trial.solution], None, extras=extras, absent=absent)
     order = [names.index(name) for name in free.names]
     z = free.places(points[:, order])
-    jacobian = Likelihood((trial,), free).linearised(z, settle=False).jacobian
-    jacobian = jacobian / free.slopes(z)[:, None, :]
+    likelihood = Likelihood((trial,), free)
+    jacobian = likelihood.linearised(z, settle=False).jacobian / free.slopes(z)[:, None, :]
     back = np.argsort(order)
     jacobian = jacobian[..., back] * scale
     # Where the noise vanishes, with the prediction, nothing is measured
@@ -190,4 +191,7 @@ def _information(trial: Trial, names: Sequence[str], points: Array, scale: Array
     each = np.zeros((len(points), size, len(names), len(names)))
     for block in np.split(jacobian, jacobian.shape[1] // size, axis=1):
         each += np.einsum("ktp,ktq->ktpq", block, block)
+    (predicted,) = likelihood.predictions(free.values(z))
+    for i, one in enumerate(predicted):
+        each[:, vanishing_noise(trial, i, one, np.zeros(size))] = 0.0
     return each

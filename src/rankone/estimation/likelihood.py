@@ -100,7 +100,10 @@ class Likelihood:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Levels of noise that scale standard deviations together, by position."""
+        """Levels of noise that scale standard deviations together, by position.
+
+        Levels that are held at zero scale nothing.
+        """
         groups: list[set[str]] = []
         names = set(self.free.names) - {measure.name for measure in self.priors}
         for trial in self.trials:
@@ -109,7 +112,8 @@ class Likelihood:
                     joined = set(noise.levels) if noise.scales else {*noise.levels, ""}
                     joined |= set().union(*(g for g in groups if g & joined))
                     groups = [g for g in groups if not g & joined] + [joined]
-        order = [sorted(g) for g in groups if g <= names]
+        zero = {name for name, level in self.free.fixed.items() if level == 0.0}
+        order = [sorted(g - zero) for g in groups if g - zero and g - zero <= names]
         return tuple(tuple(self.free.names.index(name) for name in g) for g in order)
 
     @property

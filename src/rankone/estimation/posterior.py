@@ -319,7 +319,10 @@ def posterior_of(
 
 
 def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
-    """The prior of each free parameter, cut at its bounds: as given, of the problem, or uniform."""
+    """The prior of each free parameter, cut at its bounds.
+
+    It is the one given, that of the fit, that of the problem, or uniform.
+    """
     free = fit._problem.free
     for name in prior:
         if name in free.fixed:
@@ -329,7 +332,9 @@ def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
     from_problem = {
         name: from_text(text) for each in solutions for name, text in each.metadata.distributions
     }
-    return measures_of(free.names, box, prior, from_problem)
+    of_fit = {each.name: each for each in fit._problem.priors if each.name not in prior}
+    measures = measures_of(free.names, box, prior, from_problem)
+    return tuple(of_fit.get(each.name, each) for each in measures)
 
 
 def _without_fixed(fit: Fit) -> Likelihood:

@@ -134,7 +134,7 @@ def check_certain(problem: Likelihood, points: Array) -> None:
         for i, one in enumerate(predicted):
             here = observations.of(i)
             data, times = observations.values[here], observations.times[here]
-            vanishing = _vanishing(trial, i, one, data)
+            vanishing = vanishing_noise(trial, i, one, data)
             if vanishing.any():
                 k, time = int(np.argmax(vanishing)), trial.solution.metadata.time
                 raise OptionError(
@@ -145,7 +145,7 @@ def check_certain(problem: Likelihood, points: Array) -> None:
                 )
 
 
-def _vanishing(trial: Trial, i: int, one: Predicted, data: Array) -> NDArray[np.bool_]:
+def vanishing_noise(trial: Trial, i: int, one: Predicted, data: Array) -> NDArray[np.bool_]:
     """Which data (m,) of an observable have no noise, wherever it was predicted."""
     noise, name = trial.observations.noises[i], trial.observations.names[i]
     own = {name, *trial.solution.states}
