@@ -33,7 +33,8 @@ def check_sides(clock: Clock, states: Array, times: Array, points: Array) -> Non
     lengths = np.ptp(times, axis=2, keepdims=True)
     long = np.broadcast_to(lengths > _BESIDE * clock.length, times.shape).ravel()
     flat = states.reshape(len(states), -1), times.ravel(), p.reshape(points.shape[1], -1)
-    for k, event in enumerate(system.events[-system.n_sides :], first):
+    crossings = (event for event in system.events if event.switch and event.then is not None)
+    for k, event in enumerate(crossings, first):
         sides = np.rint(flat[0][k])
         above = flat[0].copy()
         above[k] = 1.0
