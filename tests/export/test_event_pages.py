@@ -234,15 +234,21 @@ def test_ticks_and_times_of_events(pages, chromium):
         for at in ({"h": 0.8}, {"h": 1.2}):
             page.evaluate("(at) => rankone.set(at)", at)
             settle(page)
-            times = [event["time"] for event in page.evaluate("rankone.values()")["events"]]
-            wanted = solution.event_times("bounce", at)
-            assert len(times) == np.isfinite(wanted).sum()
-            written = page.locator("#events .when").inner_text().split(", ")
-            np.testing.assert_allclose(list(map(float, written)), times, atol=6e-5)
+            events = page.evaluate("rankone.values()")["events"]
+            times = [event["time"] for event in events]
+            written = page.locator("#events .when").all_inner_texts()
+            shown_times = {}
+            for name, text in zip(solution.timeline.events, written, strict=True):
+                wanted = solution.event_times(name, at)
+                ours = [event["time"] for event in events if name in event["names"]]
+                assert len(ours) == np.isfinite(wanted).sum()
+                texts = text.split(", ")
+                np.testing.assert_allclose(list(map(float, texts)), ours, atol=6e-5)
+                shown_times |= {time: f"{name} {t}" for time, t in zip(ours, texts, strict=True)}
             titles = page.evaluate(
                 "[...document.querySelectorAll('.u-over .tick:not([hidden])')].map((e) => e.title)"
             )
-            assert titles == [f"bounce {text}" for text in written]
+            assert titles == [shown_times[time] for time in times]
             lefts = page.evaluate(
                 "[...document.querySelectorAll('.u-over .tick:not([hidden])')].map("
                 "(e) => parseFloat(e.style.left) / e.parentElement.clientWidth)"
