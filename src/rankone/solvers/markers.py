@@ -74,8 +74,8 @@ def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveSt
     """The start over stretches, if markers pay for the trajectories of a reference."""
     system, reference = reference_set.system, reference_set.reference
     (dense,), sizes = reference.batches, reference_set.states[:, None]
-    if reference.blown is not None or reference_set.cuts:
-        return None
+    if reference.blown is not None or reference_set.cuts or reference.integrator == "compiled":
+        return None  # compiled trajectories have no paths to look for crossings on
     tolerances = Tolerances(reference_set.accuracy, reference_set.accuracy * _FLOOR * sizes)
     return _by_trajectories(system, request, reference.points, dense, tolerances)
 
