@@ -109,6 +109,19 @@ def test_networks_come_to_rest(network):
         np.testing.assert_allclose(gradient[:, j], (above - below) / (2 * h), rtol=1e-4, atol=1e-5)
 
 
+def test_totals_of_compartments_of_different_volumes_are_kept():
+    """The amounts S + a*(C + P) are conserved; their coefficients depend on a parameter."""
+    across, paired = k * (S - C), 2 * C**2 - P
+    model = problem({S: -across, C: across / a - paired, P: paired}, {k: (1, 2), a: (0.5, 3)},
+                    {S: 5, C: 0, P: 0})  # fmt: skip
+    steady = ro.steady_state(model)
+    assert steady.success, steady.message
+    for volume in (0.6, 1.7, 2.9):
+        share = brentq(lambda c: c + volume * (c + 2 * c**2) - 5, 0, 5, xtol=1e-15)  # noqa: B023
+        expected = [share, share, 2 * share**2]
+        np.testing.assert_allclose(steady(k=1.2, a=volume), expected, rtol=5 * RTOL)
+
+
 def test_initial_values_choose_the_branch():
     low, high = (ro.steady_state(gene(start), rtol=1e-4) for start in (0, 3))
     assert low.success

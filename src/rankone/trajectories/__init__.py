@@ -22,6 +22,9 @@ Read in this order:
 ``event_trajectory``  a trajectory with events: what it has met, and what it has ahead
 ``instants``       what events do at one instant, and what they trigger
 ``events``         roots of functions along trajectories, which end them or reset their states
+``rest``           steady states that trajectories reach
+``conservation``   sums of states that no rate changes, which steady states keep
+``branches``       whether the steady states over a box are on one branch
 ``diagnosis``      why trajectories end, and which states are numerically zero
 ``workers``        chunks of trajectories on several processes
 =================  ================================================================================

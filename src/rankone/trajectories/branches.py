@@ -32,7 +32,7 @@ def check_one_branch(steady: SteadyStates, points: Array) -> None:
         It says where the branch ends in a fold, or which parameters lead to another branch.
     """
     start = steady(points[:1].T)
-    if not steady.growth(start, points[:1])[0] < 0.0:
+    if not steady.decays(start, points[:1])[0]:
         return  # the initial values are at rest, and unstable
     ended = np.flatnonzero(~_goes_on(steady, start, points[0], points))
     if ended.size:
@@ -70,9 +70,7 @@ def _continued(steady: SteadyStates, start: Array, centre: Array, points: Array)
 def _goes_on(steady: SteadyStates, start: Array, centre: Array, points: Array) -> NDArray[np.bool_]:
     """Whether the branch goes on from the centre to points (m, d), and is stable there."""
     states = _continued(steady, start, centre, points)
-    there = np.isfinite(states).all(axis=0)
-    growth = steady.growth(np.where(there, states, 0.0), points)
-    return np.asarray(there & (growth < 0.0))
+    return steady.decays(states, points)
 
 
 def _reached(steady: SteadyStates, start: Array, centre: Array, points: Array) -> NDArray[np.bool_]:

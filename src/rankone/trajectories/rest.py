@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.constraints import Constraints
 from rankone.ir.features import Features, Jumps, VectorLike
@@ -18,6 +19,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.conservation import ConservedSums
 from rankone.trajectories.integrator import Tolerances
 
 _ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come close
@@ -28,9 +30,6 @@ _MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
 _NOISE = 1e-18  # A state below this share of the largest one is zero
 _LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
 _NEUTRAL = 1e-9  # Growth rates above minus this, in units of the horizon, do not decay
-_SAMPLES = 8  # Random states for each state that show what no rate changes
-_CONSERVED = 1e-11  # Singular values of their rates, over the largest, that are zero
-_SEED = 1864  # Of these states: the same system always has the same conserved quantities
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,16 @@ class SteadyStates:
     """The steady states that trajectories of a system reach, at parameter points.
 
     The system is autonomous, without jumps and events. Trajectories take up to the time ``settle``;
-    the first look at them is at ``first``.
+    the first look at them is at ``first``. One that starts at a steady state stays there, and with
+    ``stable_only`` has to be stable as all others have.
     """
 
-    def __init__(self, system: System, first: float, settle: float) -> None:
+    def __init__(
+        self, system: System, first: float, settle: float, *, stable_only: bool = False
+    ) -> None:
         self.system, self.first, self.settle = system, min(first, settle), settle
-        self.conserved = conserved(system)
+        self.stable_only = stable_only
+        self.conserved = ConservedSums(system)
         self.latest = 0.0
         self._reached: dict[bytes, Array] = {}
         self._last: dict[bytes, Array] = {}  # where trajectories were at the end
@@ -101,7 +104,8 @@ class SteadyStates:
         def residuals(_t: float | Array, u: VectorLike, p: VectorLike) -> Array:
             states, parameters = whole(u), np.asarray(p)
             rates = np.broadcast_to(system.rhs(0.0, states, parameters), states.shape)
-            kept = self.conserved @ (states - system.initial(parameters))
+            change = states - system.initial(parameters)
+            kept = np.einsum("cnm,nm->cm", self.conserved(parameters), change)
             further = system.constraints
             others = [further.residuals(0.0, states, parameters)] if further.names else []
             return np.concatenate([rates, kept, *others])
@@ -114,7 +118,7 @@ class SteadyStates:
             return np.concatenate([jacobian, *invariants])[:, columns]
 
         names = [f"rate of {name}" for name in system.states[: system.n_differential]]
-        names += ["conserved"] * len(self.conserved)
+        names += ["conserved"] * self.conserved.count
         return Constraints(
             (*names, *system.constraints.names), tuple(range(len(columns))), residuals, slopes
         )
@@ -143,12 +147,16 @@ class SteadyStates:
 
     def _invariants(self, states: Array, columns: Array) -> Iterator[Array]:
         """Derivatives (k, n, m) of what is the same on all of a trajectory, by the states."""
-        kept = self.conserved[:, :, None]
-        yield np.broadcast_to(kept, (len(kept), *states.shape))
+        yield self.conserved(columns)
         further = self.system.constraints
         if further.names:
             slopes = further.slopes(0.0, states, columns)
             yield np.broadcast_to(slopes, (len(further.names), *states.shape))
+
+    def decays(self, states: Array, points: Array) -> NDArray[np.bool_]:
+        """At which points (m, d) perturbations of states (n, m) decay; not where these are NaN."""
+        growth = self.growth(np.nan_to_num(states), points)
+        return np.asarray(np.isfinite(states).all(axis=0) & (growth < -_NEUTRAL / self.first))
 
     def stability(self, points: Array) -> Stability:
         """How perturbations grow at points (m, d)."""
@@ -159,8 +167,10 @@ class SteadyStates:
     def _followed(self, points: Array) -> Array:
         """The steady states (n, m) that trajectories at points (m, d) reach, or NaN."""
         states = self.system.initial(np.ascontiguousarray(points.T))
-        largest = np.abs(states)
-        settled = self._nearby(states, points, largest, _AT_REST)
+        largest, before = np.abs(states), np.full(states.shape, np.nan)
+        settled, _ = self._nearby(states, points, largest, _AT_REST)
+        if self.stable_only:
+            settled = np.where(self.decays(settled, points), settled, np.nan)
         time, later = 0.0, self.first
         while time < self.settle:
             open_ = np.flatnonzero(np.isnan(settled[0]))
@@ -168,23 +178,31 @@ class SteadyStates:
                 break
             ends, sizes = self._integrated(states[:, open_], points[open_], time, later)
             states[:, open_], largest[:, open_] = ends, np.maximum(largest[:, open_], sizes)
-            close = self._nearby(ends, points[open_], largest[:, open_], _CLOSE)
-            stable = self.growth(np.nan_to_num(close), points[open_]) < 0.0
-            settled[:, open_] = np.where(stable, close, np.nan)
+            close, sure = self._nearby(ends, points[open_], largest[:, open_], _CLOSE)
+            close = np.where(self.decays(close, points[open_]), close, np.nan)
+            sure |= (np.abs(close - before[:, open_]) <= _CLOSE * np.abs(close)).all(axis=0)
+            settled[:, open_], before[:, open_] = np.where(sure, close, np.nan), close
             time, later = later, min(_LENGTHENED * later, self.settle)
             self.latest = max(self.latest, time)
         for key, state in zip(points, states.T, strict=True):
             self._last[key.tobytes()] = state
         return settled
 
-    def _nearby(self, states: Array, points: Array, largest: Array, distance: float) -> Array:
-        """The steady states closer than a distance to states (n, m); NaN if there are none."""
+    def _nearby(
+        self, states: Array, points: Array, largest: Array, distance: float
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """The steady states closer than a distance to states (n, m), NaN if there are none.
+
+        And at which points (m,) they are that close in sizes of their own as well: what was far
+        larger on its way may still pass by.
+        """
         columns = np.ascontiguousarray(points.T)
         found = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
-        far = np.abs(found - states) / np.where(units > 0.0, units, 1.0)
+        away = np.abs(found - states)
         found = np.where(np.abs(found) > _NOISE * np.abs(found).max(axis=0), found, 0.0)
-        return np.where((far <= distance).all(axis=0), found, np.nan)
+        near = (away <= distance * np.where(units > 0.0, units, 1.0)).all(axis=0)
+        return np.where(near, found, np.nan), (away <= distance * np.abs(found)).all(axis=0)
 
     def _integrated(
         self, states: Array, points: Array, start: float, end: float
@@ -211,8 +229,7 @@ class SteadyStates:
         """The error for trajectories at points (m, d) that have not come to rest."""
         states = np.array([self._last[point.tobytes()] for point in points]).T
         found = self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
-        growth = self.growth(np.nan_to_num(found), points)
-        unstable = np.isfinite(found).all(axis=0) & (growth > -_NEUTRAL / self.first)
+        unstable = np.isfinite(found).all(axis=0) & ~self.decays(found, points)
         which = int(np.argmax(unstable))
         message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
         if unstable[which]:
@@ -223,28 +240,6 @@ class SteadyStates:
     def _at(self, point: Array) -> str:
         pairs = zip(self.system.parameters, point.tolist(), strict=True)
         return f" at {', '.join(f'{name} = {x:.6g}' for name, x in pairs)}" if point.size else ""
-
-
-def conserved(system: System) -> Array:
-    """Linear combinations (c, n) of states that no rate changes, orthogonal ones."""
-    n, count = system.n_differential, _SAMPLES * (system.n_differential + 1)
-    rng = np.random.default_rng(_SEED)
-    box = np.asarray(system.box, dtype=float).reshape(-1, 2)
-    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
-    size = np.abs(system.initial(p)).max(axis=1, keepdims=True)
-    size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
-    with np.errstate(all="ignore"):
-        rates = np.broadcast_to(
-            system.rhs(0.0, size * rng.uniform(0.3, 1.5, (n, count)), p), (n, count)
-        )
-    rates = rates[:, np.isfinite(rates).all(axis=0)] / size
-    if not rates.size:
-        return np.zeros((0, n))
-    columns = np.abs(rates).max(axis=0)
-    rates = rates / np.where(columns > 0.0, columns, 1.0)
-    left, singular, _ = np.linalg.svd(rates)
-    rank = int((singular > _CONSERVED * max(singular[0], 1e-300)).sum())
-    return np.asarray((left[:, rank:] / size).T)
 
 
 def _from_states(system: System, horizon: tuple[float, float]) -> System:
