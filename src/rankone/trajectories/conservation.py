@@ -90,7 +90,7 @@ def _reduced(rows: Array) -> Array:
     reduced, columns = np.array(rows), np.ones(rows.shape[1], dtype=bool)
     for i in range(len(reduced)):
         largest = np.abs(reduced[i:]) * columns
-        row, column = np.unravel_index(int(largest.argmax()), largest.shape)
+        row, column = divmod(int(largest.argmax()), largest.shape[1])
         reduced[[i, i + row]] = reduced[[i + row, i]]
         reduced[i] /= reduced[i, column]
         columns[column] = False

@@ -202,7 +202,8 @@ class SteadyStates:
         away = np.abs(found - states)
         found = np.where(np.abs(found) > _NOISE * np.abs(found).max(axis=0), found, 0.0)
         near = (away <= distance * np.where(units > 0.0, units, 1.0)).all(axis=0)
-        return np.where(near, found, np.nan), (away <= distance * np.abs(found)).all(axis=0)
+        sure = np.asarray((away <= distance * np.abs(found)).all(axis=0))
+        return np.where(near, found, np.nan), sure
 
     def _integrated(
         self, states: Array, points: Array, start: float, end: float
