@@ -7,7 +7,7 @@ of generated code: this is what that code is compared with.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence, Set
 from typing import cast
 
 import mpmath
@@ -27,6 +27,8 @@ from mpmath.libmp import (
     to_float,
 )
 from sympy.core.relational import Relational
+
+from rankone.support.arrays import Array
 
 Number = tuple[int, int, int, int]
 """A floating-point number of mpmath: sign, mantissa, exponent, bits."""
@@ -67,7 +69,7 @@ class Program:
     The ``leaves`` are symbols, functions of time and derivatives, whose values are given.
     """
 
-    def __init__(self, expressions: Sequence[sp.Basic], leaves: Sequence[sp.Expr]) -> None:
+    def __init__(self, expressions: Sequence[sp.Basic], leaves: Iterable[sp.Basic]) -> None:
         self._register: dict[sp.Basic, int] = {leaf: i for i, leaf in enumerate(leaves)}
         self._inputs = len(self._register)
         self.steps: list[tuple[Operation, tuple[int, ...]]] = []
@@ -291,48 +293,63 @@ _FUNCTIONS: dict[str, Operation] = {
 }
 
 
+def _occurring(expression: sp.Basic, leaves: Container[sp.Basic]) -> set[sp.Basic]:
+    """The leaves that an expression has; what is inside of a leaf does not count."""
+    occurring: set[sp.Basic] = set()
+    waiting = [expression]
+    while waiting:
+        node = waiting.pop()
+        if node in leaves:
+            occurring.add(node)
+        else:
+            waiting += node.args
+    return occurring
+
+
 class Comparison:
     """The difference of two expressions where their leaves have values.
 
-    Generated code has computed those of the leaves ``computed``.
+    ``places`` are those of the leaves in points, which are arrays of numbers. Generated code has
+    computed the values of the leaves ``computed``. Only the leaves that the expressions have are
+    looked at.
     """
 
     def __init__(
         self,
         left: sp.Expr,
         right: sp.Expr,
-        leaves: Sequence[sp.Expr],
-        computed: Sequence[sp.Expr],
+        places: Mapping[sp.Basic, int],
+        computed: Set[sp.Basic],
     ) -> None:
         terms = [*sp.Add.make_args(left), *sp.Add.make_args(right)]
         self._left = len(sp.Add.make_args(left))
-        self._computed = [i for i, term in enumerate(terms) if term.has(*computed)]
+        occurring = [_occurring(term, places) for term in terms]
+        self._computed = [i for i, some in enumerate(occurring) if not computed.isdisjoint(some)]
+        leaves = sorted(set().union(*occurring), key=places.__getitem__)
+        self._places = np.array([places[leaf] for leaf in leaves], dtype=int)
         self.program = Program(terms, leaves)
 
-    def residual(self, point: Sequence[Number]) -> tuple[float, float]:
+    def residual(self, point: Array) -> tuple[float, float]:
         """The difference, and the sum of the absolute values of all terms."""
-        residual, size, _ = self._sums(self.program(point))
+        residual, size, _ = self._sums(self.program(self._own(point)))
         return to_float(residual), to_float(size)
 
-    def slope(
-        self, here: Sequence[Number], direction: Sequence[Number], seed: int | None = None
-    ) -> Number:
+    def slope(self, here: Array, direction: Array, seed: int | None = None) -> Number:
         """The derivative of the residual along a direction, from a difference of tiny step.
 
         With a ``seed``, intermediate results are disturbed, in the same way at both points.
         """
-        pairs = zip(here, direction, strict=True)
+        start, along = self._own(here), self._own(direction)
+        pairs = zip(start, along, strict=True)
         there = [mpf_add(x, mpf_mul(_STEP, v, PRECISION, "n"), PRECISION, "n") for x, v in pairs]
         residuals = []
-        for point in (here, there):
+        for point in (start, there):
             noise = None if seed is None else np.random.default_rng([_SEED, seed])
             residuals.append(self._sums(self.program(point, noise, _TOLERANCE))[0])
         change = mpf_sub(residuals[1], residuals[0], PRECISION, "n")
         return cast(Number, mpf_div(change, _STEP, PRECISION, "n"))
 
-    def slope_spread(
-        self, here: Sequence[Number], directions: Sequence[Sequence[Number]], exact: float
-    ) -> float:
+    def slope_spread(self, here: Array, directions: Sequence[Array], exact: float) -> float:
         """How far rounding moves the sum of the derivatives along directions."""
         sums = [
             sum(to_float(self.slope(here, direction, run)) for direction in directions)
@@ -342,7 +359,7 @@ class Comparison:
 
     def beyond_rounding(
         self,
-        points: Iterable[Sequence[Number]],
+        points: Iterable[Array],
         lost: float = LOST_SHARE,
         negligible: float | None = None,
     ) -> tuple[int, float] | None:
@@ -375,9 +392,7 @@ class Comparison:
                     return k, residual
         return None
 
-    def _spread(
-        self, point: Sequence[Number], exact: float, size: float = _TOLERANCE
-    ) -> float | None:
+    def _spread(self, point: Array, exact: float, size: float = _TOLERANCE) -> float | None:
         """How far rounding of a size moves the residual; None if that cannot be told."""
         noise = np.random.default_rng(_SEED)
         spread = 0.0
@@ -390,18 +405,22 @@ class Comparison:
 
     def _sums_at(
         self,
-        point: Sequence[Number],
+        point: Array,
         noise: np.random.Generator | None = None,
         size: float = _TOLERANCE,
     ) -> tuple[Number, Number, Number] | None:
         """Residual, size of the terms, computed terms; None where they have no value."""
         try:
-            sums = self._sums(self.program(point, noise, size))
+            sums = self._sums(self.program(self._own(point), noise, size))
             for each in sums:
                 to_float(each)
             return sums
         except (NoValueError, OverflowError):
             return None
+
+    def _own(self, point: Array) -> list[Number]:
+        """The values of the leaves that the expressions have."""
+        return [number(real) for real in point[self._places].tolist()]
 
     def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number, Number]:
         residual, size, computed = fzero, fzero, fzero

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,9 @@ from rankone.agreement.comparison import (
     LOST_SHARE,
     Comparison,
     NoValueError,
-    Number,
-    number,
     total,
 )
+from rankone.expressions.unknowns import rate_of
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Jump
 from rankone.ir.system import System
@@ -134,14 +134,16 @@ class _ProblemCheck:
         self.problem, self.first_order, self.system, self.lost = problem, first_order, system, lost
         clock, *parameters = first_order.coordinates
         self.symbols = [c.symbol for c in parameters]
+        self.parameters = _places(self.symbols)
         states = [state.expression for state in first_order.states]
-        rates = [state.diff(clock.symbol) for state in states]
-        self.highest = [i for i, rate in enumerate(rates) if rate not in states]
+        rates = [rate_of(state, clock.symbol) for state in states]
+        among = {*states}
+        self.highest = [i for i, rate in enumerate(rates) if rate not in among]
         computed = [rates[i] for i in self.highest]
-        leaves = [clock.symbol, *self.symbols, *states, *computed]
+        places = _places([clock.symbol, *self.symbols, *states, *computed])
         pairs = zip(problem.equations, problem.residuals, strict=True)
         written = [_written(*pair, problem.shorthand.put_in) for pair in pairs]
-        self.compared = [Comparison(*both, leaves, computed) for both in written]
+        self.compared = [Comparison(*both, places, {*computed}) for both in written]
         functions = [{f for side in both for f in side.atoms(sp.Function)} for both in written]
         # differences are derivatives, unless functions of the user lack the digits
         self.smooth = [not any(hasattr(f, "_imp_") for f in applied) for applied in functions]
@@ -165,11 +167,13 @@ class _ProblemCheck:
         points, clock = self.points, self.first_order.coordinates[0]
         finite = _finite(points.states, points.rates)
         p, u, f = points.parameters, points.states, points.rates[self.highest]
-        leaves = [_numbers([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in finite]
+        leaves = [np.array([points.time[k], *p[:, k], *u[:, k], *f[:, k]]) for k in finite]
         slowest = _NEGLIGIBLE_CHANGE * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
+        solved: dict[int | None, list[int]] = {}  # states by the equation solved for their rate
+        for i, equation in enumerate(self.first_order.origins):
+            solved.setdefault(equation, []).append(i)
         for origin, comparison in enumerate(self.compared, start=1):
-            origins = self.first_order.origins
-            states = [i for i, equation in enumerate(origins) if equation in (origin, None)]
+            states = [*solved.get(origin, ()), *solved.get(None, ())]
             negligible = float(slowest[states].min(initial=np.inf)) if states else 0.0
             disagreement = comparison.beyond_rounding(leaves, self.lost, negligible)
             if disagreement is not None:
@@ -198,10 +202,10 @@ class _ProblemCheck:
             change = jacobian @ direction
             if not np.isfinite(jacobian).all():
                 continue
-            here = _numbers([t], p, u, f)
+            here = np.array([t, *p, *u, *f])
             along = [
-                _numbers([0.0], 0.0 * p, direction, 0.0 * f),
-                _numbers([0.0], 0.0 * p, 0.0 * u, change[highest]),
+                np.array([0.0, *(0.0 * p), *direction, *(0.0 * f)]),
+                np.array([0.0, *(0.0 * p), *(0.0 * u), *change[highest]]),
             ]
             negligible = _NEGLIGIBLE_SLOPE * np.abs(direction).max()
             for origin, comparison in enumerate(self.compared, start=1):
@@ -233,13 +237,13 @@ class _ProblemCheck:
             state = quote(self.first_order.states[i].expression)
             subject = f"the initial value of {state}, {quote(start)},"
             if i not in guessed:
-                self._check_value(subject, start, self.symbols, generated[i], p)
+                self._check_value(subject, start, self.parameters, generated[i], p)
 
     def _check_jumps(self) -> None:
         """Raise if generated values after jumps are not those of the problem."""
         first_order, p, u = self.first_order, self.points.parameters, self.points.states
         clock = first_order.coordinates[0].name
-        leaves = [*self.symbols, *first_order.functions]
+        places = _places([*self.symbols, *first_order.functions])
         for kind, (values_after, times) in enumerate(Jump.kinds(first_order.jumps).items()):
             generated = np.asarray(self.system.jumps.jumped(kind, u, p), dtype=float)
             for i, after in enumerate(values_after):
@@ -247,13 +251,14 @@ class _ProblemCheck:
                     state = quote(first_order.states[i].expression)
                     at = f"the jump at {clock} = {times[0]:g}"
                     subject = f"the value of {state} after {at}, {quote(after)},"
-                    self._check_value(subject, after, leaves, generated[i], np.concatenate([p, u]))
+                    self._check_value(subject, after, places, generated[i], np.concatenate([p, u]))
 
     def _check_events(self) -> None:
         """Raise if the generated events are not those of the problem."""
         first_order, p, u = self.first_order, self.points.parameters, self.points.states
         t = self.points.time
-        leaves = [first_order.coordinates[0].symbol, *self.symbols, *first_order.functions]
+        clock = first_order.coordinates[0].symbol
+        places = _places([clock, *self.symbols, *first_order.functions])
         columns = np.concatenate([t[None], p, u])
         for form, event in zip(first_order.events, self.system.events, strict=True):
             what = f"event {quote(form.name)}"
@@ -266,10 +271,10 @@ class _ProblemCheck:
                 if written is not None and function is not None:
                     values = np.broadcast_to(np.asarray(function(t, u, p), dtype=float), t.shape)
                     subject = f"{quote(written)} of {what}"
-                    self._check_value(subject, written, leaves, values, columns)
+                    self._check_value(subject, written, places, values, columns)
             if form.at is not None and event.at is not None:
                 subject = f"the time of {what}, {quote(form.at)},"
-                self._check_value(subject, form.at, self.symbols, event.at(p), p)
+                self._check_value(subject, form.at, self.parameters, event.at(p), p)
             if form.then is None or event.then is None:
                 continue
             generated = np.asarray(event.then(t, u, p), dtype=float)
@@ -277,18 +282,18 @@ class _ProblemCheck:
                 if after != first_order.functions[i]:
                     state = quote(first_order.states[i].expression)
                     subject = f"the value of {state} after {what}, {quote(after)},"
-                    self._check_value(subject, after, leaves, generated[i], columns)
+                    self._check_value(subject, after, places, generated[i], columns)
 
     def _check_value(
         self,
         subject: str,
         expression: sp.Expr,
-        leaves: Sequence[sp.Expr],
+        places: dict[sp.Expr, int],
         generated: Array,
         columns: Array,
     ) -> None:
-        """Raise if generated values (m,) of an expression are off, leaves (l, m) as in columns."""
-        error = _value_error(expression, leaves, columns, generated, self.lost)
+        """Raise if generated values (m,) of an expression are off; see :func:`_value_error`."""
+        error = _value_error(expression, places, columns, generated, self.lost)
         if error is not None:
             raise DisagreementError(
                 f"the generated code does not compute {subject} as it is written: it is off by "
@@ -316,11 +321,11 @@ def check_outputs(
     ``expressions`` are the quantities by their names in messages, ``values`` (m,) those of the
     symbols at the points; ``function`` gives the computed quantities from the index of a point.
     """
-    columns = np.array(list(values.values()))
+    columns, places = np.array(list(values.values())), _places(values)
     count = columns.shape[1]
     outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
     for i, (name, expression) in enumerate(expressions.items()):
-        error = _value_error(expression, [*values], columns, outputs[:, i], LOST_SHARE)
+        error = _value_error(expression, places, columns, outputs[:, i], LOST_SHARE)
         if error is not None:
             raise OptionError(
                 f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
@@ -331,12 +336,17 @@ def check_outputs(
 
 
 def _value_error(
-    expression: sp.Expr, leaves: Sequence[sp.Expr], columns: Array, generated: Array, lost: float
+    expression: sp.Expr, places: dict[sp.Expr, int], columns: Array, generated: Array, lost: float
 ) -> float | None:
-    """How far generated values (m,) of an expression are off, at leaves with the columns (l, m)."""
+    """How far generated values (m,) of an expression are off.
+
+    ``places`` has the rows of the columns (l, m) in which the values of leaves are.
+    """
     computed = sp.Dummy()
-    comparison = Comparison(computed, expression, [*leaves, computed], [computed])
-    points = (_numbers(columns[:, k], [generated[k]]) for k in _finite(columns, generated[None]))
+    own = ChainMap({computed: len(places)}, places)
+    comparison = Comparison(computed, expression, own, {computed})
+    columns = np.concatenate([columns, generated[None]])
+    points = (columns[:, k] for k in _finite(columns))
     disagreement = comparison.beyond_rounding(points, lost)
     return None if disagreement is None else disagreement[1]
 
@@ -354,8 +364,9 @@ def _written(
     return residual if nested else put_in(equation), sp.S.Zero
 
 
-def _numbers(*blocks: Sequence[float] | Array) -> list[Number]:
-    return [number(real) for block in blocks for real in block]
+def _places(leaves: Iterable[sp.Expr]) -> dict[sp.Expr, int]:
+    """Each leaf with its row."""
+    return {leaf: i for i, leaf in enumerate(leaves)}
 
 
 def _finite(*arrays: Array) -> list[int]:

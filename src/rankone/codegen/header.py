@@ -10,6 +10,7 @@ import sympy as sp
 from rankone.codegen.printer import factor_text
 from rankone.codegen.text import paragraph
 from rankone.expressions.notation import plain_text
+from rankone.expressions.unknowns import unknown_of
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, State, Term
 from rankone.ir.measures import LINEAR
 from rankone.support.wording import number
@@ -110,7 +111,7 @@ def _jump_texts(
 ) -> list[str]:
     """The jumps as people write them."""
     clock = coordinates[0]
-    names = {sp.Function(s.name)(clock.symbol): sp.Symbol(s.name) for s in states}
+    names = {unknown_of(s.name, clock.symbol): sp.Symbol(s.name) for s in states}
     lines = []
     for states_after, times in Jump.kinds(jumps).items():
         pairs = zip(names, states_after, strict=True)

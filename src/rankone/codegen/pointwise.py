@@ -17,6 +17,7 @@ import sympy as sp
 
 from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import INDENT, WIDTH, Names, assignment, docstring, unpacking
+from rankone.expressions.unknowns import unknown_of
 from rankone.ir.forms import Coordinate, Jump, State
 
 Index: TypeAlias = "tuple[int, ...]"
@@ -190,7 +191,7 @@ class PointwiseWriter:
         self.parameters = [sp.Symbol(c.name, real=True) for c in parameters]
         self.states = [sp.Symbol(state.name, real=True) for state in states]
         self._real: dict[sp.Expr, sp.Symbol] = {
-            sp.Function(state.name)(clock.symbol): symbol
+            unknown_of(state.name, clock.symbol): symbol
             for state, symbol in zip(states, self.states, strict=True)
         }
         symbols = (self.time, *self.parameters)

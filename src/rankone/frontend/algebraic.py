@@ -114,9 +114,10 @@ def has_constraints(
     residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], time: sp.Symbol
 ) -> bool:
     """Whether some unknown is not differentiated, or an equation has no highest derivative."""
-    leading = leading_derivatives(residuals, unknowns, time)
-    every = all(residual.has(*leading) for residual in residuals)
-    return not every or any(u in leading for u in unknowns)
+    highest = {*leading_derivatives(residuals, unknowns, time)}
+    if not highest.isdisjoint(unknowns):
+        return True
+    return any(highest.isdisjoint(r.atoms(sp.Derivative)) for r in residuals)
 
 
 class _Shuffle:
@@ -244,10 +245,10 @@ class _Shuffle:
 
     def _linear(self, leading: Sequence[sp.Expr], *, stable: bool) -> list[LinearRow]:
         """The equations as they are linear in derivatives and unknowns; ``stable`` ones return."""
-        stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
+        places = {v: i for i, v in enumerate(leading)}
         rows = []
         for row in self.rows:
-            entries, rest = linear_in(stand_in, row.residual, row.equation)
+            entries, rest = linear_in(places, row.residual, row.equation)
             if stable:
                 rest += self._returning(row.chain)
             rows.append(LinearRow(entries, sp.Add(*rest)))

@@ -9,6 +9,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.expressions.notation import exact
+from rankone.expressions.unknowns import rate_of
 from rankone.frontend.box import Time
 from rankone.frontend.matrices import scalar_equations
 from rankone.frontend.mistakes import unsupported, wrong_argument
@@ -144,7 +145,9 @@ def algebraic_unknowns(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
     differentiated = highest_orders(residuals)
     first: dict[sp.Expr, int] = {}
     for i, residual in enumerate(residuals, 1):
-        for applied in _in_order(residual.atoms(AppliedUndef) - differentiated.keys()):
+        for applied in _in_order(
+            applied for applied in residual.atoms(AppliedUndef) if applied not in differentiated
+        ):
             first.setdefault(applied, i)
     return first
 
@@ -214,7 +217,7 @@ def state_expressions(
     """What needs an initial value: the unknowns, then their lower derivatives, by order."""
     highest = highest_orders(residuals)
     return [
-        unknown.diff(time, order) if order else unknown
+        rate_of(unknown, time, order) if order else unknown
         for order in range(max(highest.values()))
         for unknown in unknowns
         if order < highest.get(unknown, 1)

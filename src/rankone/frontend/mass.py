@@ -15,6 +15,7 @@ from sympy.polys.matrices import DomainMatrix
 
 from rankone.expressions.admissible import zero
 from rankone.expressions.notation import exact
+from rankone.expressions.unknowns import rate_of
 from rankone.frontend.equations import highest_orders
 from rankone.ir.forms import Coordinate
 from rankone.support.errors import ProblemError
@@ -89,10 +90,10 @@ def check_mass(
     not vanish on the interval of its coordinate.
     """
     leading = leading_derivatives(residuals, unknowns, coordinates[0].symbol)
-    stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
+    places = {v: i for i, v in enumerate(leading)}
     rows, remainders = [], []
     for i, residual in enumerate(residuals, 1):
-        row, remainder = linear_in(stand_in, residual, i)
+        row, remainder = linear_in(places, residual, i)
         _check_row(row, leading, coordinates, i)
         rows.append(row)
         remainders.append(remainder)
@@ -113,19 +114,20 @@ def leading_derivatives(
 ) -> tuple[sp.Expr, ...]:
     """The highest derivative of each unknown; itself where it has none."""
     highest = highest_orders(residuals)
-    return tuple(u.diff(time, highest[u]) if u in highest else u for u in unknowns)
+    return tuple(rate_of(u, time, highest[u]) if u in highest else u for u in unknowns)
 
 
 def linear_in(
-    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, equation: int | None
+    places: Mapping[sp.Expr, int], residual: sp.Expr, equation: int | None
 ) -> tuple[Row, list[sp.Expr]]:
     """Split a residual into a row of the mass matrix and the remaining terms.
 
-    ``stand_in`` has a symbol for each of the highest derivatives, in their order.
+    ``places`` are those of the highest derivatives in a row.
     """
-    leading = list(stand_in)
     applied = residual.atoms(sp.Derivative, AppliedUndef)
-    symbol_of = {i: symbol for i, (v, symbol) in enumerate(stand_in.items()) if v in applied}
+    leading = {places[v]: v for v in applied if v in places}
+    symbol_of = {i: sp.Symbol(f"v_{i}") for i in sorted(leading)}
+    stand_in = {leading[i]: symbol for i, symbol in symbol_of.items()}
     absent = dict.fromkeys(symbol_of.values(), sp.S.Zero)
     row: Row = {}
     remainder: list[sp.Expr] = []

@@ -12,6 +12,7 @@ import scipy.linalg
 import sympy as sp
 
 from rankone.expressions.notation import exact
+from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, quote, shown
@@ -124,7 +125,7 @@ class MatrixSystem:
     @property
     def equations(self) -> list[sp.Eq]:
         """One for each row; solved for the highest derivatives if M is dense and of numbers."""
-        highest = [q.diff(self.time, self.order) for q in self.unknowns]
+        highest = [rate_of(q, self.time, self.order) for q in self.unknowns]
         mass = self.terms[self.order]
         lower = [(order, term) for order, term in self.terms.items() if order < self.order]
         if self._is_kept(mass):
@@ -150,7 +151,7 @@ class MatrixSystem:
         """The sum of matrices times derivatives, perhaps times an inverse from the left."""
         rows: list[list[sp.Expr]] = [[] for _ in self.unknowns]
         for order, addends in terms:
-            derivatives = [q.diff(self.time, order) if order else q for q in self.unknowns]
+            derivatives = [rate_of(q, self.time, order) if order else q for q in self.unknowns]
             for coefficient, array in addends:
                 for (i, j), entry in _entries(_times(inverse, array)):
                     rows[i].append(coefficient * entry * derivatives[j])
@@ -170,7 +171,7 @@ class MatrixSystem:
         What is left out is zero.
         """
         states = [
-            q.diff(self.time, order) if order else q
+            rate_of(q, self.time, order) if order else q
             for order in range(self.order)
             for q in self.unknowns
         ]
@@ -202,7 +203,7 @@ class MatrixSystem:
     def _by_state(self, written: Mapping[Any, Any]) -> dict[Any, Any]:
         """Initial values by states, given by their names or as they are."""
         named = {q.func.__name__: q for q in self.unknowns}
-        named |= {f"{name}_t": q.diff(self.time) for name, q in named.items()}
+        named |= {f"{name}_t": rate_of(q, self.time) for name, q in named.items()}
         return {
             named.get(key, key) if isinstance(key, str) else key: at for key, at in written.items()
         }
@@ -227,7 +228,7 @@ def _unknowns(names: object, size: int, time: sp.Symbol) -> tuple[sp.Expr, ...]:
             term=names,
             remedy=f'give "q" for q0, q1, ..., or a list of {count(size, "name")}',
         )
-    return tuple(sp.Function(name)(time) for name in listed)
+    return tuple(unknown_of(name, time) for name in listed)
 
 
 def _addends(written: Any, subject: str) -> Addends:

@@ -20,6 +20,7 @@ from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import NUMPY, in_floats, stable
+from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.algebraic import Reduction
 from rankone.frontend.box import Time
 from rankone.frontend.consistency import no_consistent_values
@@ -234,7 +235,7 @@ class NumericEquations:
         self.clock, self.parameters = time[0].name, [symbol.name for symbol in parameters]
         self._arguments = {v: sp.Dummy(real=True) for v in (time[0], *self.states, *parameters)}
         places = {state: k for k, state in enumerate((*self.states, *mass.leading))}
-        self._rate_places = [places[state.diff(time[0])] for state in self.states]
+        self._rate_places = [places[rate_of(state, time[0])] for state in self.states]
         self._rows, self._equations = mass.rows, mass.places
         entries = [entry for row in mass.rows for entry in row.values()]
         remainders = [_without_impulses(sp.Add(*terms)) for terms in mass.remainders]
@@ -372,12 +373,12 @@ class NumericEquations:
     def _known_jumps(self, mass: MassForm, resets: Resets) -> list[tuple[float, Numbers]]:
         """Jumps and impulses from the start of time on and before its end."""
         time = self.time[0]
-        functions = {state: sp.Function(name_of(state))(time) for state in self.states}
+        functions = {state: unknown_of(name_of(state), time) for state in self.states}
         impulses: Impulses = {}
         if any(term.has(sp.DiracDelta) for terms in mass.remainders for term in terms):
             solved, origins = mass.solved()
             highest = dict(zip(mass.leading, zip(solved, origins, strict=True), strict=True))
-            pairs = [highest.get(state.diff(time), (sp.S.Zero, None)) for state in self.states]
+            pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in self.states]
             rates = [rate.xreplace(functions) for rate, _ in pairs]
             numbers = [number for _, number in pairs]
             _, impulses = without_impulses(rates, list(functions.values()), numbers, self.time)

@@ -16,6 +16,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
+from rankone.expressions.unknowns import rate_of
 from rankone.frontend.algebraic import Reduction, has_constraints, reduced
 from rankone.frontend.box import (
     check_correlation,
@@ -238,7 +239,7 @@ class Problem(ProblemContent):
         named_states = [(name_of(state), state) for state in states]
         check_names(named_states, box, time[0], shorthand.owners)
         constrained = has_constraints(residuals, unknowns, time[0])
-        highest = {state.diff(time[0]) for state in states} - {*states}
+        highest = {rate_of(state, time[0]) for state in states} - {*states}
         rates = () if constrained else tuple(sorted(highest, key=sp.default_sort_key))
         symbols = Symbols(time, tuple(box), unknowns, states, shorthand, rates)
         check_symbols(residuals, symbols)
@@ -319,7 +320,7 @@ class Problem(ProblemContent):
         time = self.time[0]
         solved, origins = self.mass.solved()
         highest = dict(zip(self.mass.leading, zip(solved, origins, strict=True), strict=True))
-        pairs = [highest.get(state.diff(time), (sp.S.Zero, None)) for state in symbols.states]
+        pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in symbols.states]
         rates, numbers = [rate for rate, _ in pairs], [number for _, number in pairs]
         found, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
         if not found:

@@ -12,6 +12,7 @@ from typing import Any, TypeGuard, TypeVar
 import sympy as sp
 
 from rankone.expressions.parsing import parse_expression
+from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.equations import check_names
 from rankone.frontend.events import Event, event_name
 from rankone.support.errors import ProblemError
@@ -46,14 +47,14 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
     }
     equations = listed_texts("equations", written["equations"])
     unknowns = _unknowns(rhs, initial, listed_texts("unknowns", written["unknowns"]), equations)
-    functions = {name: sp.Function(name)(t) for name in unknowns}
+    functions = {name: unknown_of(name, t) for name in unknowns}
     owners = [(name, f"{key[:-1]} {quote(name)}") for key in _NAMED for name in tables[key]]
     parameters = [symbols[name] for name in tables["parameters"]]
     check_names(list(functions.items()), parameters, t, owners)
     states: dict[str, sp.Expr] = {**functions}
     if equations:
         states |= {
-            f"{name}_{'t' * order}": function.diff(t, order)
+            f"{name}_{'t' * order}": rate_of(function, t, order)
             for name, function in functions.items()
             for order in range(1, _HIGHEST_ORDER + 1)
         }
@@ -63,7 +64,7 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         "equations": [
             *(
                 sp.Eq(
-                    functions[state].diff(t),
+                    rate_of(functions[state], t),
                     formula(text, names, f"right-hand side of {quote(state)}", i),
                     evaluate=False,
                 )

@@ -15,6 +15,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.events import Event, event_latex, event_texts, known_time
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
@@ -194,10 +195,10 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         )
         for e in expressions
     )
-    functions = {s.expression: sp.Function(s.name)(time) for s in states}
+    functions = {s.expression: unknown_of(s.name, time) for s in states}
     highest = dict(zip(problem.mass.leading, solved, strict=True))
     origin = dict(zip(problem.unknowns, equations, strict=True))
-    rates = [expression.diff(time) for expression in expressions]
+    rates = [rate_of(expression, time) for expression in expressions]
     origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions]
     states_of_time = list(functions.values())
     rhs, impulses = without_impulses(
