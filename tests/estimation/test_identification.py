@@ -74,3 +74,39 @@ def test_two_values_that_fit_as_well():
     assert [abs(fit.x["k"]), abs(fit.others[0]["k"])] == pytest.approx([1.2, 1.2], abs=0.01)
     assert "other values fit as well: k = " in fit.message
     assert not fit.success
+
+
+def two_doses():
+    """The second dose comes at t = 1, into a volume V."""
+    box = {"D1": (0, 4), "D2": (0, 4), "V": (0.5, 2), "k": (0.5, 2)}
+    equations, initial = {"c": "-k*c"}, {"c": "D1/V"}
+    problem = ro.Problem.from_strings(
+        equations, initial, box, (0, 2), jumps={1.0: {"c": "c + D2/V"}}
+    )
+    return ro.solve(problem, 1e-6)
+
+
+def test_a_dose_that_nobody_saw():
+    """The message says of each parameter what the table says."""
+    solution, times = two_doses(), TIMES[TIMES < 1.0]
+    truth = {"D1": 2.0, "D2": 1.0, "V": 1.0, "k": 1.0}
+    data = 2.0 * np.exp(-times) + np.random.default_rng(3).normal(0, 0.01, times.size)
+    fit = solution.fit(times, data, sigma=0.01)
+    assert fit.combinations == ("D1/V",)
+    assert "do not identify `D1` and `V` alone, only `D1/V`; remedy: fix one of them" in fit.message
+    assert "; the data do not identify `D2`; remedy" in fit.message
+    late = solution["c"](TIMES, truth) + np.random.default_rng(4).normal(0, 0.01, TIMES.size)
+    both = solution.fit(TIMES, late, sigma=0.01)
+    assert len(both.combinations) == 2
+    assert "`D1`, `D2` and `V` alone" in both.message
+    assert "fix one of them" in both.message
+
+
+def test_a_dose_of_zero_ends_at_its_bound():
+    """The search stands at the bound, and not at a jump of the likelihood."""
+    data = np.exp(-TIMES) * (2.0 - 0.02 * (TIMES > 1.0))
+    fit = two_doses().fit(TIMES, data, sigma=0.01)
+    assert fit.at_bounds["D2"] == "lower"
+    assert fit.x["D2"] == 0.0
+    assert fit.converged
+    assert not fit.stuck

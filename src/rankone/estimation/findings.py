@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from rankone.estimation.formulas import formula_of
 from rankone.estimation.intervals import Intervals
 from rankone.support.errors import with_remedy
 from rankone.support.wording import listing, quote
@@ -51,15 +52,21 @@ def findings_of(fit: Intervals) -> Iterator[str]:
 def _not_identified(
     identifiable: Mapping[str, bool], combinations: tuple[str, ...]
 ) -> Iterator[str]:
+    """What the table says of parameters and combinations, in words."""
     names = [name for name, identified in identifiable.items() if not identified]
-    subject = f"the data do not identify {listing(names)}"
-    if len(names) == 1:
-        yield with_remedy(subject, "fix it, or measure more")
-    elif names and combinations:
-        yield with_remedy(f"{subject} alone, only {listing(combinations)}", "fix one of them")
-    elif names:
+    inside = {name for text in combinations for name in formula_of(text).names}
+    joined = [name for name in names if name in inside]
+    unseen = [name for name in names if name not in inside]
+    if joined:
+        free = len(joined) - len(combinations)
+        remedy = "fix one of them" if free == 1 else f"fix {free} of them"
+        subject = f"the data do not identify {listing(joined)} alone, only {listing(combinations)}"
+        yield with_remedy(subject, remedy)
+    if len(unseen) == 1:
+        yield with_remedy(f"the data do not identify {quote(unseen[0])}", "fix it, or measure more")
+    elif unseen:
         remedy = "fix some, measure more, or widen the box"
-        yield with_remedy(f"{subject} within their bounds", remedy)
+        yield with_remedy(f"the data do not identify {listing(unseen)} within their bounds", remedy)
 
 
 def _at_bound(fit: Intervals, name: str, end: str) -> str:

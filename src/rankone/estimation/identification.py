@@ -289,17 +289,19 @@ def _combinations(
 ) -> tuple[str, ...]:
     """Texts of the combinations of flat parameters that are constant along flat directions."""
     names = [problem.free.names[i] for i in flat]
-    widest = max(boxed, key=lambda p: p.width)
-    inside = widest.path[widest.rise <= _PATH_RISE * limit]
-    path = problem.free.values(inside)[:, list(flat)]
+    inside = [p.path[p.rise <= _PATH_RISE * limit] for p in boxed]
+    paths = [problem.free.values(points)[:, list(flat)] for points in inside]
     slopes = jacobian / problem.free.slopes(z)
     linear = _reduced(slopes, flat, q)
     if not len(linear):
         return ()
-    in_sums = _variation(path, linear)
-    if ((path > 0.0).all(axis=0) | (path < 0.0).all(axis=0)).all():
-        powers = _reduced(slopes * problem.free.values(z), flat, q)
-        in_powers = _variation(np.log(np.abs(path)), powers)
+    in_sums = _variation(paths, linear)
+    powers = _reduced(slopes * problem.free.values(z), flat, q)
+    in_factors = (powers != 0.0).any(axis=0)
+    signs = np.sign(np.vstack(paths)[:, in_factors])
+    if (signs == signs[:1]).all() and signs.all():
+        logarithms = [np.log(np.where(in_factors, np.abs(path), 1.0)) for path in paths]
+        in_powers = _variation(logarithms, powers)
         if in_powers <= max(_CONSTANT_VARIATION, min(in_sums, _NAMED_VARIATION)):
             return tuple(_product(names, row) for row in powers)
     return tuple(_sum(names, row) for row in linear) if in_sums <= _NAMED_VARIATION else ()
@@ -310,10 +312,9 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, _, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
-    null = (right[-q:] / scale)[:, list(flat)]
-    _, singular, rows = np.linalg.svd(null)
+    _, singular, rows = np.linalg.svd(right[-q:, list(flat)])
     rank = int(np.count_nonzero(singular > 1e-6 * singular[0]))
-    rows = rows[rank:].copy()
+    rows = rows[rank:] * scale[list(flat)]
     for k in range(len(rows)):  # reduced row echelon form: few parameters in each row
         pivot = int(np.argmax(np.abs(rows[k])))
         rows[k] /= rows[k, pivot]
@@ -324,10 +325,11 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
     return rows
 
 
-def _variation(path: Array, rows: Array) -> float:
-    """Largest variation of a combination along a path, over the variation of its terms."""
-    terms = np.sum(np.abs(rows) * np.ptp(path, axis=0), axis=1)
-    return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(terms, 1e-300)))
+def _variation(paths: Sequence[Array], rows: Array) -> float:
+    """Largest variation of a combination along any path, over the largest of its terms."""
+    whole = np.max([np.ptp(path @ rows.T, axis=0) for path in paths], axis=0)
+    terms = np.max([np.abs(rows) @ np.ptp(path, axis=0) for path in paths], axis=0)
+    return float(np.max(whole / np.maximum(terms, 1e-300)))
 
 
 def _scaled(row: Array) -> list[tuple[int, str]]:

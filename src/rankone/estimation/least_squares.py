@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.free_parameters import BOUND_TOLERANCE
 from rankone.estimation.likelihood import Held, Likelihood
 from rankone.support.arrays import Array, bisected
 
@@ -148,7 +149,8 @@ def _step(
 ) -> tuple[Array, Array]:
     """Damped steps (K, n), and the decrease (K,) that undamped steps promise."""
     slope = np.einsum("kmn,km->kn", jacobian, residuals)
-    stays = held | ((z <= 0.0) & (slope > 0.0)) | ((z >= 1.0) & (slope < 0.0))
+    lower, upper = z <= BOUND_TOLERANCE, z >= 1.0 - BOUND_TOLERANCE
+    stays = held | (lower & (slope > 0.0)) | (upper & (slope < 0.0))
     moving = np.where(stays[:, None, :], 0.0, jacobian)
     left, singular, right = np.linalg.svd(moving, full_matrices=False)
     along = np.einsum("kmi,km->ki", left, residuals)
@@ -158,4 +160,6 @@ def _step(
     along = np.where(visible, along, 0.0)
     below = np.where(visible, singular**2 + damping[:, None] * largest**2, 1.0)
     step = -np.einsum("kin,ki->kn", right, along * singular / below)
+    # The last bit of the way to a bound, so that no search creeps up to it
+    step = np.where(stays & ~held, np.where(lower, -z, 1.0 - z), step)
     return step, np.sum(along**2, axis=1)
