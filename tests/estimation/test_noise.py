@@ -66,6 +66,32 @@ def test_the_largest_likelihood(kind):
     assert fit.success, fit.message
 
 
+STUDENT_SCALE = 1.0 / scipy.stats.t.std(4)
+
+
+def test_the_level_of_students_noise_is_a_standard_deviation():
+    """A given one is that of SciPy's distribution, and an estimated one its standard deviation."""
+    data = closed(**TRUE) + 0.05 * draws()
+    data[7] += 1.0
+    given = decay().fit(TIMES, data, noise="student", sigma=0.08)
+
+    def cost(z):
+        scale = 0.08 * STUDENT_SCALE
+        return -np.sum(scipy.stats.t.logpdf(data, 4, closed(*z), scale))
+
+    options = {"xatol": 1e-9, "fatol": 1e-12}
+    end = scipy.optimize.minimize(cost, [1.2, 1.9], method="Nelder-Mead", options=options)
+    np.testing.assert_allclose(list(given.x.values()), end.x, rtol=1e-5)
+    assert given.log_likelihood == pytest.approx(-end.fun, abs=1e-6)
+    assert given.success, given.message  # one value 12 standard deviations off is no surprise
+    assert not decay().fit(TIMES, data, sigma=0.08).success
+    free = decay().fit(TIMES, data, noise="student")
+    _, z = direct(CASES["student"][0], data, 1)
+    corrected = np.exp(z[2]) / STUDENT_SCALE / np.sqrt(free._freedom[2])
+    assert free.x["sigma_u"] == pytest.approx(corrected, rel=1e-3)
+    assert free.deviations[0][0] == pytest.approx(free.x["sigma_u"])
+
+
 def test_levels_are_corrected_for_the_parameters():
     """One level of constant noise is the estimate that a fit without sigma has, and its interval
     that of a variance."""

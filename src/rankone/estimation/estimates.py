@@ -13,6 +13,7 @@ from rankone.estimation.experiments import Trial
 from rankone.estimation.identification import Best, Identification
 from rankone.estimation.jumps import Jump
 from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.noise import normal_scores
 from rankone.estimation.observations import Observations
 from rankone.estimation.residuals import Rows, model_errors, rows_of
 from rankone.solution.core import SolutionCore
@@ -199,10 +200,18 @@ class Estimates:
 
     @property
     def p_value(self) -> float:
-        """Probability of residuals as large as these or larger; NaN where sigma is not given."""
+        """Probability of residuals as large as these or larger; NaN where sigma is not given.
+
+        Those of Student's noise count as normal ones that are as improbable.
+        """
         if not self.noise_given or not self.dof > 0:
             return math.nan
-        return float(scipy.stats.chi2.sf(self.chi2, self.dof))
+        squares = 0.0
+        for trial, row in zip(self.trials, self._rows, strict=True):
+            for i, noise in enumerate(trial.observations.noises):
+                own = normal_scores(noise, row.scaled[trial.observations.of(i)])
+                squares += float(np.sum(own**2))
+        return float(scipy.stats.chi2.sf(squares, self.dof))
 
     # --- how well the model describes the data -------------------------------------------------
 

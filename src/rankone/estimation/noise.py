@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from rankone.estimation.duals import FUNCTIONS, Operand, slope_of, value_of
 from rankone.estimation.formulas import Formula, formula_of
@@ -25,6 +25,8 @@ from rankone.support.wording import did_you_mean, quote, shown
 
 STUDENT_FREEDOM = 4.0
 """Degrees of freedom of Student's noise: heavy tails that still have a variance."""
+# Scale of Student's distribution with standard deviation one
+_STUDENT_SCALE = np.sqrt((STUDENT_FREEDOM - 2.0) / STUDENT_FREEDOM)
 
 # The standard deviation of each kind by its levels and the prediction p
 _STANDARD_DEVIATIONS = {
@@ -46,8 +48,8 @@ _HOMOGENEITY_TOLERANCE = 1e-9
 class Noise:
     """The noise of one observable.
 
-    ``spread`` (m,) is the standard deviation of each datum, or a factor of it where a ``formula``
-    has the rest: then levels, parameters or the prediction change it. ``levels`` are the
+    ``spread`` (m,) is the standard deviation of each datum, whatever the distribution, or a factor
+    of it where a ``formula`` has the rest: then levels, parameters or the prediction change it. ``levels`` are the
     parameters that the formula alone has. ``distribution`` is "normal", "log-normal" or "student".
     """
 
@@ -155,10 +157,11 @@ def terms(
     location, scale = 1.0, np.sqrt(2.0)
     each = r**2
     if noise.distribution == "student":
-        nu = STUDENT_FREEDOM
-        shares = (nu + 1.0) / (nu + r**2)
-        location, scale = np.sqrt((nu + 1.0) / (nu + 3.0)), np.sqrt(2.0 * nu / (nu + 3.0))
-        each = (nu + 1.0) * np.log1p(r**2 / nu)
+        nu, squares = STUDENT_FREEDOM, (r / _STUDENT_SCALE) ** 2
+        shares = (nu + 1.0) / (nu + squares) / _STUDENT_SCALE**2
+        location = np.sqrt((nu + 1.0) / (nu + 3.0)) / _STUDENT_SCALE
+        scale = np.sqrt(2.0 * nu / (nu + 3.0))
+        each = (nu + 1.0) * np.log1p(squares / nu)
     if noise.estimated:
         each = each + 2.0 * np.log(s)
     residuals = shares * r / location
@@ -177,12 +180,19 @@ def terms(
 def log_likelihood(noise: Noise, data: Array, standardised: Array, sigma: Array) -> float:
     """The logarithm of the probability density of the data (m,), with all constants."""
     if noise.distribution == "student":
-        nu = STUDENT_FREEDOM
-        constant = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
-        each = constant - 0.5 * (nu + 1.0) * np.log1p(standardised**2 / nu)
+        scaled = standardised / _STUDENT_SCALE
+        each = scipy.stats.t.logpdf(scaled, STUDENT_FREEDOM) - np.log(_STUDENT_SCALE)
     else:
         each = -0.5 * (standardised**2 + np.log(2.0 * np.pi))
     each = each - np.log(sigma)
     if noise.distribution == "log-normal":
         each = each - np.log(data)
     return float(np.sum(each))
+
+
+def normal_scores(noise: Noise, standardised: Array) -> Array:
+    """Deviations of normal noise that are as improbable as standardised ones (m,)."""
+    if noise.distribution != "student":
+        return standardised
+    tails = scipy.stats.t.sf(np.abs(standardised) / _STUDENT_SCALE, STUDENT_FREEDOM)
+    return np.asarray(np.sign(standardised) * scipy.stats.norm.isf(tails))

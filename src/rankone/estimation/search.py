@@ -84,7 +84,8 @@ def fit(
         The kind of noise, for all outputs or for each. Each output has levels of its own, which
         are estimated unless sigma gives them: ``sigma_x`` the standard deviation, ``relative_x``
         that in shares of the prediction, both for combined noise. The level of log-normal noise
-        is the standard deviation of the logarithm; Student's noise has four degrees of freedom.
+        is the standard deviation of the logarithm. Student's noise has four degrees of freedom
+        and its standard deviation as level, which is 1.41 times the scale of its distribution.
     weights : array_like, optional
         Factors of the squares in place of sigma, in the same shapes: one over the variance up
         to a common factor, which is estimated.
