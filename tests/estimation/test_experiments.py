@@ -85,6 +85,54 @@ def test_each_experiment_has_its_own_fixed_values_and_noise():
         assert covered(fit.interval(0.999)[name], experiments.TRUE[name])
 
 
+def test_each_observable_has_noise_of_its_own():
+    """Also where each is measured in an experiment of its own; or all share one on purpose."""
+    gut = 100.0 * np.exp(-experiments.TRUE["ka"] * HOURS) + 2.0 * noise(4, 16)
+    blood = bateman(HOURS) + 0.1 * noise(5, 16)
+    table = {"t": [*HOURS, *HOURS], "C": [*blood, *16 * [None]], "A": [*16 * [None], *gut]}
+    fit = oral().fit(table, fixed={"dose": 100})
+    assert list(fit.x) == ["ka", "ke", "V", "sigma_C", "sigma_A"]
+    low, high = fit.interval()["sigma_A"]
+    assert 1.0 < low < 2.0 < high < 4.0
+    named = oral().fit({**table, "condition": ["b"] * 16 + ["g"] * 16}, fixed={"dose": 100})
+    assert named.x == pytest.approx(fit.x, rel=1e-6)
+    rows = oral().fit(HOURS, [blood, gut], observe=["C", "A"], fixed={"dose": 100})
+    assert rows.x == pytest.approx(fit.x, rel=1e-6)
+    share = oral().fit(table, fixed={"dose": 100}, sigma="s")
+    assert list(share.x) == ["ka", "ke", "V", "s"]
+    weighted = oral().fit(
+        HOURS, [blood, gut], observe=["C", "A"], fixed={"dose": 100}, weights=[1, 1]
+    )
+    assert share.x["ke"] == pytest.approx(weighted.x["ke"], rel=1e-6)
+    assert share.x["s"] == pytest.approx(weighted.sigma, rel=1e-4)
+    assert fit.std["ke"] < 0.3 * share.std["ke"]
+
+
+def test_experiments_that_share_noise_or_do_not():
+    def both(one, other):
+        return ro.fit(
+            [
+                (
+                    oral(),
+                    ro.Experiment(
+                        bateman(HOURS, dose) + deviation * noise(3, 16),
+                        HOURS,
+                        observe="C",
+                        fixed={"dose": dose},
+                        sigma=sigma,
+                    ),
+                )
+                for dose, deviation, sigma in ((50, 0.05, one), (200, 0.2, other))
+            ]
+        )
+
+    assert list(both(None, None).x) == ["ka", "ke", "V"]
+    apart = both("s_low", "s_high")
+    assert list(apart.x) == ["ka", "ke", "V", "s_low", "s_high"]
+    assert apart.x["s_high"] > 2.0 * apart.x["s_low"]
+    assert both("s", "s").x["s"] == pytest.approx(both(None, None).sigma, rel=1e-4)
+
+
 def test_the_posterior_of_several_experiments():
     pairs = [
         (

@@ -47,14 +47,24 @@ def test_rows_are_told_apart_by_parameters_conditions_and_subjects():
     for name in ("ka", "ke", "V"):
         low, high = named.interval(0.999)[name]
         assert low < TRUE[name] < high
-    with pytest.raises(OptionError, match=r"has no condition `50mg`.*did you mean `50 mg`"):
+    with pytest.raises(
+        OptionError, match=r"has no condition or subject `50mg`.*did you mean `50 mg`"
+    ):
         oral().fit(table, fixed={"50mg": {"dose": 50}})
+    table["subject"] = table.pop("condition")
+    by_subject = oral().fit(table, noise="proportional", fixed=fixed)
+    assert by_subject.x == pytest.approx(by_dose.x, rel=1e-9)
 
 
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
         ({"t": None}, {}, "no column `t` for time"),
+        (
+            {"t": None, "Time": TIMES},
+            {},
+            r"\(did you mean `Time`\?\); remedy: name it `t`",
+        ),
         ({"u": None}, {}, "no column of an unknown"),
         ({"u": None, "U": DATA}, {}, "no column of an unknown"),
         ({"kk": DATA}, {}, r"column `kk` of the table is unknown \(did you mean `k`"),
@@ -64,7 +74,8 @@ def test_rows_are_told_apart_by_parameters_conditions_and_subjects():
         ({"u": DATA[:5]}, {}, "differ in length"),
         ({"t": [None, *TIMES[1:]]}, {}, "`u` is measured where `t` is empty"),
         ({"k": [None, *DATA[1:]]}, {}, "the parameter `k` is empty"),
-        ({"k": 12 * [1.0]}, {"fixed": {"a": {}, "k": 1}}, "has no condition `a`"),
+        ({"k": 12 * [1.0]}, {"fixed": {"a": {}, "k": 1}}, "has no condition or subject `a`"),
+        ({"sigma_u": [0.1, None, *DATA[2:]]}, {}, "row 2 of the table: sigma of `u` is empty"),
         ({"sigma_u": -DATA}, {}, "is not a positive number"),
         ({"sigma": DATA}, {"sigma": 0.1}, "the table has a column of it"),
         ({}, {"weights": 1.0}, "no weights"),

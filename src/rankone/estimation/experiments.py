@@ -34,7 +34,7 @@ class Experiment:
         Times of the measurements, where ``data`` is no table.
     fixed : mapping, optional
         Values of parameters in this experiment, by names or symbols: a dose, a temperature. For a
-        table with a column ``condition``, perhaps a mapping for each condition.
+        table with a column ``condition`` or ``subject``, perhaps a mapping for some labels.
     observe : name, symbol, expression, list or mapping, optional
         What was measured; see :meth:`Solution.fit`.
     sigma : optional
@@ -226,7 +226,7 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
     mapping = experiment.times is None and isinstance(experiment.data, Mapping)
     if is_table(experiment.data) or mapping:
         blocks = blocks_of(solution, experiment.data, experiment.observe)
-        fixed = _fixed_by_condition(solution, experiment.fixed, blocks)
+        fixed = _fixed_by_label(solution, experiment.fixed, blocks)
         for block, held in zip(blocks, fixed, strict=True):
             yield _of_block(solution, experiment, block, held)
         return
@@ -288,27 +288,26 @@ def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str,
     return held
 
 
-def _fixed_by_condition(
+def _fixed_by_label(
     solution: SolutionCore, fixed: Mapping[Any, Any], blocks: Sequence[Block]
 ) -> list[dict[str, float]]:
     """The parameters that each block of a table fixes."""
     nested = {str(key): entry for key, entry in fixed.items() if isinstance(entry, Mapping)}
-    conditions = list(dict.fromkeys(block.condition for block in blocks))
+    labels = list(dict.fromkeys(name for block in blocks for name in block.labels))
     for key in nested:
-        if key not in conditions:
+        if key not in labels:
             raise OptionError(
-                f"fixed: the table has no condition {quote(key)}"
-                f"{did_you_mean(str(key), conditions)}",
+                f"fixed: the table has no condition or subject {quote(key)}"
+                f"{did_you_mean(key, labels)}",
                 term=key,
-                remedy=f"its conditions are {listing(conditions)}"
-                if any(conditions)
-                else "give it a column `condition`",
+                remedy=f"it has {listing(labels)}" if labels else "give it a column `condition`",
             )
     every = {key: entry for key, entry in fixed.items() if not isinstance(entry, Mapping)}
     held = []
     for block in blocks:
-        own = {**every, **nested.get(block.condition, {})}
-        names = by_name("fixed", own, tuple(solution.parameters))
+        names = by_name("fixed", every, tuple(solution.parameters))
+        for own in block.labels:
+            names |= by_name("fixed", nested.get(own, {}), tuple(solution.parameters))
         for name in block.fixed:
             if name in names:
                 raise OptionError(

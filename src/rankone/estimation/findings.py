@@ -72,7 +72,8 @@ def _not_identified(
 def _at_bound(fit: Intervals, name: str, end: str) -> str:
     if name in fit.noise_levels and end == "lower":
         return with_remedy(
-            f"the level of noise {quote(name)} tends to zero", "fix it, or give sigma as a number"
+            f"the level of noise {quote(name)} tends to zero",
+            'fix it, give sigma as a number, or share a level: sigma="s"',
         )
     return with_remedy(
         f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "

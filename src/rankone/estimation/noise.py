@@ -49,8 +49,9 @@ class Noise:
     """The noise of one observable.
 
     ``spread`` (m,) is the standard deviation of each datum, whatever the distribution, or a factor
-    of it where a ``formula`` has the rest: then levels, parameters or the prediction change it. ``levels`` are the
-    parameters that the formula alone has. ``distribution`` is "normal", "log-normal" or "student".
+    of it where a ``formula`` has the rest: then levels, parameters or the prediction change it.
+    ``levels`` are the parameters that the formula alone has. ``distribution`` is "normal",
+    "log-normal" or "student".
     """
 
     distribution: str

@@ -33,7 +33,8 @@ class Observations:
     ``formulas`` has what each of the observables ``names`` is, ``noises`` the noise of each. For
     each datum, ``owner`` is the position of its observable. ``present`` marks which of all data are
     not missing. ``shape`` is that of the data as given, or the number of data of each observable.
-    ``sigma_known`` is False if the standard deviations are known up to a common factor.
+    ``sigma_known`` is False if the standard deviations are known up to a factor, ``weighted`` True
+    if weights say so.
     """
 
     names: tuple[str, ...]
@@ -45,6 +46,7 @@ class Observations:
     sigma_known: bool
     present: NDArray[np.bool_]
     shape: tuple[int, ...] | dict[str, int]
+    weighted: bool = False
 
     @property
     def size(self) -> int:
@@ -122,6 +124,7 @@ def observed(
         sigma_known=sigma is not None or noise is not None,
         present=present,
         shape=sizes if table_shape is None else table_shape,
+        weighted=weights is not None,
     )
     _check_logarithms(observations)
     return observations

@@ -79,7 +79,8 @@ def fit(
     sigma : float, array_like, expression or mapping, optional
         Standard deviation of the noise: one number, one for each output, or one for each
         datum; or an expression, ``"a + b*x"``, whose new names are levels that are estimated.
-        Without sigma and noise, one for all data is estimated from the residuals.
+        Without sigma and noise it is estimated: one for each output. ``sigma="s"`` estimates one
+        that all outputs share.
     noise : {"constant", "proportional", "combined", "log-normal", "student"} or mapping, optional
         The kind of noise, for all outputs or for each. Each output has levels of its own, which
         are estimated unless sigma gives them: ``sigma_x`` the standard deviation, ``relative_x``
@@ -91,7 +92,7 @@ def fit(
         to a common factor, which is estimated.
     fixed : mapping, optional
         Values of known parameters, by names or symbols; for a table with a column ``condition``
-        perhaps a mapping for each condition, ``{"low": {"dose": 1}, "high": {"dose": 5}}``.
+        or ``subject`` perhaps mappings by label, ``{"low": {"dose": 1}, "high": {"dose": 5}}``.
     start : mapping, optional
         Values of some parameters to start from; the others start in the middle.
     bounds : mapping, optional
@@ -166,8 +167,8 @@ def fit_experiments(
     ----------
     pairs : list of (Solution, Experiment)
         Parameters of the same name are the same parameter, unless an experiment fixes them. So are
-        parameters of observables and levels of noise. Experiments without sigma and noise have
-        a standard deviation that they share if none of them knows more, else one for each output.
+        parameters of observables and levels of noise: each output has one standard deviation in
+        all experiments, unless they give it, or name levels of their own, ``sigma="s_low"``.
     fixed, start, bounds, prior, starts, effort, level
         As for :meth:`Solution.fit`.
 
@@ -192,7 +193,7 @@ def fit_experiments(
         if not isinstance(solution, SolutionCore):
             raise OptionError(f"{shown(solution)} is not a Solution", term=solution)
     options = Options(fixed, start, bounds, prior, starts, effort, level)
-    return fitted(with_levels(trials_of(listed)), options)
+    return fitted(trials_of(listed), options)
 
 
 @dataclass(frozen=True)
@@ -236,8 +237,7 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
 
 def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     """The likelihood of trials, with what is fixed, bounded or known before."""
-    if options.prior:
-        trials = with_levels(trials, always=True)
+    trials = with_levels(trials, always=bool(options.prior))
     solutions = list({id(trial.solution): trial.solution for trial in trials}.values())
     used = {name for trial in trials for name in trial.parameters}
     every = {name for solution in solutions for name in solution.parameters}
@@ -267,10 +267,13 @@ def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
 def with_levels(trials: tuple[Trial, ...], *, always: bool = False) -> tuple[Trial, ...]:
     """Trials with a level of noise for each observable where the noise is not known.
 
-    As they are if it is not known in any of them, unless ``always``.
+    Those of a single observable, and those with weights, have a common factor that is no parameter,
+    unless ``always``.
     """
     unknown = [not trial.observations.sigma_known for trial in trials]
-    if not any(unknown) or (all(unknown) and not always):
+    names = {name for trial in trials for name in trial.observations.names}
+    common = len(names) == 1 or all(trial.observations.weighted for trial in trials)
+    if not any(unknown) or (all(unknown) and common and not always):
         return trials
     return tuple(
         replace(trial, observations=_with_constant_noise(trial)) if open_ else trial

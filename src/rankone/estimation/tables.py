@@ -30,10 +30,13 @@ _TIME = "time"  # The column of time, if it has not the name of the problem's
 
 @dataclass(frozen=True)
 class Block:
-    """The rows of one experiment: times, data and perhaps sigma by observable, and parameters."""
+    """The rows of one experiment: times, data and perhaps sigma by observable, and parameters.
+
+    ``labels`` are those of its columns ``condition`` and ``subject``, as far as the table has them.
+    """
 
     name: str
-    condition: str
+    labels: tuple[str, ...]
     times: dict[str, Array]
     data: dict[str, Array]
     sigma: dict[str, Array] | None
@@ -91,7 +94,7 @@ def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> lis
     return blocks
 
 
-Group = tuple[str, str, tuple[float, ...]]
+Group = tuple[tuple[str, ...], str, tuple[float, ...]]
 
 
 def _block(
@@ -103,7 +106,7 @@ def _block(
     spreads: Mapping[str, Array],
     time: str,
 ) -> Block:
-    condition, name, fixed = group
+    labels, name, fixed = group
     times, data, sigma = {}, {}, {}
     for observable, column in numbers.items():
         here = rows & ~np.isnan(column)
@@ -116,6 +119,7 @@ def _block(
         times[observable], data[observable] = clock[here], column[here]
         spread = spreads.get(f"{SIGMA}_{observable}", spreads.get(SIGMA))
         if spread is not None:
+            _check_complete(observable, here & np.isnan(spread))
             sigma[observable] = spread[here]
     if sigma and len(sigma) < len(data):
         missing = [observable for observable in data if observable not in sigma]
@@ -123,17 +127,27 @@ def _block(
             f"the table has no sigma of {listing(missing)}",
             remedy=f"add columns {listing(f'{SIGMA}_{each}' for each in missing)}, or one `sigma`",
         )
-    return Block(name, condition, times, data, sigma or None, dict(zip(held, fixed, strict=True)))
+    return Block(name, labels, times, data, sigma or None, dict(zip(held, fixed, strict=True)))
+
+
+def _check_complete(observable: str, empty: NDArray[np.bool_]) -> None:
+    """Raise an OptionError where sigma is empty beside a measurement."""
+    if empty.any():
+        raise OptionError(
+            f"row {int(np.argmax(empty)) + 1} of the table: sigma of {quote(observable)} is empty",
+            term=observable,
+            remedy="fill it, or drop the column of sigma: it is estimated then",
+        )
 
 
 def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) -> list[Group]:
-    """For each row its condition, the name of its experiment, and its parameters."""
+    """For each row its labels, the name of its experiment, and its parameters."""
     groups = {
         name: [_label(entry) for entry in columns[name]] for name in GROUPS if name in columns
     }
     labels: list[Group] = []
     for i in range(rows):
-        own = [f"{each[i]}" for each in groups.values()]
+        own = tuple(each[i] for each in groups.values())
         values = tuple(float(column[i]) for column in held.values())
         for name, value in zip(held, values, strict=True):
             if np.isnan(value):
@@ -143,8 +157,7 @@ def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) ->
                     remedy="fill it, or drop the column and fit the parameter",
                 )
         texts = own or [f"{name}={value:g}" for name, value in zip(held, values, strict=True)]
-        condition = groups["condition"][i] if "condition" in groups else ""
-        labels.append((condition, ", ".join(texts), values))
+        labels.append((own, ", ".join(texts), values))
     return labels
 
 
@@ -160,10 +173,11 @@ def _time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
     for name in (time, _TIME):
         if name in columns:
             return name
+    near = did_you_mean(time, columns) or did_you_mean(_TIME, columns)
     raise OptionError(
-        f"the table has no column {quote(time)} for time{did_you_mean(time, columns)}",
+        f"the table has no column {quote(time)} for time{near}",
         term=list(columns),
-        remedy=f"its columns are {listing(columns)}",
+        remedy=f"name it {quote(time)} or {quote(_TIME)}; the columns are {listing(columns)}",
     )
 
 

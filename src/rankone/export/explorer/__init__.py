@@ -12,7 +12,7 @@ file            subject
 ``curves.js``, ``phase.js``, ``shares.js``
                 curves over time, two unknowns against each other, Sobol indices
 ``events.js``   events as ticks and times
-``measurements.js``
+``measurements.js``, ``fitting.js``
                 tables of measurements, and the fit of parameters to them
 ``controls.js``, ``legend.js``
                 sliders and number fields; names and values of the unknowns
@@ -55,18 +55,8 @@ _FOLDER = Path(__file__).parent
 _VENDOR = _FOLDER.parent / "vendor"
 # In an order in which each one needs only those before it
 _SCRIPTS = (
-    *(
-        "values",
-        "measurements",
-        "looks",
-        "events",
-        "curves",
-        "phase",
-        "shares",
-        "controls",
-        "legend",
-    ),
-    *("state", "drawing", "actions", "main"),
+    *("values", "measurements", "fitting", "looks", "events", "curves", "phase", "shares"),
+    *("controls", "legend", "state", "drawing", "actions", "main"),
 )
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:const|let|function|class) )", re.M)

@@ -1,6 +1,7 @@
 /** What happens: values set, links, tables, time that goes on. */
 
-import { fitParameters, readMeasurements } from "./measurements.js";
+import { fitParameters } from "./fitting.js";
+import { readMeasurements } from "./measurements.js";
 import { fromFragment, toFragment, toTable } from "./values.js";
 import { arrange, drawWaiting, setTime, showAll, views } from "./drawing.js";
 import { shown, unbroken } from "./looks.js";
@@ -103,7 +104,7 @@ export async function loadFile() {
     const fixed = names.length ? ` It fixes ${names.join(", ")}.` : "";
     say(`${count} measurements of ${file.name} are drawn as rings.${fixed}`);
   } catch (error) {
-    say(`${file.name} cannot be used: ${error.message}.`);
+    say(`${file.name} cannot be used: ${error.message}.`, true);
   }
 }
 
@@ -117,22 +118,34 @@ export function fit() {
 
 export function fitAndSay() {
   try {
-    const { squares, free, atBounds } = fit();
-    const { count, weighted } = state.measurements;
-    const names = free.map((j) => data.parameters[j].text).join(", ");
-    const rest = shown(Math.sqrt(squares / count), 4);
-    const size = weighted ? `${rest} standard deviations` : rest;
-    const ends = atBounds.map((j) => data.parameters[j].text).join(", ");
-    const limited = ends ? ` At an end of its range: ${ends}.` : "";
-    say(`Fitted ${names} to ${count} measurements; the root mean square deviation is ${size}.${limited}`);
+    const { squares, free, atBounds, unseen } = fit();
+    const { count, series, weighted } = state.measurements;
+    const named = (positions) => positions.map((j) => data.parameters[j].text).join(", ");
+    const deviations = series.map(({ row, values: { length } }, i) => {
+      const { text, unit } = data.unknowns[row];
+      const size = shown(Math.sqrt(squares[i] / length), 3);
+      return `${size} ${weighted ? "standard deviations" : unit} for ${text}`.replace(/ +/, " ");
+    });
+    const sentences = [
+      `Fitted ${named(free)} to ${count} measurements. Root mean square deviation: ${deviations.join(", ")}.`,
+    ];
+    if (unseen.length) {
+      sentences.push(`The measurements do not determine ${named(unseen)}: other values fit as well.`);
+    }
+    if (atBounds.length) sentences.push(`At an end of its range: ${named(atBounds)}.`);
+    say(sentences.join(" "), unseen.length || atBounds.length);
   } catch (error) {
-    say(`There is no fit: ${error.message}.`);
+    say(`There is no fit: ${error.message}.`, true);
   }
 }
 
-function say(text) {
-  $("notice").hidden = false;
-  $("notice").textContent = unbroken(text);
+/** Show a notice, a doubtful one in the colours of a warning. */
+function say(text, doubtful = false) {
+  const notice = $("notice");
+  notice.hidden = false;
+  notice.textContent = unbroken(text);
+  notice.classList.toggle("doubtful", Boolean(doubtful));
+  notice.scrollIntoView({ block: "nearest" });
 }
 
 export function play() {

@@ -108,8 +108,8 @@ readLink();
  * `times` and `curves` by unknown, `shares` (first, total) by parameter; with events `events` (times
  * and names) and `end`, after which values are NaN. `set({name: value})` sets parameters and time,
  * or throws and changes nothing. `load(text)` takes a table of measurements, and `fit()` sets the
- * parameters that fit them best and returns the sum of squares. `latencies` are milliseconds from what somebody did to the end of
- * the drawing.
+ * parameters that fit them best and returns what it found out. `latencies` are milliseconds from what
+ * somebody did to the end of the drawing.
  */
 window.rankone = {
   values: () => (drawWaiting(), {
@@ -125,7 +125,11 @@ window.rankone = {
   }),
   set,
   load,
-  fit: () => fit().squares,
+  fit: () => {
+    const { squares, atBounds, unseen } = fit();
+    const names = (positions) => positions.map((j) => parameters[j].name);
+    return { squares, atBounds: names(atBounds), unseen: names(unseen) };
+  },
   table,
   latencies,
 };
