@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rankone.estimation.search import fit_experiments as fit
     from rankone.frontend.events import Event
     from rankone.frontend.problem import Problem
+    from rankone.frontend.steady_start import SteadyState
     from rankone.frontend.trajectory import Trajectory
     from rankone.interface.compiled import CompiledProblem
     from rankone.interface.compiled import compile_problem as compile
@@ -99,6 +100,7 @@ __all__ = [
     "Sobol",
     "Solution",
     "Status",
+    "SteadyState",
     "StorageError",
     "TrainOptions",
     "Trajectory",
@@ -139,6 +141,7 @@ _MODULES = {
     "estimation.search": ("fit",),
     "frontend.events": ("Event",),
     "frontend.problem": ("Problem",),
+    "frontend.steady_start": ("SteadyState",),
     "frontend.trajectory": ("Trajectory",),
     "interface.compiled": ("CompiledProblem", "compile", "solve"),
     "interface.solution": ("Solution", "load"),

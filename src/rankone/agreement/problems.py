@@ -25,6 +25,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
+from rankone.trajectories.resting_start import before_start
 
 _POINTS = 20  # Points of the horizon, the box and plausible states at which a problem is compared
 _FEWEST_POINTS = 3  # Points for equations of very many operations
@@ -43,6 +44,8 @@ _SLOPE_SPREAD_RATIO = 1e5
 # Share of its size by which an error of a rate may move a state over the horizon
 _NEGLIGIBLE_CHANGE = 1e-13
 _LIFTED_TOLERANCE = 1e-6  # Larger differences of a lifted rate, over its largest, are not rounding
+_LONG_INTEGRATIONS = 3  # Points at which the start is compared, where it is a steady state
+_START_TOLERANCE = 1e-6  # Differences there, over the largest state, that long integrations have
 _SEED = 1937  # Of points and directions: the same problem is always compared at the same ones
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
@@ -232,12 +235,35 @@ class _ProblemCheck:
         """Raise if generated initial values are not those of the problem."""
         p = self.points.parameters
         generated = np.asarray(self.system.initial(p), dtype=float)
+        if self.first_order.rest is not None:
+            self._check_rest(generated)
+            return
         guessed = self.first_order.constraints.guessed
         for i, start in enumerate(self.first_order.initial):
             state = quote(self.first_order.states[i].expression)
             subject = f"the initial value of {state}, {quote(start)},"
             if i not in guessed:
                 self._check_value(subject, start, self.parameters, generated[i], p)
+
+    def _check_rest(self, generated: Array) -> None:
+        """Raise if generated starts at steady states are not those of the problem before it."""
+        problem, rest, before = self.problem.rest, self.first_order.rest, self.system.rest
+        if problem is not None and rest is not None and before is not None:
+            check_problem(problem, rest.system, before_start(self.system, before), self.lost)
+        clock, points = self.first_order.coordinates[0], self.points.parameters.T
+        for k, point in enumerate(points[:_LONG_INTEGRATIONS]):
+            at = dict(zip(self.symbols, point.tolist(), strict=True))
+            states = self.problem.trajectory({clock.symbol: clock.lower, **at}).states
+            for state, start in zip(self.first_order.states, generated[:, k], strict=True):
+                off = abs(float(states[state.name]) - start)
+                sizes = np.abs(generated).max(axis=1)
+                if off > _START_TOLERANCE * sizes.max():
+                    raise DisagreementError(
+                        f"the steady state at the start is not where a long integration ends: "
+                        f"{quote(state.expression)} differs by {off:.3g} at {self._described(k)}",
+                        term=state.expression,
+                        remedy="give a larger settle= to SteadyState",
+                    )
 
     def _check_jumps(self) -> None:
         """Raise if generated values after jumps are not those of the problem."""

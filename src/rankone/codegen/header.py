@@ -14,7 +14,7 @@ from rankone.expressions.unknowns import unknown_of
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, State, Term
 from rankone.ir.measures import LINEAR
 from rankone.support.wording import number
-from rankone.symbolic.first_order import FirstOrderSystem
+from rankone.symbolic.first_order import FirstOrderSystem, RestForm
 
 # Above this many unknowns, the first line gives their number in place of their names
 _MAX_NAMED_STATES = 10
@@ -25,10 +25,11 @@ def header(
     operations: Mapping[str, int],
     title: str | None,
     scipy: bool = False,
+    rest: RestForm | None = None,
 ) -> list[str]:
     """Lines of the module's docstring; ``scipy`` says whether it imports SciPy."""
     title = title or f"Separated right-hand side of {_named(system.differential)}."
-    lines = _opening(title, system.coordinates, equation_texts(system), scipy)
+    lines = _opening(title, system.coordinates, equation_texts(system, rest), scipy)
     if system.products:
         lines += ["", *paragraph(f"Products (auxiliary states): {', '.join(system.definitions)}")]
     lines += ["", *paragraph(f"Terms: {len(system.terms)}, grouped by their parameter factor")]
@@ -82,7 +83,7 @@ def _opening(
     ]
 
 
-def equation_texts(system: QuadraticSystem) -> list[str]:
+def equation_texts(system: QuadraticSystem, rest: RestForm | None = None) -> list[str]:
     """Equations, solved for the derivatives, and initial values as people write them."""
     start = number(system.coordinates[0].lower)
     texts = []
@@ -90,6 +91,7 @@ def equation_texts(system: QuadraticSystem) -> list[str]:
         for c, state in enumerate(system.differential):
             of_state = (term for term in terms if term.equation == c)
             texts.append(f"{left.format(state.name)} = {sum_text(of_state, system)}")
+    texts = _with_rest(texts, len(system.differential), rest)
     return texts + _jump_texts(system.differential, system.coordinates, system.jumps)
 
 
@@ -103,7 +105,13 @@ def general_equation_texts(system: FirstOrderSystem) -> list[str]:
             guess = expressions is system.initial and i in system.constraints.guessed
             text = plain_text(expression.xreplace(names))
             texts.append(f"{left.format(state.name)} {'near' if guess else '='} {text}")
+    texts = _with_rest(texts, len(system.states), system.rest)
     return texts + _jump_texts(system.states, system.coordinates, system.jumps)
+
+
+def _with_rest(texts: list[str], n: int, rest: RestForm | None) -> list[str]:
+    """Texts of n equations, and of their initial values or the steady state in place of them."""
+    return texts if rest is None else [*texts[:n], f"at the start: {rest.text}"]
 
 
 def _jump_texts(

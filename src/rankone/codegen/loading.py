@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from rankone.ir.system import System, UserFunction, system_of
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import quote
+from rankone.trajectories.resting_start import started
 
 Answer = TypeVar("Answer")
 
@@ -55,7 +56,7 @@ def load_module(
         ) from None
     exec(code, names)
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    return system_of(names)
+    return started(system_of(names))
 
 
 # Modules that a process keeps loaded: enough for the problems one session works on at a time

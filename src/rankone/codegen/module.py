@@ -17,6 +17,7 @@ from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.rates import GeneralWriter, SeparatedWriter
+from rankone.codegen.rest import rest_blocks
 from rankone.codegen.text import (
     WIDTH,
     Formula,
@@ -45,7 +46,7 @@ from rankone.support.errors import check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import number
 from rankone.symbolic.features import SymbolicFeatures, features_of
-from rankone.symbolic.first_order import FirstOrderSystem
+from rankone.symbolic.first_order import FirstOrderSystem, RestForm
 from rankone.symbolic.well_posed import Gap, NamedExpression, gaps_in_unknowns
 
 Block = Sequence[str]
@@ -57,6 +58,7 @@ def generate_source(
     title: str | None = None,
     meanings: Sequence[sp.Expr] = (),
     constraints: ConstraintForms | None = None,
+    rest: RestForm | None = None,
 ) -> str:
     """Python source of the module for a system.
 
@@ -70,6 +72,8 @@ def generate_source(
         What the last of the differential states stand for, in the others.
     constraints : ConstraintForms, optional
         What algebraic equations say of the states.
+    rest : RestForm, optional
+        The system before the start, where that is a steady state.
 
     Returns
     -------
@@ -93,10 +97,12 @@ def generate_source(
     expressions = [expression for distinct in factors for expression in distinct]
     expressions += [value for jump in system.jumps for value in jump.values]
     features = features_of(system.coordinates, (), expressions)
+    before, printed_before = rest_blocks(rest)
     sections: dict[str, Sequence[Block]] = {
         "Factors": coordinate_functions(system.coordinates, factors),
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
+        "Before the start": before,
         "Lifted states": _lifted(writer, system.differential, meanings),
         "Constraints": constraint_blocks(writer, constraints or ConstraintForms()),
         **_further_sections(writer, features, system.jumps, system.differential, []),
@@ -113,9 +119,12 @@ def generate_source(
     tables += described_table(
         "INITIAL", starts, _term_texts(system.initial, f"{{}}({start})", system)
     )
-    printed = [*expressions, *writer.printed]
+    printed = [*expressions, *writer.printed, *printed_before]
     return _module(
-        lambda scipy: header(system, writer.operations, title, scipy), tables, sections, printed
+        lambda scipy: header(system, writer.operations, title, scipy, rest),
+        tables,
+        sections,
+        printed,
     )
 
 
@@ -131,6 +140,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     further += system.event_expressions
     expressions = [*system.rhs, *further]
     factors = known_functions(system.coordinates, expressions)
+    before, printed_before = rest_blocks(system.rest)
     features = features_of(system.coordinates, system.rhs, further)
     features = features.without(system.functions[len(system.functions) - len(system.switches) :])
     sections: dict[str, Sequence[Block]] = {
@@ -139,12 +149,13 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         ),
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
+        "Before the start": before,
         "Constraints": constraint_blocks(writer, system.constraints),
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
         "Events": _events(writer, system),
     }
     tables = _tables(False, system.states, len(system.states), (), system.coordinates)
-    printed = [*expressions, *writer.printed]
+    printed = [*expressions, *writer.printed, *printed_before]
     return _module(
         lambda scipy: general_header(system, writer.operations, title, scipy),
         tables,
@@ -373,5 +384,5 @@ def generated_module(
         if quadratic is None:
             source = general_source(system, name)
         else:
-            source = generate_source(quadratic, name, constraints=system.constraints)
+            source = generate_source(quadratic, name, (), system.constraints, system.rest)
     return quadratic, ModuleSpecification(source, name or "system", system.user_functions)

@@ -198,16 +198,18 @@ class GeneralWriter(PointwiseWriter):
             ) from None
         return real
 
-    def functions(self) -> list[list[str]]:
-        """Source lines of ``rhs``, ``jacobian`` and ``with_products``."""
+    def functions(self, prefix: str = "") -> list[list[str]]:
+        """Source lines of ``rhs`` and ``jacobian``, with a prefix, and ``with_products``."""
         n = len(self.states)
         rates: dict[Index, sp.Expr] = {(i,): f for i, f in enumerate(self.rates)}
         of_rates = f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."
         of_jacobian = f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."
         slopes = self._slopes()
         return [
-            self.array("rhs", "t, u, p", of_rates, (n,), rates, self._meaning),
-            self.array("jacobian", "t, u, p", of_jacobian, (n, n), slopes, self._meaning, "zeros"),
+            self.array(f"{prefix}rhs", "t, u, p", of_rates, (n,), rates, self._meaning),
+            self.array(
+                f"{prefix}jacobian", "t, u, p", of_jacobian, (n, n), slopes, self._meaning, "zeros"
+            ),
             _unchanged_states(n),
         ]
 
@@ -227,10 +229,10 @@ class GeneralWriter(PointwiseWriter):
                     slopes[(i, j)] = slope
         return slopes
 
-    def initial(self) -> list[str]:
-        """Source lines of ``unseparated_initial``: all initial values."""
+    def initial(self, name: str = "unseparated_initial") -> list[str]:
+        """Source lines of a function of all initial values."""
         starts: dict[Index, sp.Expr] = {(i,): start for i, start in enumerate(self.starts)}
-        n, name = len(self.states), "unseparated_initial"
+        n = len(self.states)
         summary = f"Initial values at p (d, ...): shape ({n}, ...)."
         return self.array(name, "p", summary, (n,), starts, self.state_name)
 

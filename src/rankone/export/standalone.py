@@ -27,6 +27,7 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
 from rankone.support import __version__, errors
 
+_RESTING = "rankone.trajectories.resting_start"
 _HELD = "rankone.held"  # The module of the system with the sides of its switches as states
 
 
@@ -41,14 +42,19 @@ def standalone_source(
     engine, *_ = engines_for(metadata.method)
     home = f"rankone.solvers.{engine.name}"
     about, imports, system = _generated(source)
+    rests = any(line.startswith("SETTLE = ") for line in source.splitlines())
+    roots = ["rankone.export.program", home, *([_RESTING] if rests else [])]
+    made = f"ir__system.system_of(globals(){_held_argument(held is not None)})"
+    if rests:
+        made = f"{bundled_name(_RESTING)}.started({made})"
     blocks = [
         _head(title, about, imports, metadata),
         _FRONT.format(options=engine.options.__name__).strip(),
         f"{banner('The system')}\n\n{system}",
         _RUNTIME.strip(),
-        *bundle(["rankone.export.program", home]),
+        *bundle(roots),
         *([] if held is None else [block(_HELD, held)]),
-        _end(engine, bundled_name(home), metadata, held is not None),
+        _end(engine, bundled_name(home), metadata, made),
     ]
     return "\n\n\n".join(blocks) + "\n"
 
@@ -201,8 +207,8 @@ _RUNTIME = f"""
 """
 
 
-def _end(engine: Engine, home: str, metadata: SolutionMetadata, holds: bool) -> str:
-    """The objects that the front uses, and the classes that its callers use."""
+def _end(engine: Engine, home: str, metadata: SolutionMetadata, system: str) -> str:
+    """The objects that the front uses, ``system`` made so, and the classes of its callers."""
     written = dataclasses.replace(metadata, source=None)
     entries = [
         line
@@ -216,7 +222,7 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata, holds: bool) -> 
             "# fmt: on",
             banner("This solver"),
             "",
-            f"SYSTEM = ir__system.system_of(globals(){_held_argument(holds)})",
+            f"SYSTEM = {system}",
             f"ENGINE = {home}.ENGINE",
             "METADATA = ir__metadata.SolutionMetadata(",
             *entries,

@@ -36,7 +36,7 @@ def with_constants(written: Arguments, numbers: Changes, states: Iterable[str]) 
     """The arguments with these numbers of constants and parameters; ``states`` are for messages."""
     parameters, constants = dict(written["parameters"]), dict(written["constants"] or {})
     correlated = {*map(name_of, itertools.chain(*(written["correlation"] or {})))}
-    for symbol, number in _by_symbol(written, numbers, states):
+    for symbol, number in changed_symbols(written, numbers, states):
         if symbol in parameters and symbol.name in correlated:
             raise ProblemError(
                 f"{quote(symbol)} is correlated with another parameter: fixed, it changes the "
@@ -52,13 +52,13 @@ def with_constants(written: Arguments, numbers: Changes, states: Iterable[str]) 
 def with_parameters(written: Arguments, intervals: Changes, states: Iterable[str]) -> Arguments:
     """The arguments with these intervals of constants and parameters."""
     parameters, constants = dict(written["parameters"]), dict(written["constants"] or {})
-    for symbol, interval in _by_symbol(written, intervals, states):
+    for symbol, interval in changed_symbols(written, intervals, states):
         constants.pop(symbol, None)
         parameters[symbol] = interval
     return {**written, "parameters": parameters, "constants": constants}
 
 
-def _by_symbol(
+def changed_symbols(
     written: Arguments, changes: Changes, states: Iterable[str]
 ) -> Iterator[tuple[sp.Symbol, Any]]:
     """The changes by the symbols of the problem; an error if a name is none, or comes twice."""

@@ -13,6 +13,7 @@ from rankone.expressions.notation import initial_latex, initial_texts, latex_of,
 from rankone.frontend.algebraic import Reduction
 from rankone.frontend.events import Event, event_latex, event_texts
 from rankone.frontend.jumps import jump_latex, jump_texts, system_jumps
+from rankone.frontend.steady_start import rest_text
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
@@ -40,6 +41,7 @@ class ProblemContent:
     unknowns: tuple[sp.Expr, ...]
     residuals: tuple[sp.Expr, ...]
     reduction: Reduction | None
+    rest: Any
     written: Mapping[str, Any]
 
     @property
@@ -85,7 +87,9 @@ class ProblemContent:
         flags = [
             (e.name, e.direction, e.terminal, e.persistent, e.overlapping) for e in self.events
         ]
-        others = [dict(mapping or {}) for mapping in named]
+        others: list[object] = [dict(mapping or {}) for mapping in named]
+        if self.rest is not None:
+            others += [self.rest.content(plain)]
         return expressions, others, flags, str(self.time[0]), self.time[1:], self.name, self.tail
 
     def __eq__(self, other: object) -> bool:
@@ -108,6 +112,8 @@ class ProblemContent:
             i for i, u in enumerate(starts) if self.reduction and u in self.reduction.guessed
         }
         at_start = initial_texts(map(name_of, starts), self.time[1], starts.values(), guessed)
+        if self.rest is not None:
+            at_start = [f"at the start: {self.rest_text}"]
         units = self.units or {}
         intervals = [
             with_measure(
@@ -136,13 +142,23 @@ class ProblemContent:
         lines = [f"{sp.latex(s)} &= {latex_of(sp.sympify(e))}" for s, e in written.items()]
         lines += [latex_of(equation) for equation in self._shown()]
         starts = self._shown_initial()
-        lines += initial_latex(starts, self.time[1], starts.values())
+        if self.rest is None:
+            lines += initial_latex(starts, self.time[1], starts.values())
+        else:
+            lines.append(rf"& \text{{at the start: {self.rest_text}}}")
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
         lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
         lines += event_latex(self.events)
         return aligned_equations(lines)
+
+    @property
+    def rest_text(self) -> str:
+        """The steady state at which a problem starts, in words."""
+        names = {state: sp.Symbol(name_of(state)) for state in self.initial}
+        starts = ((name_of(u), e.xreplace(names)) for u, e in self.initial.items())
+        return rest_text(self.written["initial"].conditions, dict(starts))
 
     def _shown_initial(self) -> dict[sp.Expr, sp.Expr]:
         """The initial values without those that algebraic equations give."""

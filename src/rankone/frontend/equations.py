@@ -339,7 +339,7 @@ def check_initial(
     start: dict[sp.Expr, sp.Expr] = {}
     states = set(symbols.states)
     for key, written in initial.items():
-        state = _state(key, symbols)
+        state = state_of(key, symbols)
         if state not in states:
             applied = state.expr if isinstance(state, sp.Derivative) else state
             if applied in states:
@@ -368,7 +368,7 @@ def check_initial(
     return {state: start[state] for state in symbols.states if state in start}
 
 
-def _state(key: Any, symbols: Symbols) -> sp.Expr:
+def state_of(key: Any, symbols: Symbols) -> sp.Expr:
     """Translate a key of ``initial`` into the unknown or derivative it stands for."""
     time, t0, _ = symbols.time
     instant, state = None, key

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -45,6 +46,7 @@ from rankone.frontend.equations import (
     check_unknowns,
     listed_equations,
     state_expressions,
+    state_of,
 )
 from rankone.frontend.events import (
     Event,
@@ -65,11 +67,23 @@ from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.saving import toml_text
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
+from rankone.frontend.steady_start import (
+    SettledStart,
+    SteadyState,
+    check_autonomous,
+    conditioned,
+)
 from rankone.frontend.text import problem_arguments
 from rankone.frontend.toml_tables import text_arguments
 from rankone.frontend.trajectory import Trajectory
 from rankone.ir.functions import check_distinct
-from rankone.support.errors import EvaluationError, ProblemError, bounded_depth, warn
+from rankone.support.errors import (
+    EvaluationError,
+    ProblemError,
+    RankoneWarning,
+    bounded_depth,
+    warn,
+)
 from rankone.support.files import as_path, write_files
 from rankone.support.options import checked_number
 from rankone.support.wording import (
@@ -106,7 +120,7 @@ class Problem(ProblemContent):
         For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
         of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``. Those of
         unknowns that are not differentiated are starting guesses, needed only where no equation
-        is linear in the unknown.
+        is linear in the unknown. Or a :class:`SteadyState`: the equilibrium of other conditions.
     name : str, optional
         A title.
     jumps : mapping of float to mapping, optional
@@ -163,6 +177,9 @@ class Problem(ProblemContent):
         equations the rates that follow from them.
     reduction : Reduction or None
         What algebraic equations were reduced to.
+    rest : Problem or None
+        Of a problem that starts at a steady state the one before the start, which comes to rest:
+        ``initial`` is then where that one starts.
 
     Raises
     ------
@@ -204,6 +221,7 @@ class Problem(ProblemContent):
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
     reduction: Reduction | None = field(init=False, default=None)
+    rest: Problem | None = field(init=False, default=None)
     shorthand: Shorthand = field(init=False)
     written: Mapping[str, Any] = field(init=False)
     compiled: list[Any] = field(init=False)
@@ -243,8 +261,12 @@ class Problem(ProblemContent):
         rates = () if constrained else tuple(sorted(highest, key=sp.default_sort_key))
         symbols = Symbols(time, tuple(box), unknowns, states, shorthand, rates)
         check_symbols(residuals, symbols)
-        initial = check_initial(self.initial, symbols, algebraic_unknowns(residuals))
+        rest = self.initial if isinstance(self.initial, SteadyState) else None
+        free = algebraic_unknowns(residuals) if rest is None else states
+        initial = check_initial(self.initial, symbols, free)
         initial = {state: closed(start) for state, start in initial.items()}
+        if rest is not None:
+            initial = {state: initial.get(state, sp.S.Zero) for state in states}
         known, moving = moving_jumps(self.jumps, symbols)
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
@@ -282,12 +304,40 @@ class Problem(ProblemContent):
         }
         for name, attribute in checked.items():
             object.__setattr__(self, name, attribute)
+        if rest is not None:
+            object.__setattr__(self, "rest", self._under_conditions(rest, symbols, constrained))
         if constrained:
             self._reduce(states)
             return
         object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
         self._take_out_impulses(symbols, len(moving))
         self._take_out_rates()
+
+    def _under_conditions(self, rest: SteadyState, symbols: Symbols, constrained: bool) -> Problem:
+        """The problem before the start, which comes to rest."""
+        if constrained:
+            raise ProblemError(
+                "the start is a steady state, and there are algebraic equations",
+                term=rest,
+                remedy="solve them for the unknowns that are not differentiated, and give these as "
+                "definitions",
+            )
+        arguments = conditioned(self.written, rest, symbols)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RankoneWarning)
+            try:
+                before = type(self)(**arguments)
+            except ProblemError as error:
+                message = f"under the conditions of the start, {error.message}"
+                raise ProblemError(message, term=error.term, remedy=error.remedy) from None
+        check_autonomous(before.residuals, self.time[0])
+        return before
+
+    @property
+    def start_states(self) -> set[sp.Expr]:
+        """The states whose values were given, and do not follow."""
+        symbols = Symbols(self.time, (), self.unknowns, [*self.initial])
+        return {state_of(key, symbols) for key in self.written["initial"]}
 
     def _take_out_rates(self) -> None:
         """Put what equations say of highest derivatives in their place, where events cross zero."""
@@ -549,7 +599,7 @@ class Problem(ProblemContent):
     @cached_property
     def _numeric(self) -> NumericEquations:
         """The equations as functions of numbers."""
-        return NumericEquations(
+        equations = NumericEquations(
             self.time,
             tuple(self.parameters),
             self.mass,
@@ -558,6 +608,10 @@ class Problem(ProblemContent):
             self.events,
             self.reduction,
         )
+        if self.rest is not None:
+            start = SettledStart(self.rest._numeric, self.time[2] - self.time[1])
+            equations.initial = start
+        return equations
 
     def set(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with other numbers of constants; of a parameter its fixed number.
@@ -593,9 +647,16 @@ class Problem(ProblemContent):
         """
         states = map(name_of, self.initial)
         changed = type(self)(**with_constants(self.written, changes_of(values, named), states))
-        if changed.shorthand.is_like(self.shorthand):
+        if changed._is_like(self):
             object.__setattr__(changed, "compiled", self.compiled)
         return changed
+
+    def _is_like(self, other: Problem) -> bool:
+        """Whether the two differ in run-time constants alone, of the same other arguments."""
+        pairs = [(self.shorthand, other.shorthand)]
+        if self.rest is not None and other.rest is not None:
+            pairs.append((self.rest.shorthand, other.rest.shorthand))
+        return all(one.is_like(another) for one, another in pairs)
 
     def vary(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with constants set free, or other intervals of parameters.
@@ -664,7 +725,7 @@ class Problem(ProblemContent):
 
 def _kept(argument: Any) -> Any:
     """An argument that does not change when the caller changes his own."""
-    if isinstance(argument, Mapping):
+    if isinstance(argument, Mapping) and not isinstance(argument, SteadyState):
         return dict(argument)
     return tuple(argument) if isinstance(argument, list | Iterator) else argument
 

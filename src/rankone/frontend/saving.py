@@ -15,6 +15,7 @@ from rankone.expressions.notation import exact, plain_text
 from rankone.expressions.parsing import parse_expression
 from rankone.frontend.events import Event
 from rankone.frontend.jumps import instants_of
+from rankone.frontend.steady_start import SteadyState
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
@@ -57,6 +58,7 @@ class _Writer:
             yield "]"
         yield from _table("rhs", rates or {})
         yield from _table("initial", self._values(written["initial"]))
+        yield from self._steady_state()
         for key in ("constants", "definitions"):
             yield from _table(key, self._values(written[key] or {}))
         yield from _table("units", self._named(written["units"] or {}))
@@ -64,6 +66,14 @@ class _Writer:
         yield from self._jumps()
         yield from self._events()
         yield from _table("parameters", parameters)
+
+    def _steady_state(self) -> Lines:
+        start = self.written["initial"]
+        if isinstance(start, SteadyState):
+            yield from ("", "[steady_state]")
+            if start.settle is not None:
+                yield f"settle = {_literal(start.settle)}"
+            yield f"conditions = {{ {', '.join(_pairs(self._values(start.conditions)))} }}"
 
     def _rates(self) -> dict[str, str | float] | None:
         """Right-hand sides by unknown; None where an equation gives no single derivative."""

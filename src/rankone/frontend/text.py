@@ -15,6 +15,7 @@ from rankone.expressions.parsing import parse_expression
 from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.equations import check_names
 from rankone.frontend.events import Event, event_name
+from rankone.frontend.steady_start import SteadyState
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
@@ -74,10 +75,14 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         ],
         "time": (t, *time),
         "parameters": {symbols[name]: ends for name, ends in tables["parameters"].items()},
-        "initial": {
-            states[state]: formula(start, names, f"initial value of {quote(state)}", None)
-            for state, start in initial.items()
-        },
+        "initial": _start(
+            written["initial"],
+            {
+                states[state]: formula(start, names, f"initial value of {quote(state)}", None)
+                for state, start in initial.items()
+            },
+            symbols,
+        ),
         "jumps": jumps_of_text(written["jumps"], names, states),
         "units": normalised("units", units) if has_names(units) else units,
         "events": events_of_text(written["events"], names, states),
@@ -91,6 +96,19 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         },
         **{key: written[key] for key in ("name", "tail", "correlation", "atol")},
     }
+
+
+def _start(
+    written: object, initial: dict[sp.Expr, sp.Expr], symbols: dict[str, sp.Symbol]
+) -> Mapping[sp.Expr, sp.Expr]:
+    """Initial values; or a steady state that is reached from them."""
+    if not isinstance(written, SteadyState):
+        return initial
+    conditions = {
+        symbols.get(name, name): formula(value, symbols, f"condition of {quote(name)}", None)
+        for name, value in normalised("conditions", written.conditions).items()
+    }
+    return SteadyState(conditions, initial, written.settle)
 
 
 def listed_texts(argument: str, texts: object) -> list[str]:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any, TypeGuard
 
+from rankone.frontend.steady_start import SteadyState
 from rankone.ir.measures import split
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, shown
@@ -26,6 +27,10 @@ y = "-y*(3 - x)"
 [initial]                  # numbers or formulas of the parameters
 x = "x0"
 y = "y0"
+
+# [steady_state]           # start at rest under other conditions; may be left out. Trajectories
+# conditions = { c = 0 }   # under them start from [initial], where what is left out is zero
+# settle = 600             # the longest time that they may take
 
 [[jumps]]                  # resets at known times, such as doses; may be left out
 times = [2, 4]             # or a single time = 2, or time = "lag"
@@ -61,6 +66,7 @@ y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
 
 _REQUIRED = ("time", "rhs", "initial")  # "equations" may stand for "rhs"
 _OPTIONAL = (
+    "steady_state",
     *("parameters", "name", "jumps", "units", "events", "constants", "definitions", "atol"),
     *("equations", "unknowns", "tail", "correlation"),
 )
@@ -82,6 +88,7 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
                 term=key,
             )
     given = {*content, *(["rhs"] if "equations" in content else [])}
+    given |= {"initial"} if "steady_state" in content else set()
     missing = [key for key in _REQUIRED if key not in given]
     if missing:
         misplaced = [
@@ -95,7 +102,7 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
         )
     return {
         "rhs": {n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
-        "initial": _formulas(content, "initial"),
+        "initial": _start(content, _formulas(content, "initial")),
         "constants": _formulas(content, "constants"),
         "definitions": _formulas(content, "definitions"),
         "atol": dict(_table(content, "atol")),
@@ -112,6 +119,21 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
             key: content[key] for key in ("name", "tail", "equations", "unknowns") if key in content
         },
     }
+
+
+def _start(content: Mapping[str, Any], initial: dict[str, str | float]) -> Mapping[str, Any]:
+    """Initial values; or the steady state that is reached from them, if there is its table."""
+    if "steady_state" not in content:
+        return initial
+    table = _table(content, "steady_state")
+    for key in table:
+        if key not in ("conditions", "settle"):
+            raise ProblemError(
+                f"[steady_state] has the unknown key `{key}`",
+                term=key,
+                remedy="it may have `conditions` and `settle`; initial values are in [initial]",
+            )
+    return SteadyState(_formulas(table, "conditions"), initial, table.get("settle"))
 
 
 def _correlation(triples: object) -> dict[tuple[str, str], float]:

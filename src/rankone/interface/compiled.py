@@ -44,6 +44,7 @@ from rankone.frontend.problem import Problem
 from rankone.interface.held import held_form, held_system
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.renumbered import other_numbers, renumbered
+from rankone.interface.resting import check_rest, check_totals
 from rankone.interface.solution import Solution
 from rankone.interface.stretched import StretchedProblem, known_times
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
@@ -196,7 +197,9 @@ class CompiledProblem:
             return self._stretched
         if self.first_order.events:
             guessed = self.first_order.constraints.guessed
-            which = "no events beside guessed unknowns" if guessed else "events at known times only"
+            which = "events at known times only"
+            if guessed or self.first_order.rest is not None:
+                which = "no events beside guessed unknowns and steady states at the start"
             raise OptionError(
                 f"method={method!r} takes {which}", remedy="leave method= out, or take cross"
             )
@@ -412,6 +415,7 @@ class CompiledProblem:
             system = replace(system, held=self._held)
         began = time.perf_counter()
         with resolve_progress(progress) as report, one_thread():
+            check_rest(system, request)
             outcome, metadata = solve_with(engines, system, request, self.metadata(), report, truth)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
@@ -489,7 +493,7 @@ class CompiledProblem:
             equations=tuple(
                 general_equation_texts(self.first_order)
                 if self.quadratic is None
-                else equation_texts(self.quadratic)
+                else equation_texts(self.quadratic, self.first_order.rest)
             )
             + tuple(f"{constant} = {number(float(constant))}" for constant in named),
             version=__version__,
@@ -583,7 +587,8 @@ def _compiled(problem: Problem) -> CompiledProblem:
     compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
     with timed(timings, "import"):
         vars(compiled)["system"] = specification.load()
-    if separated.general or system.constraints.guessed:
+    check_totals(problem, compiled.system)
+    if separated.general or system.constraints.guessed or system.rest is not None:
         check_start(system, compiled.system, system.coordinates)
     with timed(timings, "agreement"):
         return _agreeing(compiled)

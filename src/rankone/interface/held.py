@@ -19,7 +19,7 @@ _AGREEMENT = 1e-10  # Relative difference of rates beyond rounding
 
 def held_form(first_order: FirstOrderSystem) -> FirstOrderSystem | None:
     """The first-order system with the sides of its switches as states, if they can be held."""
-    if first_order.constraints.names:
+    if first_order.constraints.names or first_order.rest is not None:
         return None
     try:
         return held_switches(first_order)

@@ -35,8 +35,10 @@ class LiftedProblem:
     @cached_property
     def source(self) -> str:
         """Text of the generated module."""
-        constraints = self.lifting.system.constraints
-        return generate_source(self.quadratic, self.name, self.lifting.meanings, constraints)
+        system = self.lifting.system
+        return generate_source(
+            self.quadratic, self.name, self.lifting.meanings, system.constraints, system.rest
+        )
 
     @cached_property
     def system(self) -> System:

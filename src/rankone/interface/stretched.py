@@ -102,10 +102,10 @@ def _does_not_separate(term: GeneralTerm) -> SeparationError:
 def known_times(first_order: FirstOrderSystem, system: System) -> bool:
     """Whether all events are at known times, and there are some, or switches that move.
 
-    Not where initial values are guesses.
+    Not where initial values are guesses or at rest.
     """
     events = first_order.events
-    if first_order.constraints.guessed:
+    if first_order.constraints.guessed or first_order.rest is not None:
         return False
     plain = all(
         e.at is not None and e.delay is None and e.priority is None and e.persistent for e in events

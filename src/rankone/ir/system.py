@@ -34,7 +34,7 @@ A module leaves out what its system does not have; :func:`system_of` fills in wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -53,6 +53,7 @@ from rankone.ir.features import (
     unchanged,
 )
 from rankone.ir.measures import LINEAR
+from rankone.ir.rest import Rest
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import listing
@@ -128,6 +129,8 @@ class System:
     ``n_sides`` of the differential states are the sides of switches, set by as many of the last
     events; ``held`` is the same system with such states, where there are any.
     ``constraints`` vanish on all trajectories. ``atol`` has absolute tolerances of states by name.
+    Where trajectories start at steady states, ``rest`` is what has them, and ``at_rest`` finds them
+    at p (d, m), without lifted states.
     """
 
     separated: bool
@@ -162,6 +165,8 @@ class System:
     atol: tuple[tuple[str, float], ...] = ()
     n_sides: int = 0
     held: System | None = None
+    rest: Rest | None = None
+    at_rest: OfParameters | None = None
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -173,12 +178,27 @@ class System:
         """Names of the functions of the user that the system calls."""
         return frozenset(self.specification.namespace if self.specification else ())
 
+    def starting_at(self, initial: OfParameters) -> System:
+        """The same with other initial values, of the parameters."""
+        return replace(
+            self,
+            initial_terms=(),
+            initial_separates=False,
+            unseparated_initial=initial,
+            rest=None,
+            at_rest=None,
+        )
+
     def initial(self, p: Array) -> Array:
         """Initial values at p (d, m): shape (n_differential, m)."""
         start = self._initial(p)
-        if not self.constraints.guessed:
+        if self.at_rest is not None:
+            states = self.at_rest(p)
+            start[: len(states)] = states
+        elif self.constraints.guessed:
+            start = self.constraints.consistent(self.horizon[0], start, p)
+        else:
             return start
-        start = self.constraints.consistent(self.horizon[0], start, p)
         for _ in range(self.n_lifted):  # some stand for functions of others
             start[self.n_differential - self.n_lifted :] = self.meanings(self.horizon[0], start, p)
         return start
@@ -292,7 +312,7 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
         jacobian=jacobian,
         with_products=member("with_products", no_rows),
         quadratic_jacobian=member("quadratic_jacobian", jacobian),
-        initial_separates=not {"unseparated_initial", "GUESSED"} & names.keys(),
+        initial_separates=not {"unseparated_initial", "GUESSED", "SETTLE"} & names.keys(),
         unseparated_initial=member("unseparated_initial", no_rows),
         terms=member("TERMS", ()),
         initial_terms=member("INITIAL", ()),
@@ -329,6 +349,20 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
         atol=member("ATOL", ()),
         n_sides=member("N_SIDES", 0),
         held=None if held is None else system_of(held),
+        rest=_rest(names),
+    )
+
+
+def _rest(names: Mapping[str, object]) -> Rest | None:
+    """The system before the start of a generated module, if there is one."""
+    if "SETTLE" not in names:
+        return None
+    return Rest(
+        initial=cast(OfParameters, names["rest_initial"]),
+        rhs=cast(OfStates, names["rest_rhs"]),
+        jacobian=cast(OfStates, names["rest_jacobian"]),
+        after=cast("OfStates | None", names.get("after_rest")),
+        settle=cast("tuple[float, float]", names["SETTLE"]),
     )
 
 

@@ -85,6 +85,9 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
     Core 0 has the shape (n, r_1), core j the shape (r_j, N_j, r_{j+1}).
     """
 
+    if not nodes:
+        return Train((system.initial(np.empty((0, 1))),))
+
     def at_nodes(indices: Integers) -> Array:
         return system.initial(np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 

@@ -72,6 +72,28 @@ class Stage:
 
 
 @dataclass(frozen=True, repr=False)
+class RestForm:
+    """The system before a start at its steady state.
+
+    Attributes
+    ----------
+    system : FirstOrderSystem
+        It: over the same parameters, without jumps and events.
+    settle : tuple of float
+        The time at which trajectories are first looked at, and the longest that they may take.
+    after : tuple of Expr or None
+        The values of the states after jumps at the start, in those at rest.
+    text : str
+        The steady state in words.
+    """
+
+    system: FirstOrderSystem
+    settle: tuple[float, float]
+    after: tuple[sp.Expr, ...] | None
+    text: str
+
+
+@dataclass(frozen=True, repr=False)
 class FirstOrderSystem(Stage):
     """An explicit first-order system.
 
@@ -87,18 +109,25 @@ class FirstOrderSystem(Stage):
         What algebraic equations say of the states.
     switches : tuple of Expr
         The surfaces of switches, whose sides are the last states; the last events set them.
+    rest : RestForm or None
+        The system before the start, where that is a steady state. Then ``initial`` is where that
+        one starts.
     """
 
     rhs: tuple[sp.Expr, ...]
     events: tuple[EventForm, ...] = field(default=(), kw_only=True)
     constraints: ConstraintForms = field(default_factory=ConstraintForms, kw_only=True)
     switches: tuple[sp.Expr, ...] = field(default=(), kw_only=True)
+    rest: RestForm | None = field(default=None, kw_only=True)
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user in the equations, by the names that generated source uses."""
         jumps = (after for jump in self.jumps for after in jump.values)
         further = (*self.event_expressions, *self.constraints.expressions)
+        if self.rest is not None:
+            before = self.rest.system
+            further = (*further, *before.rhs, *before.initial, *(self.rest.after or ()))
         return namespace_of([*self.rhs, *self.initial, *jumps, *further])
 
     @property
@@ -138,7 +167,10 @@ class FirstOrderSystem(Stage):
         lines += [f"  {text_of(equation)}  ({name})" for equation, name in pairs]
         names = (state.name for state in self.states)
         start, guessed = self.coordinates[0].lower, self.constraints.guessed
-        lines.append("  " + ", ".join(initial_texts(names, start, self.initial, guessed)))
+        starts = initial_texts(names, start, self.initial, guessed)
+        if self.rest is not None:
+            starts = [f"at the start: {self.rest.text}"]
+        lines.append(f"  {', '.join(starts)}")
         texts = [*self._jump_texts(), *event_texts(self._events())]
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
@@ -146,7 +178,10 @@ class FirstOrderSystem(Stage):
         equations = [*self._equations(), *self._constraint_equations()]
         lines = [latex_of(equation) for equation in equations]
         events = event_latex(self._events())
-        return aligned_equations([*lines, *self._conditions_latex(), *events])
+        conditions = self._conditions_latex()
+        if self.rest is not None:
+            conditions[: len(self.states)] = [rf"& \text{{at the start: {self.rest.text}}}"]
+        return aligned_equations([*lines, *conditions, *events])
 
     def _constraint_equations(self) -> list[sp.Eq]:
         """Each constraint as an expression that vanishes."""
@@ -208,11 +243,12 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         problem.time,
     )
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
-    initial = tuple(problem.initial.values())
+    initial, reset = tuple(problem.initial.values()), None
     if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right
+        reset, jumps = jumps[0].values, jumps[1:]
+    if reset is not None and problem.rest is None:
         before = dict(zip(states_of_time, initial, strict=True))
-        initial = tuple(after.xreplace(before) for after in jumps[0].values)
-        jumps = jumps[1:]
+        initial = tuple(after.xreplace(before) for after in reset)
     return FirstOrderSystem(
         coordinates=problem.coordinates,
         states=states,
@@ -223,7 +259,17 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         jumps=jumps,
         events=tuple(_event(event, functions, time) for event in problem.events),
         constraints=_constraints(problem, functions),
+        rest=_rest(problem, reset),
     )
+
+
+def _rest(problem: Problem, after: tuple[sp.Expr, ...] | None) -> RestForm | None:
+    """The system before the start of a problem, and the values after jumps there."""
+    if problem.rest is None:
+        return None
+    _, start, end = problem.time
+    settle = (end - start, problem.written["initial"].longest(problem.time))
+    return RestForm(first_order(problem.rest), settle, after, problem.rest_text)
 
 
 def _constraints(problem: Problem, functions: Mapping[sp.Expr, sp.Expr]) -> ConstraintForms:

@@ -9,7 +9,7 @@ in BioCham (Hemery, Fages & Soliman, 2020).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import sympy as sp
@@ -95,6 +95,12 @@ class _Lifter:
         self.reciprocals: list[tuple[sp.Symbol, sp.Expr]] = []
         self.waiting: list[Callable[[], sp.Expr]] = []
 
+    def _starts(self, start: Mapping[sp.Expr, sp.Expr]) -> Iterator[sp.Expr]:
+        """Initial values of lifted states; where the start is at rest they come with it."""
+        at_rest = self.system.rest is not None
+        for meaning in self.lifted:
+            yield sp.S.One if at_rest else meaning.subs(start, simultaneous=True)
+
     def lift(self) -> Lifting:
         """Lift until every rate is polynomial."""
         system = self.system
@@ -119,7 +125,7 @@ class _Lifter:
                 states=(*system.states, *states),
                 functions=(*system.functions, *lifted),
                 rhs=tuple(rate.xreplace(functions) for rate in self.rates),
-                initial=(*system.initial, *(m.subs(start, simultaneous=True) for m in self.lifted)),
+                initial=(*system.initial, *self._starts(start)),
                 origins=(*system.origins, *(None for _ in lifted)),
                 jumps=tuple(self._jumped(jump, functions) for jump in system.jumps),
             ),

@@ -247,12 +247,9 @@ def _from_states(system: System, horizon: tuple[float, float]) -> System:
     """The system from states on that follow the parameters, over a horizon."""
     d, n = len(system.parameters), system.n_differential
     return replace(
-        system,
+        system.starting_at(lambda p: np.asarray(p)[d : d + n]),
         separated=False,
         horizon=horizon,
-        initial_terms=(),
-        initial_separates=False,
-        unseparated_initial=lambda p: np.asarray(p)[d : d + n],
         rhs=lambda t, u, p: system.rhs(t, u, np.asarray(p)[:d]),
         jacobian=lambda t, u, p: system.jacobian(t, u, np.asarray(p)[:d]),
         constraints=Constraints(),
@@ -284,7 +281,7 @@ def at_rest(steady: SteadyStates, rows: Sequence[int]) -> System:
 
     features = system.features
     return replace(
-        system,
+        system.starting_at(lambda p: steady(p)[columns]),
         separated=False,
         states=tuple(system.states[i] for i in columns),
         n_differential=n,
@@ -292,9 +289,6 @@ def at_rest(steady: SteadyStates, rows: Sequence[int]) -> System:
         products=(),
         horizon=(0.0, 1.0),
         terms=(),
-        initial_terms=(),
-        initial_separates=False,
-        unseparated_initial=lambda p: steady(p)[columns],
         with_products=lambda u: np.array(u, dtype=float),
         rhs=still,
         jacobian=no_slopes,

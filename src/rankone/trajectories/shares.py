@@ -51,11 +51,8 @@ def paths_over_shares(
 def _begun_with(system: System, states: OfParameters) -> System:
     """The system with states (n, m) of its parameters at the start, and without its jumps."""
     return replace(
-        system,
+        system.starting_at(states),
         parameter_factors=lambda j, p: np.ones((1, p.size)),
-        initial_terms=(),
-        initial_separates=False,
-        unseparated_initial=states,
         jumps=Jumps(),
         constraints=Constraints(),
     )

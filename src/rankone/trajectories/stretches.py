@@ -171,7 +171,7 @@ def in_stretches(clock: Clock) -> System:
     )
     specification = system.specification
     return replace(
-        system,
+        system.starting_at(initial),
         separated=False,
         states=(*system.states[:n], "t", "T"),
         n_differential=n + CLOCK_STATES,
@@ -181,9 +181,6 @@ def in_stretches(clock: Clock) -> System:
         products=(),
         horizon=(0.0, float(stretches)),
         terms=(),
-        initial_terms=(),
-        initial_separates=False,
-        unseparated_initial=initial,
         time_factors=lambda s: np.ones((1, s.size)),
         with_products=lambda u: np.asarray(u),
         rhs=rhs,
