@@ -88,9 +88,11 @@ def equation_texts(system: QuadraticSystem, rest: RestForm | None = None) -> lis
     start = number(system.coordinates[0].lower)
     texts = []
     for left, terms in (("{}'", system.rhs), (f"{{}}({start})", system.initial)):
-        for c, state in enumerate(system.differential):
-            of_state = (term for term in terms if term.equation == c)
-            texts.append(f"{left.format(state.name)} = {sum_text(of_state, system)}")
+        of_states: list[list[Term]] = [[] for _ in system.differential]
+        for term in terms:
+            of_states[term.equation].append(term)
+        for state, own in zip(system.differential, of_states, strict=True):
+            texts.append(f"{left.format(state.name)} = {sum_text(own, system)}")
     texts = _with_rest(texts, len(system.differential), rest)
     return texts + _jump_texts(system.differential, system.coordinates, system.jumps)
 

@@ -76,7 +76,12 @@ def _expand(x, w, v):
 
 
 def kernel_blocks(system: QuadraticSystem) -> list[list[str]]:
-    """Source blocks: helpers, the kernels of every group, then the tables that list them."""
+    """Source blocks: helpers, the kernels of every group, then the tables that list them.
+
+    Large systems have none.
+    """
+    if not system.has_kernels:
+        return [["SIGNATURES, PAIRED, KERNELS = (), (), {}"]]
     time_factors = [factor_text(factor.expression) for factor in system.factors[0]]
     writers = [KernelWriter(system, group, time_factors) for group in system.groups]
     blocks = [_helpers(writers)]

@@ -19,6 +19,8 @@ from rankone.ir.forms import Factor, Group, QuadraticSystem, SeparatedForm, Stat
 from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError, check_kind
 
+_MOST_SEARCHED = 300  # Vertices of a graph whose smallest cover is searched for
+
 
 def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     """Lower and group a separated form.
@@ -146,7 +148,8 @@ def vertex_cover(edges: Sequence[Pair], *, budget: int = 500) -> tuple[int, ...]
 
     Branch and bound on the vertex of largest degree: either it is in the cover, or all its
     neighbours are. The first descent is the greedy cover. After ``budget`` branches the search
-    keeps the best cover so far, without the vertices that it does not need. So every vertex of the
+    keeps the best cover so far, without the vertices that it does not need; in large graphs there
+    is no search. So every vertex of the
     cover has an edge that no other one touches.
     """
     loops = {a for a, b in edges if a == b}
@@ -174,7 +177,8 @@ def vertex_cover(edges: Sequence[Pair], *, budget: int = 500) -> tuple[int, ...]
             untouched = {v: near - chosen for v, near in graph.items() if v not in chosen}
             search({v: near for v, near in untouched.items() if near}, cover | chosen)
 
-    search(neighbours, set())
+    if len(neighbours) <= _MOST_SEARCHED:
+        search(neighbours, set())
     return tuple(sorted(loops | _irredundant(best, neighbours)))
 
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.codegen.arrays import ARRAY_STATES, ArrayWriter
 from rankone.codegen.constraints import constraint_blocks
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import general_header, header, sum_text
@@ -92,7 +93,8 @@ def generate_source(
     remedy = "give separate(problem) or quadratic_system(form); what is compiled has `.source`"
     check_kind("generate_source", form, QuadraticSystem, SeparatedForm, remedy=remedy)
     system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
-    writer = SeparatedWriter(system)
+    large = len(system.differential) >= ARRAY_STATES
+    writer = ArrayWriter(system) if large else SeparatedWriter(system)
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
     expressions = [expression for distinct in factors for expression in distinct]
     expressions += [value for jump in system.jumps for value in jump.values]
@@ -186,6 +188,8 @@ def _module(
     imports = ["import numpy as np"]
     if "special." in body:
         imports.append("from scipy import special")
+    if "sparse." in body:
+        imports.append("from scipy import sparse")
     if "CubicSpline(" in body:
         imports.append("from scipy.interpolate import CubicSpline")
     lines = docstring(header_of(len(imports) > 1), indent="")

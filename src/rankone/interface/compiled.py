@@ -47,7 +47,7 @@ from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.resting import check_rest, check_totals
 from rankone.interface.solution import Solution
 from rankone.interface.stretched import StretchedProblem, known_times
-from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
+from rankone.ir.forms import MOST_KERNEL_STATES, GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.request import Domain, SolveRequest
@@ -185,12 +185,19 @@ class CompiledProblem:
         Raises
         ------
         OptionError
-            If the method needs separated terms, and there are events of the states.
+            If the method needs separated terms, and there are events of the states or too many
+            states.
         SeparationError
             If it needs them, and there is no lifted form.
         """
-        if method in _ANY_SYSTEM or self.quadratic is not None:
+        if method in _ANY_SYSTEM or self._has_operators:
             return self
+        if self.quadratic is not None:
+            raise OptionError(
+                f"method={method!r} takes at most {MOST_KERNEL_STATES} states, and there are "
+                f"{len(self.quadratic.states)}",
+                remedy="leave method= out, or take cross",
+            )
         if self.lifted is not None:
             return self.lifted
         if self._stretched is not None:
@@ -211,6 +218,11 @@ class CompiledProblem:
         )
 
     @property
+    def _has_operators(self) -> bool:
+        """Whether there are kernels, which methods other than cross need."""
+        return self.quadratic is not None and self.quadratic.has_kernels
+
+    @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user that the source calls, by the names it calls them by."""
         return self.first_order.user_functions
@@ -223,9 +235,11 @@ class CompiledProblem:
         equations that depend on time separate over the stretches between them.
         """
         reason = None
-        applies = self.quadratic is not None or self.lifted is not None
+        applies = self._has_operators or self.lifted is not None
         if applies or self._stretched is not None:
             pass
+        elif self.quadratic is not None:
+            reason = f"there are more than {MOST_KERNEL_STATES} states"
         elif self.first_order.events:
             reason = "events of the states are followed by trajectories, which cross samples"
         else:
@@ -237,8 +251,8 @@ class CompiledProblem:
     @property
     def automatic(self) -> tuple[str, ...]:
         """The methods that ``method="auto"`` tries one after the other."""
-        parameters, separated = len(self.problem.parameters), self.quadratic is not None
-        tried = engines_for(AUTO, parameters=parameters, separated=separated)
+        parameters = len(self.problem.parameters)
+        tried = engines_for(AUTO, parameters=parameters, separated=self._has_operators)
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, object]:
@@ -370,9 +384,8 @@ class CompiledProblem:
                 on_failure=on_failure,
                 **options,
             )
-        separated = self.quadratic is not None
         count = len(self.separated.coordinates) - 1
-        engines = engines_for(method, options, count, separated=separated)
+        engines = engines_for(method, options, count, separated=self._has_operators)
         form = self.form_for(str(method))
         request = SolveRequest.of(
             form.system,

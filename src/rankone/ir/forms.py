@@ -36,6 +36,8 @@ from rankone.support.wording import (
 if TYPE_CHECKING:
     import sympy as sp
 
+MOST_KERNEL_STATES = 200
+"""States and products up to which methods that need separated terms apply."""
 _Table = tuple[str, list[str], list[list[str]]]
 """Summary, header and rows."""
 
@@ -407,6 +409,11 @@ class QuadraticSystem:
     def names(self) -> tuple[str, ...]:
         """Names of all states."""
         return tuple(state.name for state in self.states)
+
+    @property
+    def has_kernels(self) -> bool:
+        """Whether there are operators over states and time: not for very many states."""
+        return len(self.states) <= MOST_KERNEL_STATES
 
     @cached_property
     def differential(self) -> tuple[State, ...]:

@@ -52,6 +52,7 @@ from rankone.ir.features import (
     no_rows,
     unchanged,
 )
+from rankone.ir.jacobian import PatternJacobian
 from rankone.ir.measures import LINEAR
 from rankone.ir.rest import Rest
 from rankone.support.arrays import Array
@@ -115,7 +116,9 @@ class System:
     Functions of one coordinate take points (N,) and return (factors, N); row 0 is one.
     ``parameter_factors`` takes the index of the parameter first. Functions of t, u
     (n_differential, ...) and p (d, ...) are f itself, ``rhs``; its ``jacobian`` df/du
-    (n_differential, n_differential, ...); and the ``meanings`` of lifted states, (n_lifted, ...).
+    (n_differential, n_differential, ...), of many states a
+    :class:`~rankone.ir.jacobian.PatternJacobian`; and the ``meanings`` of lifted states,
+    (n_lifted, ...).
     ``with_products`` appends the products to u. ``quadratic_jacobian`` takes all states and is
     (n, n, ...): rows of differential states hold f with products as states, the row of a product
     the derivative of ``s_a s_b - w``.
@@ -254,7 +257,7 @@ class Clock:
 
 _REQUIRED = (
     *("SEPARATED", "STATES", "N_DIFFERENTIAL", "PRODUCTS", "PARAMETERS", "TIME", "BOX"),
-    *("time_factors", "parameter_factors", "rhs", "jacobian", "with_products"),
+    *("time_factors", "parameter_factors", "rhs", "with_products"),
 )
 _REQUIRED_BY_FORM = {
     True: ("TERMS", "INITIAL", "SIGNATURES", "PAIRED", "KERNELS"),
@@ -276,7 +279,8 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
     OptionError
         If a name is missing that every system has.
     """
-    required = *_REQUIRED, *_REQUIRED_BY_FORM[bool(names.get("SEPARATED"))]
+    required = [*_REQUIRED, *_REQUIRED_BY_FORM[bool(names.get("SEPARATED"))]]
+    required += [] if "jacobian_entries" in names else ["jacobian"]
     if missing := [name for name in required if name not in names]:
         raise OptionError(
             f"the module defines no {listing(missing)}",
@@ -289,6 +293,11 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
     box: tuple[tuple[float, float], ...] = member("BOX", ())
     no_cuts: tuple[tuple[()], ...] = ((),) * (1 + len(box))
     jacobian: OfStates = member("jacobian", no_rows)
+    if "jacobian_entries" in names:
+        places = np.array(names["JACOBIAN_PLACES"], dtype=np.intp).reshape(-1, 2)
+        entries: OfStates = member("jacobian_entries", no_rows)
+        rows, columns = places.T
+        jacobian = PatternJacobian(member("N_DIFFERENTIAL", 0), rows, columns, entries)
     peaks, kinks, steps = member("STATE_SURFACES", (0, 0, 0))
     jumps: tuple[tuple[float, int], ...] = member("JUMPS", ())
     constraints = Constraints(

@@ -49,6 +49,7 @@ _ENTRY = Cost(3e3, 0.0)
 _TERM = Cost(500.0, 0.5)  # An arithmetic operation on arrays
 _FUNCTION = Cost(900.0, 7.0)  # A call of a NumPy function such as exp
 _POWER = Cost(900.0, 14.0)  # A power
+_STORED = 2.5  # A number of a sparse matrix, for each column, and what is gathered for it
 _USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
 _SCALAR_ENTRY = 200.0  # A function of floats: it unpacks them, and makes the list it returns
 _SCALAR_TERM = 25.0  # An arithmetic operation on floats
@@ -59,13 +60,15 @@ _SCALAR_CALL = 60.0  # A call of a function of floats
 def function_cost(function: Callable[..., object], users: frozenset[str] = frozenset()) -> Cost:
     """What a generated function costs, by the operations in its code.
 
-    ``users`` are the names of functions of the user. Functions of the same module count wherever
+    ``users`` are the names of functions of the user. Array code says in ``stored`` how many numbers
+    its matrices have. Functions of the same module count wherever
     they are named.
     """
     if not isinstance(function, FunctionType):
         return _ENTRY
     terms, powers, calls = _operations(function)
-    total = _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
+    stored = Cost(0.0, _STORED * getattr(function, "stored", 0))
+    total = stored + _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
         if name in users:

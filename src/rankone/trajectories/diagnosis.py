@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.integrator import jacobians
+from rankone.trajectories.newton import entries_at, sparse_pattern
+from rankone.trajectories.spectra import first_jacobian, growth_rate
 
 _STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)  # Relative, until rates are not finite
 _JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)  # In horizons; rates may jump over one
@@ -85,11 +87,6 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
         return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
 
 
-def growth_rate(jacobian: Array) -> float:
-    """The fastest rate at which small states grow, by the Jacobian (n, n)."""
-    return float(np.linalg.eigvals(jacobian).real.max())
-
-
 @dataclass(frozen=True)
 class Rounding:
     """Rounding errors of the states of a stack, (n, 1), and which are numerically ``zero``.
@@ -157,12 +154,14 @@ class _Probe:
         self.parameters = np.ascontiguousarray(points.T)
         with np.errstate(all="ignore"):
             self.rates = system.rhs(time, states, self.parameters)
-            blocks = np.nan_to_num(jacobians(system, points, time, states))
-        self.growth = growth_rate(blocks[0]) * horizon
-        sizes = np.abs(blocks)
-        diagonal = np.diagonal(sizes, axis1=1, axis2=2).T
-        self.memory = 1.0 / (diagonal + 1.0 / horizon)
-        self.couplings = sizes * (1.0 - np.eye(len(states)))
+        first = first_jacobian(system, points, time, states)
+        self.growth = 0.0 if first is None else growth_rate(first) * horizon
+        self.rows, self.columns, sizes = _sizes_of_entries(system, points, time, states)
+        decay = np.zeros_like(states)
+        own = self.rows == self.columns
+        decay[self.rows[own]] = sizes[own]
+        self.memory = 1.0 / (decay + 1.0 / horizon)
+        self.couplings = np.where(own[:, None], 0.0, sizes)
         self.tolerated = rtol * (np.abs(states) + _RESOLVED * largest)
 
     def errors(self, zero_errors: Array) -> Array:
@@ -183,6 +182,21 @@ class _Probe:
 
     def matters(self, zero_errors: Array) -> Array:
         """Whether errors (n, 1) of some states change one of the others, (n, 1)."""
-        driven = self.couplings * zero_errors[None, None, :, 0] * self.memory.T[:, :, None]
-        counts = (driven > self.tolerated.T[:, :, None]) & (zero_errors[None, :, :] == 0.0)
-        return np.asarray(counts.any(axis=(0, 1))[:, None])
+        driven = self.couplings * zero_errors[self.columns] * self.memory[self.rows]
+        counts = (driven > self.tolerated[self.rows]) & (zero_errors[self.rows] == 0.0)
+        matters = np.zeros(len(zero_errors), dtype=bool)
+        matters[self.columns[counts.any(axis=1)]] = True
+        return matters[:, None]
+
+
+def _sizes_of_entries(
+    system: System, points: Array, time: float, states: Array
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Rows and columns (k,) of the Jacobians at states (n, m), and absolute values (k, m)."""
+    pattern, n = sparse_pattern(system), len(states)
+    with np.errstate(all="ignore"):
+        if pattern is not None:
+            entries = entries_at(system, pattern, points, time, states)
+            return pattern.rows, pattern.columns, np.abs(entries)
+        blocks = np.abs(np.nan_to_num(jacobians(system, points, time, states)))
+    return *np.divmod(np.arange(n * n), n), blocks.reshape(len(points), -1).T

@@ -18,16 +18,14 @@ from numpy.typing import NDArray
 
 from rankone.discretization.radau import RadauCollocation
 from rankone.support.arrays import Array
-from rankone.support.budget import charge
-from rankone.support.costs import CALL, Cost, in_pieces, inverse
 from rankone.trajectories.defects import DefectControl, Interpolant
-from rankone.trajectories.integrator import Tolerances, finite_blocks
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.newton import Jacobians, NewtonMatrices
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
 _EXPONENTS = np.arange(1, 4)  # Powers of the rows of a step
-_PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
 _MOST_ITERATIONS = 6  # Newton's iterations of a step before it is halved
 _MOST_EXCESS = 10  # Iterations that old Newton matrices may cost before they are made anew
 _LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
@@ -74,7 +72,7 @@ class PowerPiece(Piece):
 
 @dataclass
 class _Newton:
-    """Newton's matrices (m, n, n) of a step, inverted: those of the real and of the paired mode.
+    """Newton's matrices of a step: those of the real and of the paired mode.
 
     Later steps of a similar length take them as well. They are made at the time ``t`` for steps of
     the length ``h``; ``fresh`` counts the iterations of the first step, and ``excess`` those that
@@ -83,15 +81,15 @@ class _Newton:
 
     t: float
     h: float
-    jacobians: Array
-    real: Array
-    paired: Array
+    jacobians: Jacobians
+    real: NewtonMatrices
+    paired: NewtonMatrices
     fresh: int = 0
     excess: int = 0
 
     @staticmethod
-    def of(t: float, h: float, jacobians: Array) -> _Newton:
-        real, paired = (_inverses(mode / h, jacobians) for mode in (_REAL, _PAIRED))
+    def of(t: float, h: float, jacobians: Jacobians) -> _Newton:
+        real, paired = (jacobians.newton(mode / h) for mode in (_REAL, _PAIRED))
         return _Newton(t, h, jacobians, real, paired)
 
     def serves(self, h: float) -> bool:
@@ -109,28 +107,7 @@ class _Newton:
 
         Of matrices for a shorter step the errors of slow modes are too small.
         """
-        return max(1.0, h / self.h) * _product(self.real, defect)
-
-
-def _inverses(shift: complex, jacobians: Array) -> Array:
-    """Inverses of ``shift`` minus the Jacobians; the budget is checked in between."""
-    size = jacobians.shape[-1]
-    cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
-    inverses = np.empty(jacobians.shape, dtype=type(shift))
-    first = 0
-    for some in in_pieces(jacobians, cost):
-        charge(cost * len(some))
-        inverses[first : first + len(some)] = np.linalg.inv(diagonal - some)
-        first += len(some)
-    return inverses
-
-
-def _product(inverses: Array, right: Array) -> Array:
-    """Inverses (m, n, n) times stacked vectors (n m,)."""
-    m, n, _ = inverses.shape
-    charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
-    vectors = np.ascontiguousarray(right.reshape(n, m).T)  # of strided ones BLAS takes no product
-    return np.asarray(np.matmul(inverses, vectors[:, :, None])[:, :, 0].T.ravel())
+        return max(1.0, h / self.h) * self.real.solve(defect)
 
 
 def _mean(scaled: Array) -> float:
@@ -140,11 +117,11 @@ def _mean(scaled: Array) -> float:
 
 
 class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
-    """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
+    """Radau IIA with a Jacobian of one block for each trajectory.
 
     If h is far above a stiff time scale, the error estimate sees the nodes only. The defect of the
     interpolant, divided by the Newton matrix, is its error in between: ``looks_between`` says
-    whether to check it. ``blocks`` maps a time and a stacked state to Jacobians (m, n, n).
+    whether to check it. ``blocks`` maps a time and a stacked state to Jacobians.
     """
 
     t: float
@@ -160,21 +137,13 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         end: float,
         tolerances: Tolerances,
         control: DefectControl | None,
-        blocks: Callable[[float, Array], Array],
+        blocks: Callable[[float, Array], Jacobians],
         looks_between: bool = True,
     ) -> None:
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
         super().__init__(rates, start, states, end, tolerances, control)
         h = min(self.h_abs, self.max_step, end - start)
-        self._newton = _Newton.of(start, h, self._jacobians(start, self.y))
-
-    def _jacobians(self, t: float, y: Array) -> Array:
-        """Jacobians, zero where they are not finite.
-
-        The derivative of a root at zero is infinite, and Newton's corrections vanish however wrong
-        the state is. Without a Jacobian they converge in short steps.
-        """
-        return np.ascontiguousarray(finite_blocks(self._blocks(t, y)))
+        self._newton = _Newton.of(start, h, self._blocks(start, self.y))
 
     def _validate_jac(self, jac: object, sparsity: object) -> tuple[None, object]:
         """No Jacobian, and an empty matrix that SciPy needs and nothing uses."""
@@ -222,7 +191,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             if changes is not None or (newton.t, newton.h) == (self.t, h):
                 return changes
         current = newton.t == self.t
-        jacobians = newton.jacobians if current else self._jacobians(self.t, self.y)
+        jacobians = newton.jacobians if current else self._blocks(self.t, self.y)
         self._newton = _Newton.of(self.t, h, jacobians)
         return self._iterated(h, self._newton)
 
@@ -240,8 +209,8 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         corrections, before, rate = np.empty_like(modes), 0.0, 0.0
         for iteration in range(1, _MOST_ITERATIONS + 1):
             right = of_slopes @ self.fun.at(times, y + states) - of_modes @ modes
-            corrections[0] = _product(newton.real, right[0])
-            paired = _product(newton.paired, right[1] + 1j * right[2])
+            corrections[0] = newton.real.solve(right[0])
+            paired = newton.paired.solve(right[1] + 1j * right[2])
             corrections[1], corrections[2] = paired.real, paired.imag
             size = _mean(corrections / scale)
             if not math.isfinite(size):
@@ -300,8 +269,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
         """The defect divided by the Newton matrices."""
-        right = defect.T[:, :, None] / min(self.sol.h, self._newton.h)
-        return np.asarray(np.matmul(self._newton.real[columns], right)[:, :, 0].T)
+        return self._newton.real.solve_some(columns, defect / min(self.sol.h, self._newton.h))
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # powers of the share
         n = self.trajectory_states

@@ -19,22 +19,22 @@ from rankone.ir.features import OfStates
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
-from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
+from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.explicit import StackedDOP853
 from rankone.trajectories.implicit import StackedRadau
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
-    JACOBIAN_ENTRY,
     LAST_GAP,
     SampledTrajectories,
     Spans,
     Tolerances,
-    jacobians,
 )
+from rankone.trajectories.newton import jacobians_for
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.shares import paths_over_shares
+from rankone.trajectories.spectra import decays_faster
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 from rankone.trajectories.taylor import StackedTaylor, TaylorSeries, steps_ratio, taylor_order
 
@@ -302,7 +302,7 @@ class _Stack:
                 StackedRadau,
                 tolerances=self.tolerances.times(_RADAU_TOLERANCE),
                 control=control,
-                blocks=partial(jacobians, self.system, self.points),
+                blocks=jacobians_for(self.system, self.points),
                 looks_between=not has_smooth_rates(self.system, self.edges[0]),
             )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
@@ -378,20 +378,6 @@ class _Stack:
         left = float((self.edges[-1] - solver.t) / solver.step_size)
         if left <= self.options.bearable_steps:
             return 0.0
-        blocks = jacobians(self.system, self.points, solver.t, solver.y)
-        if not np.isfinite(blocks).all():
-            return 0.0
-        return left if _decays_faster(blocks, solver.stiff_product / longest) else 0.0
-
-
-def _decays_faster(blocks: Array, rate: float) -> bool:
-    """Whether some matrix (n, n) of a stack has an eigenvalue with a real part below ``-rate``."""
-    cost = eigenvalues(blocks.shape[-1])
-    for matrices in in_pieces(blocks, cost):
-        charge(JACOBIAN_ENTRY * matrices.size)
-        bounds = np.abs(matrices).sum(axis=2).max(axis=1)  # no eigenvalue is larger
-        suspicious = matrices[bounds > rate]
-        charge(cost * len(suspicious))
-        if -np.linalg.eigvals(suspicious).real.min(initial=0.0) > rate:
-            return True
-    return False
+        rate, states = solver.stiff_product / longest, solver.y.reshape(self.shape)
+        stiff = decays_faster(self.system, self.points, solver.t, states, rate)
+        return left if stiff else 0.0

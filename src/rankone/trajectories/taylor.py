@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.integrate
+import scipy.sparse
 from numpy.typing import NDArray
 
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.newton import SPARSE_STATES
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
@@ -75,11 +77,11 @@ class TaylorSeries:
     Variables are the states, then their ``products``, level by level. The rates are ``constant``
     (n, m) and ``sums`` (n, terms) of the ``factors`` (terms, m) times the ``variables`` (terms,);
     where no factor depends on the parameters, ``sums`` (n, variables) has them and takes all
-    variables.
+    variables. Of many states ``sums`` is a sparse matrix.
     """
 
     constant: Array
-    sums: Array
+    sums: Array | scipy.sparse.csr_array
     products: tuple[_Products, ...]
     variables: NDArray[np.intp]
     factors: Array | None = None
@@ -105,13 +107,18 @@ class TaylorSeries:
         variables = np.array([places[monomial] for monomial in monomials], dtype=np.intp)
         varying = any(any(indices) for _, _, (_, *indices), states in system.terms if states)
         if varying:
-            sums = np.zeros((n, variables.size))
-            sums[targets, range(variables.size)] = 1.0
-            return cls(constant, sums, products, variables, np.array(factors))
-        sums = np.zeros((n, len(places)))
-        for place, factor in zip(zip(targets, variables, strict=True), factors, strict=True):
-            sums[place] += factor[0]
-        return cls(constant, sums, products, variables)
+            entries, columns = np.ones(variables.size), np.arange(variables.size)
+        else:
+            entries, columns = np.array([factor[0] for factor in factors]), variables
+        shape = n, variables.size if varying else len(places)
+        sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
+        return cls(
+            constant,
+            sums if n >= SPARSE_STATES else sums.toarray(),
+            products,
+            variables,
+            np.array(factors) if varying else None,
+        )
 
     @property
     def size(self) -> int:
@@ -131,7 +138,7 @@ class TaylorSeries:
                 now.take(level.left, axis=0, out=left[k], mode="clip")
                 now.take(level.right, axis=0, out=right[back], mode="clip")
                 np.einsum("kqm,kqm->qm", left[: k + 1], right[back:], out=now[level.places])
-            rates = np.dot(self.sums, self._weighted(now))
+            rates = self.sums @ self._weighted(now)
             if not k:
                 rates += self.constant
             np.multiply(rates, h / (k + 1), out=powers[k + 1, :n])
@@ -146,7 +153,7 @@ class TaylorSeries:
     def agrees(self, states: Array, rates: Array) -> bool:
         """Whether rates (n, m) at states are those of the series, but for rounding."""
         slopes = self.coefficients(states, 1.0, 1)[1]
-        sums = replace(self, constant=np.abs(self.constant), sums=np.abs(self.sums))
+        sums = replace(self, constant=np.abs(self.constant), sums=abs(self.sums))
         if self.factors is not None:
             sums = replace(sums, factors=np.abs(self.factors))
         terms = sums.coefficients(np.abs(states), 1.0, 1)[1]

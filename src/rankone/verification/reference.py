@@ -24,7 +24,6 @@ from rankone.trajectories.diagnosis import (
     MOST_GROWTH,
     Rounding,
     first_to_end,
-    growth_rate,
     rounding_errors,
     runs_away,
     switching_state,
@@ -35,6 +34,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
     jacobians,
 )
+from rankone.trajectories.spectra import first_jacobian, growth_rate
 from rankone.trajectories.stacks import has_smooth_rates
 from rankone.verification.points import check_points
 
@@ -253,8 +253,8 @@ class _Resolution:
         """
         growth, start = 0.0, self.start
         for time, states in samples:
-            block = jacobians(self.system, self.points, time, states)[0]
-            if np.isfinite(block).all():
+            block = first_jacobian(self.system, self.points, time, states)
+            if block is not None:
                 growth = max(growth, growth_rate(block))
         if growth * (dense.end - start) <= MOST_GROWTH:
             return np.full((len(self.size), 1), np.inf)

@@ -1,0 +1,101 @@
+"""Systems of many states as array code: sparse matrices times products of states.
+
+A line and a name for each state serve a reader, and small arrays, up to some tens of states. Beyond
+that the table of terms is the text, and what is computed from it are a few sparse products,
+whatever the number of states: linear terms are a matrix times the states, others a matrix times
+gathered products. The Jacobian has the entries of its pattern alone.
+"""
+
+from __future__ import annotations
+
+from rankone.codegen.rates import SeparatedWriter
+from rankone.codegen.text import docstring
+
+ARRAY_STATES = 64
+"""States from which on rates are array code."""
+
+_HELPERS = '''\
+def _matrices(terms, rows):
+    """Sums of terms (coefficient, row, factors, states), by factors and degree.
+
+    Of each: the factors, the states multiplied (degree, products), and the matrix (rows, products).
+    """
+    groups = {}
+    for coefficient, row, factors, states in terms:
+        products, entries = groups.setdefault((factors, len(states)), ({}, []))
+        entries.append((coefficient, row, products.setdefault(states, len(products))))
+    sums = []
+    for (factors, degree), (products, entries) in groups.items():
+        coefficients, to, of = zip(*entries)
+        states = np.array(list(products), dtype=int).T
+        matrix = sparse.csr_array((coefficients, (to, of)), shape=(rows, len(products)))
+        if degree == 1:  # of all states, so that none are gathered
+            entries = coefficients, (to, states[0, list(of)])
+            matrix = sparse.csr_array(entries, shape=(rows, N_DIFFERENTIAL))
+        sums.append((factors, states, matrix))
+    return sums
+
+
+def _sums(sums, rows, t, u, p):
+    """The sums at t (...), u (n, ...) and p (d, ...): shape (rows, ...)."""
+    p = np.asarray(p, dtype=float)
+    shape = np.broadcast_shapes(np.shape(t), np.shape(u)[1:], p.shape[1:])
+    u = np.broadcast_to(u, (N_DIFFERENTIAL, *shape)).reshape(N_DIFFERENTIAL, -1)
+    functions = [time_factors(np.broadcast_to(t, shape).ravel())]
+    functions += [parameter_factors(j, np.broadcast_to(x, shape).ravel()) for j, x in enumerate(p)]
+    out = np.zeros((rows, u.shape[1]))
+    for factors, states, matrix in sums:
+        part = matrix @ (u if len(states) == 1 else np.prod(u[states], axis=0))
+        for function, row in zip(functions, factors):
+            if row:
+                part *= function[row]
+        out += part
+    return out.reshape(rows, *shape)
+
+
+def _derivatives(terms):
+    """Terms of the entries of df/du that are not zero, and their rows and columns."""
+    entries = []
+    for coefficient, row, factors, states in terms:
+        for k, column in enumerate(states):
+            others = (*states[:k], *states[k + 1 :])
+            entries.append((coefficient, (row, column), factors, others))
+    places = {place: k for k, place in enumerate(sorted({place for _, place, _, _ in entries}))}
+    terms = [(c, places[place], factors, others) for c, place, factors, others in entries]
+    return terms, tuple(places)
+
+
+RATES = _matrices(TERMS, N_DIFFERENTIAL)
+SLOPE_TERMS, JACOBIAN_PLACES = _derivatives(TERMS)
+SLOPES = _matrices(SLOPE_TERMS, len(JACOBIAN_PLACES))
+'''
+
+
+class ArrayWriter(SeparatedWriter):
+    """Writes the rates of a system of many states that separates, from its table of terms."""
+
+    def functions(self) -> list[list[str]]:
+        """Source lines of the matrices, ``rhs``, ``jacobian_entries`` and ``with_products``."""
+        n, terms = len(self.system.differential), self.system.rhs
+        self.operations["rhs"] = sum(1 + len(term.monomial) for term in terms)
+        slopes = sum(len(term.monomial) ** 2 for term in terms)
+        self.operations["jacobian_entries"] = slopes
+        of_entries = f"Entries of the Jacobian df/du at u ({n}, ...): shape (places, ...)."
+        return [
+            *(block.splitlines() for block in _HELPERS.split("\n\n\n")),
+            [
+                "def rhs(t, u, p):",
+                *docstring([f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."]),
+                "    return _sums(RATES, N_DIFFERENTIAL, t, u, p)",
+            ],
+            [
+                "def jacobian_entries(t, u, p):",
+                *docstring([of_entries]),
+                "    return _sums(SLOPES, len(JACOBIAN_PLACES), t, u, p)",
+                "",
+                "",
+                "# Numbers that a column of their arrays takes",
+                f"rhs.stored, jacobian_entries.stored = {self.operations['rhs']}, {slopes}",
+            ],
+            self.with_products(),
+        ]

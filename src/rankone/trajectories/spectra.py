@@ -1,0 +1,84 @@
+"""How fast small changes of the states grow and decay, by the Jacobian.
+
+The eigenvalues of many states are not computed: one at an end of the spectrum, by Arnoldi's method
+(ARPACK), to a few per cent, and where that does not converge the bound of Gershgorin's circles.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.linalg import ArpackError, eigs
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import eigenvalues, in_pieces
+from rankone.trajectories.integrator import JACOBIAN_ENTRY, jacobians
+from rankone.trajectories.newton import entries_at, sparse_pattern
+
+Matrix: TypeAlias = Array | scipy.sparse.csr_array
+_TOLERANCE = 0.03  # Relative error of an eigenvalue of a sparse matrix
+_MOST_RESTARTS = 30  # Of Arnoldi's method
+_SPARSE_COST = 20.0  # Operations of a restart for each entry and for each state
+_MOST_EXAMINED = 3  # Sparse matrices of a stack whose fastest decay is computed
+
+
+def growth_rate(matrix: Matrix) -> float:
+    """The fastest rate at which small states grow, by the Jacobian (n, n)."""
+    if isinstance(matrix, np.ndarray):
+        return float(np.linalg.eigvals(matrix).real.max())
+    charge(_MOST_RESTARTS * _SPARSE_COST * (matrix.nnz + matrix.shape[0]))
+    try:
+        start = np.random.default_rng(20149).random(matrix.shape[0])
+        options = {"which": "LR", "v0": start, "tol": _TOLERANCE, "maxiter": _MOST_RESTARTS}
+        found = eigs(matrix, k=1, return_eigenvectors=False, **options)
+        return float(found.real.max())
+    except ArpackError:  # the bound is never too small
+        diagonal = matrix.diagonal()
+        return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())
+
+
+def first_jacobian(system: System, points: Array, time: float, states: Array) -> Matrix | None:
+    """The Jacobian of the first trajectory, states (n, m); None where it is not finite."""
+    pattern, n = sparse_pattern(system), system.n_differential
+    if pattern is None:
+        block = jacobians(system, points, time, states)[0]
+        return block if np.isfinite(block).all() else None
+    entries = entries_at(system, pattern, points[:1], time, states[:, :1])[:, 0]
+    return scipy.sparse.csr_array((entries, (pattern.rows, pattern.columns)), shape=(n, n))
+
+
+def decays_faster(system: System, points: Array, time: float, states: Array, rate: float) -> bool:
+    """Whether some Jacobian of a stack has an eigenvalue with a real part below ``-rate``."""
+    pattern = sparse_pattern(system)
+    if pattern is None:
+        blocks = jacobians(system, points, time, states)
+        return bool(np.isfinite(blocks).all()) and _dense_decays_faster(blocks, rate)
+    n, entries = system.n_differential, entries_at(system, pattern, points, time, states)
+    stack = scipy.sparse.csr_array(
+        (np.ones(pattern.rows.size), (pattern.rows, np.arange(pattern.rows.size))),
+        shape=(n, pattern.rows.size),
+    )
+    bounds = (stack @ np.abs(entries)).max(axis=0)  # no eigenvalue is larger
+    largest = np.argsort(-bounds, kind="stable")[:_MOST_EXAMINED]
+    for k in largest[bounds[largest] > rate].tolist():
+        own = -entries[:, k], (pattern.rows, pattern.columns)
+        if growth_rate(scipy.sparse.csr_array(own, shape=(n, n))) > rate:
+            return True
+    return False
+
+
+def _dense_decays_faster(blocks: Array, rate: float) -> bool:
+    """The same for matrices (m, n, n)."""
+    cost = eigenvalues(blocks.shape[-1])
+    for matrices in in_pieces(blocks, cost):
+        charge(JACOBIAN_ENTRY * matrices.size)
+        bounds = np.abs(matrices).sum(axis=2).max(axis=1)  # no eigenvalue is larger
+        suspicious = matrices[bounds > rate]
+        charge(cost * len(suspicious))
+        if -np.linalg.eigvals(suspicious).real.min(initial=0.0) > rate:
+            return True
+    return False

@@ -1,0 +1,79 @@
+"""Systems of many states as array code, against rates written by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.codegen.arrays import ARRAY_STATES
+from rankone.ir.jacobian import pattern_of
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+
+N = ARRAY_STATES
+BOX = {"k": (0.5, 2.0), "c": (0.1, 0.3)}
+
+
+def rates(t: float, u: Array, k: Array, c: Array) -> Array:
+    steps = np.arange(len(u)).reshape(-1, *[1] * (u.ndim - 1))
+    ahead, second = np.roll(u, -1, axis=0), np.roll(u, -2, axis=0)
+    return k**2 * ahead - 3 * u * second + c * np.cos(t) * u**3 + steps + 0.5 * k
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    """A ring with constant, linear, quadratic and cubic terms, driven in time."""
+    rhs = {
+        f"x{i}": f"k**2*x{(i + 1) % N} - 3*x{i}*x{(i + 2) % N} + c*cos(t)*x{i}**3 + {i} + 0.5*k"
+        for i in range(N)
+    }
+    initial = {f"x{i}": f"{i + 1}/100 + k" for i in range(N)}
+    return ro.compile(ro.Problem.from_strings(rhs, initial, BOX, (0, 2))).system
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3)])
+def test_rates_are_those_written(system: System, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(4)
+    u, p, t = rng.random((N, *shape)), 0.5 + rng.random((2, *shape)), rng.random(shape)
+    assert system.rhs(t, u, p) == pytest.approx(rates(t, u, *p), rel=1e-13)
+    assert system.rhs(0.3, u, p) == pytest.approx(rates(0.3, u, *p), rel=1e-13)
+
+
+def test_rates_broadcast_states_and_parameters(system: System) -> None:
+    rng = np.random.default_rng(5)
+    u, p = rng.random((N, 1, 4)), 0.5 + rng.random((2, 3, 1))
+    assert system.rhs(0.3, u, p) == pytest.approx(rates(0.3, u, *p), rel=1e-13)
+
+
+def test_jacobian_has_the_pattern_and_the_slopes(system: System) -> None:
+    rng = np.random.default_rng(6)
+    u, (k, c) = rng.random(N), (0.7, 0.2)
+    expected = np.zeros((N, N))
+    for i in range(N):
+        expected[i, (i + 1) % N] = k**2
+        expected[i, i] = -3 * u[(i + 2) % N] + 3 * c * np.cos(0.4) * u[i] ** 2
+        expected[i, (i + 2) % N] = -3 * u[i]
+    pattern = pattern_of(system.jacobian)
+    assert pattern is not None
+    assert {*zip(pattern.rows, pattern.columns, strict=True)} == {*zip(*expected.nonzero())}
+    assert system.jacobian(0.4, u, [k, c]) == pytest.approx(expected, rel=1e-13, abs=1e-15)
+
+
+def decays(n: int) -> ro.CompiledProblem:
+    rhs = {f"x{i}": f"-k*x{i}" for i in range(n)}
+    return ro.compile(ro.Problem.from_strings(rhs, dict.fromkeys(rhs, 1), {"k": (1, 2)}, (0, 1)))
+
+
+def test_small_systems_keep_a_line_for_each_state() -> None:
+    source = decays(N - 1).source
+    assert f"out[{N - 2}] = " in source
+    assert "sparse" not in source
+
+
+def test_methods_with_operators_are_refused_for_very_many_states() -> None:
+    problem = decays(201)
+    assert problem.methods["train"] is not None
+    assert problem.automatic == ("cross",)
+    with pytest.raises(ro.OptionError, match="200 states"):
+        problem.solve(method="train")

@@ -1,0 +1,102 @@
+"""Newton's matrices of many states against dense ones, and growth rates against eigenvalues."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import rankone as ro
+from rankone.ir.jacobian import PatternJacobian
+from rankone.ir.system import System
+from rankone.trajectories.integrator import jacobians
+from rankone.trajectories.newton import (
+    DenseJacobians,
+    SparseJacobians,
+    jacobians_for,
+    sparse_pattern,
+)
+from rankone.trajectories.spectra import decays_faster, first_jacobian, growth_rate
+
+N, TIME = 80, 0.2
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    """A reaction, and diffusion on a ring."""
+    rhs = {
+        f"u{i}": f"D*(u{(i - 1) % N} - 2*u{i} + u{(i + 1) % N}) + u{i}*(1 - k*u{i})"
+        for i in range(N)
+    }
+    initial = {f"u{i}": str(0.5 + 0.3 * np.cos(2 * np.pi * i / N)) for i in range(N)}
+    box = {"D": (20.0, 40.0), "k": (0.5, 1.5)}
+    return ro.compile(ro.Problem.from_strings(rhs, initial, box, (0, 0.5))).system
+
+
+@pytest.fixture
+def stack() -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, d) and states (n, m)."""
+    rng = np.random.default_rng(1)
+    return np.array([[20.0, 0.5], [30.0, 1.0], [40.0, 1.5]]), rng.random((N, 3))
+
+
+@pytest.mark.parametrize("shift", [3.5, 2.0 + 1.5j])
+def test_sparse_solutions_are_those_of_inverses(system, stack, shift) -> None:
+    points, states = stack
+    sparse = jacobians_for(system, points)(TIME, states)
+    assert isinstance(sparse, SparseJacobians)
+    blocks = jacobians(system, points, TIME, states)
+    right = np.random.default_rng(2).random(N * 3).astype(type(shift))
+    expected = np.stack(
+        [
+            np.linalg.solve(shift * np.eye(N) - block, vector)
+            for block, vector in zip(blocks, right.reshape(N, 3).T, strict=True)
+        ],
+        axis=1,
+    )
+    for matrices in (sparse.newton(shift), DenseJacobians(blocks).newton(shift)):
+        assert matrices.solve(right).reshape(N, 3) == pytest.approx(expected, rel=1e-9)
+        some = matrices.solve_some(np.array([2, 0]), right.reshape(N, 3)[:, [2, 0]])
+        assert some == pytest.approx(expected[:, [2, 0]], rel=1e-9)
+
+
+def test_growth_and_decay_are_those_of_eigenvalues(system, stack) -> None:
+    points, states = stack
+    block = first_jacobian(system, points, TIME, states)
+    eigenvalues = np.linalg.eigvals(block.toarray()).real
+    assert growth_rate(block) == pytest.approx(eigenvalues.max(), rel=0.05)
+    fastest = -min(np.linalg.eigvals(b).real.min() for b in jacobians(system, points, TIME, states))
+    assert decays_faster(system, points, TIME, states, 0.9 * fastest)
+    assert not decays_faster(system, points, TIME, states, 1.1 * fastest)
+
+
+def test_full_jacobians_are_dense(system) -> None:
+    rows, columns = np.divmod(np.arange(N * N), N)
+    full = PatternJacobian(N, rows, columns, system.jacobian.entries)
+    assert sparse_pattern(replace(system, jacobian=full)) is None
+    assert sparse_pattern(system) is not None
+
+
+@pytest.mark.slow
+def test_a_stiff_field_is_solved_as_the_exponential_is() -> None:
+    n = 70
+    rhs = {
+        f"u{i}": " + ".join(
+            [f"D*u{j}" for j in (i - 1, i + 1) if 0 <= j < n]
+            + [f"-2*D*u{i}", "1" if i < 9 else "0"]
+        )
+        for i in range(n)
+    }
+    initial = {f"u{i}": str(i % 5) for i in range(n)}
+    problem = ro.Problem.from_strings(rhs, initial, {"D": (200.0, 400.0)}, (0, 1))
+    solution = ro.solve(problem, rtol=1e-4)
+    assert solution.success, solution.message
+    diffusion = np.diag(np.full(n, -2.0)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
+    source, start = np.array([1.0 if i < 9 else 0.0 for i in range(n)]), np.arange(n) % 5
+    for conductivity in (217.0, 391.0):
+        matrix = conductivity * diffusion
+        still = np.linalg.solve(matrix, -source)
+        exact = still + scipy.linalg.expm(0.7 * matrix) @ (start - still)
+        assert solution(0.7, D=conductivity) == pytest.approx(exact, abs=2e-4 * 4)
