@@ -291,6 +291,21 @@ def test_a_trigger_that_parameters_decide(read):
     assert [problem.trajectory(1.0, c_0=c)["x"] for c in (0.7, 1.5)] == [0.5, 9.0]
 
 
+@pytest.mark.parametrize(("trigger", "expected"), [("Q > 1.4", 0.0), ("Q > 0.7", 9.0)])
+def test_a_trigger_of_what_never_changes(read, trigger, expected):
+    """Its numbers tell whether it happens at the start."""
+    model = read(
+        d.document(
+            compartments=[d.compartment()],
+            species=[d.species("S", concentration=1), d.species("Q", amount=1, boundary=True)],
+            parameters=[d.parameter("k", 0.5), d.parameter("x", 0, False)],
+            reactions=[d.reaction("R", ["S"], ["Q"], "k*S*C")],
+            events=[d.event("E", trigger, {"x": "9"}, before=False)],
+        )
+    )
+    assert model.problem(["k"], spread=2, time=(0, 1)).trajectory(1.0, k=0.5)["x"] == expected
+
+
 def waving(delay, **options):
     """A sine that sets off an event each 2 pi, from pi/6 on, which keeps the time for a delay."""
     return d.document(
@@ -524,6 +539,28 @@ def test_files_and_packages(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "libsbml", None)
     with pytest.raises(ProblemError, match="pip install python-libsbml"):
         ro.read_sbml(path)
+
+
+def test_external_models_beside_a_file_in_another_folder(tmp_path, monkeypatch):
+    folder = tmp_path / "models"
+    folder.mkdir()
+    inner = d.document(parameters=[d.parameter("x", 1, False)], rules=[d.rate_rule("x", "-2*x")])
+    (folder / "inner.xml").write_text(inner, encoding="utf-8")
+    (folder / "outer.xml").write_text(
+        f'''<?xml version="1.0" encoding="UTF-8"?>
+<sbml xmlns="{d.CORE}" level="3" version="2" comp:required="true"
+  xmlns:comp="http://www.sbml.org/sbml/level3/version1/comp/version1">
+  <model id="outer"><comp:listOfSubmodels>
+    <comp:submodel comp:id="A" comp:modelRef="E"/></comp:listOfSubmodels></model>
+  <comp:listOfExternalModelDefinitions>
+    <comp:externalModelDefinition comp:id="E" comp:source="inner.xml"/>
+  </comp:listOfExternalModelDefinitions>
+</sbml>''',
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    problem = ro.read_sbml("models/outer.xml").problem(time=(0, 1))
+    assert problem.trajectory(1.0)["A__x"] == pytest.approx(np.exp(-2.0))
 
 
 def test_antimony(read, monkeypatch):

@@ -51,7 +51,7 @@ def open_document(path: object) -> tuple[Any, Any]:
     if file.suffix in ANTIMONY_SUFFIXES:
         document = libsbml.readSBMLFromString(_sbml_of_antimony(file))
     else:
-        document = libsbml.readSBMLFromFile(str(file))
+        document = libsbml.readSBMLFromFile(str(file.resolve()))  # external models
     _check_errors(document, libsbml, file)
     _check_packages(document, file)
     _flatten(document, libsbml, file)

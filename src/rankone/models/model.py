@@ -137,7 +137,7 @@ class Model:
         functions = self._functions
         decided = {self.start: sp.Rational(repr(start))}
         point = self._starting_point(start, decided)
-        while decisive := self._decisive(point, box):
+        while decisive := self._decisive(point, box, decided):
             decided |= decisive
             point = self._starting_point(start, decided)
 
@@ -184,10 +184,13 @@ class Model:
         return StartingPoint(self.time, start, initial, rates)
 
     def _decisive(
-        self, point: StartingPoint, box: Mapping[sp.Symbol, Any]
+        self,
+        point: StartingPoint,
+        box: Mapping[sp.Symbol, Any],
+        decided: Mapping[sp.Symbol, sp.Expr],
     ) -> dict[sp.Symbol, sp.Rational]:
-        """The numbers that tell which triggers hold at the start: nothing may change them later."""
-        triggers = [self._full(each.trigger) for each in self.happenings]
+        """Further numbers that tell which triggers hold at the start: nothing may change them later."""
+        triggers = [self._full(each.trigger).xreplace(decided) for each in self.happenings]
         at_start = [truth(each) for each in triggers for truth in (point.value, point.after)]
         symbols = set().union(*(truth.free_symbols for truth in at_start))
         numbers = {s: number for s, number in self.numbers.items() if s in symbols - set(box)}
