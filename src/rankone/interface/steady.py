@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
 import sympy as sp
 
 from rankone.expressions.notation import plain_text
@@ -14,7 +15,7 @@ from rankone.interface.solution import Solution
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.request import SolveRequest
-from rankone.ir.verdict import Note, Status, SteadyBranch
+from rankone.ir.verdict import MeasuredError, Note, Status, SteadyBranch
 from rankone.solvers.engine import solve_with
 from rankone.solvers.registry import ENGINES
 from rankone.support.arrays import Array
@@ -29,6 +30,8 @@ from rankone.trajectories.rest import SteadyStates, at_rest
 from rankone.verification.points import FEW_PARAMETERS, check_points
 
 _USUAL_HORIZONS = 100.0  # Horizons of the problem that trajectories may take to settle
+_FINER = 0.01  # Factor of the tolerance until gradients are within it
+_LEAST_RTOL = 1e-10
 _BRANCH_POINTS = 32  # Points of the box, besides corners, that have to be on one branch
 
 
@@ -46,7 +49,8 @@ def steady_state(
     A trajectory is followed until it is close to a stable steady state, from where Newton's method
     finds it. The solution is one of the parameters alone: ``solution(k=2.0)``. Its horizon has no
     meaning; gradients, statistics, outputs, plots and exports are those of any solution without
-    time. Its message says which branch it is, and whether it is stable.
+    time. Gradients are as accurate, over the largest ones, down to about 1e-8. Its message says
+    which branch it is, and whether it is stable.
 
     Parameters
     ----------
@@ -119,9 +123,51 @@ def steady_state(
                 remedy="raise effort, give a smaller settle=, or narrow the box",
             ) from None
         metadata = _metadata(compiled, rows)
-        outcome, metadata = solve_with([engine], resting, request, metadata)
-        outcome = _explained(outcome, steady, metadata, points)
-    return Solution(outcome, replace(metadata, timeless=True))
+
+        def solved(finer: float) -> Solution:
+            asked = replace(request, rtol=finer)
+            outcome, of_engine = solve_with([engine], resting, asked, metadata)
+            outcome = _restated(_explained(outcome, steady, of_engine, points), rtol)
+            return Solution(outcome, replace(of_engine, rtol=rtol, timeless=True))
+
+        return _with_gradients(solved, steady, rows, points, request.rtol)
+
+
+def _with_gradients(
+    solved: Callable[[float], Solution],
+    steady: SteadyStates,
+    rows: list[int],
+    points: Array,
+    rtol: float,
+) -> Solution:
+    """The solution whose gradients at points (m, d) are within rtol as well, if finer ones are."""
+    solution, finer = solved(rtol), rtol
+    if not solution.success or not points.shape[1]:
+        return solution
+    slopes, points = steady.slopes(points)
+    widths = np.diff(np.array(steady.system.box))
+    exact = slopes[rows] * widths
+    sizes = np.abs(exact).max(axis=(1, 2), keepdims=True)
+    at = dict(zip(solution.parameters, points.T, strict=True))
+    while finer > _LEAST_RTOL:
+        off = np.abs(solution.gradient(at) * widths - exact)
+        if (off <= rtol * sizes).all():
+            break
+        finer = max(finer * _FINER, _LEAST_RTOL)
+        closer = solved(finer)
+        if not closer.success:
+            break
+        solution = closer
+    return solution
+
+
+def _restated(outcome: Outcome, rtol: float) -> Outcome:
+    """The outcome of a finer tolerance as one of the tolerance asked for."""
+    notes = tuple(
+        replace(note, rtol=rtol) if isinstance(note, MeasuredError) else note
+        for note in outcome.notes
+    )
+    return replace(outcome, notes=notes)
 
 
 def _check_autonomous(system: FirstOrderSystem) -> None:

@@ -189,7 +189,7 @@ class Model:
         box: Mapping[sp.Symbol, Any],
         decided: Mapping[sp.Symbol, sp.Expr],
     ) -> dict[sp.Symbol, sp.Rational]:
-        """Further numbers that tell which triggers hold at the start: nothing may change them later."""
+        """Further numbers that tell which triggers hold at the start, fixed from then on."""
         triggers = [self._full(each.trigger).xreplace(decided) for each in self.happenings]
         at_start = [truth(each) for each in triggers for truth in (point.value, point.after)]
         symbols = set().union(*(truth.free_symbols for truth in at_start))

@@ -29,6 +29,8 @@ _AT_REST = 1e-11  # The same at which a trajectory has not moved from its start
 _MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
 _NOISE = 1e-18  # A state below this share of the largest one is zero
 _LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
+_STEP = 2e-3  # Of differences, over the width of the box or the parameter itself
+_CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
 _NEUTRAL = 1e-9  # Growth rates above minus this, in units of the horizon, do not decay
 
 
@@ -157,6 +159,26 @@ class SteadyStates:
         """At which points (m, d) perturbations of states (n, m) decay; not where these are NaN."""
         growth = self.growth(np.nan_to_num(states), points)
         return np.asarray(np.isfinite(states).all(axis=0) & (growth < -_NEUTRAL / self.first))
+
+    def slopes(self, points: Array) -> tuple[Array, Array]:
+        """Derivatives (n, d, m) by the parameters at points (m, d), and the points.
+
+        By central differences of steady states, at points moved inside of the box for them.
+        """
+        box = np.asarray(self.system.box, dtype=float).reshape(-1, 2)
+        lower, upper = box.T
+        widths = upper - lower
+        steps = _STEP * np.minimum(widths, np.maximum(np.abs(points), _STEP * widths))
+        points = np.clip(points, lower + 2.0 * steps, upper - 2.0 * steps)
+        states, slopes = self(points.T), []
+        for j in range(len(box)):
+            total = np.zeros(states.shape)
+            for weight, shift in _CENTRAL:
+                moved = points.T.copy()
+                moved[j] += shift * steps[:, j]
+                total += weight * self._constraints.consistent(0.0, states, moved)
+            slopes.append(total / steps[:, j])
+        return np.array(slopes).reshape(len(box), *states.shape).swapaxes(0, 1), points
 
     def stability(self, points: Array) -> Stability:
         """How perturbations grow at points (m, d)."""
