@@ -5,9 +5,11 @@ import pickle
 import numpy as np
 import pytest
 import sympy as sp
+from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.frontend.elimination import Elimination, LinearRow
+from rankone.frontend.problem_files import load_problem
 
 t, k, m = sp.symbols("t k m")
 x, y, z, w, lam, u, v = (sp.Function(name)(t) for name in ("x", "y", "z", "w", "lam", "u", "v"))
@@ -245,3 +247,23 @@ def test_elimination_leaves_over_what_does_not_determine():
 )
 def test_signs_over_the_box(expression, sign):
     assert Elimination(pendulum().coordinates).sign(expression) == sign
+
+
+def test_text_and_files(tmp_path):
+    """A pendulum in x and y with the force in its rod, which has no initial value."""
+    problem = ro.Problem.from_strings(
+        {},
+        {"x": "sin(a)", "y": "-cos(a)", "x_t": 0, "y_t": 0},
+        {"a": (0.5, 1)},
+        (0, 1),
+        equations=["x_tt = -force*x", "y_tt = -force*y - 9.81", "0 = x^2 + y^2 - 1"],
+        unknowns=["force"],
+    )
+    read = load_problem(problem.save(tmp_path / "pendulum.toml"))
+    assert repr(read) == repr(problem)
+    angle = solve_ivp(lambda t, u: [u[1], -9.81 * np.sin(u[0])], (0, 1), [0.8, 0], rtol=1e-10,
+                      atol=1e-12).y[:, -1]  # fmt: skip
+    expected = [np.sin(angle[0]), -np.cos(angle[0]), angle[1] ** 2 + 9.81 * np.cos(angle[0])]
+    np.testing.assert_allclose(read.trajectory(1.0, a=0.8).values, expected, rtol=1e-6)
+    with pytest.raises(ro.ProblemError, match=r"unknown name `z`.*or `unknowns`"):
+        ro.Problem.from_strings({"x": "-z"}, {"x": 1}, {}, (0, 1), equations=["0 = z - x"])

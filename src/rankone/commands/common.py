@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -47,9 +47,16 @@ def add_command(
     return parser
 
 
-def add_solve_rtol(parser: argparse.ArgumentParser) -> None:
+def add_solve_arguments(parser: argparse.ArgumentParser) -> None:
+    """What a problem file is solved with."""
     help_text = "relative tolerance for a problem file (default: 1e-6)"
     parser.add_argument("--rtol", type=float, help=help_text)
+    add_set(parser)
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    help_text = "other numbers of constants of a problem file; a parameter is fixed at its number"
+    parser.add_argument("--set", metavar="NAME=VALUE", nargs="+", action="extend", help=help_text)
 
 
 def add_states(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +68,7 @@ def add_states(parser: argparse.ArgumentParser) -> None:
 
 
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    add_solve_rtol(parser)
+    add_solve_arguments(parser)
     parser.add_argument("--method", help="the engine (default: auto)")
     parser.add_argument(
         "--model-rtol",
@@ -90,18 +97,32 @@ def is_saved(path: Path) -> bool:
     return path.suffix in (".npz", ".nc")
 
 
+def problem_of(path: Path, numbers: Sequence[str] | None) -> Problem:
+    """The problem of a file, with other numbers of constants, ``m=2.5``."""
+    from rankone.frontend.problem_files import load_problem
+
+    return with_numbers(load_problem(path), numbers)
+
+
+def with_numbers(problem: Problem, numbers: Sequence[str] | None) -> Problem:
+    """A problem with the numbers of ``--set``."""
+    from rankone.export.program import pairs_of
+
+    return problem.set(pairs_of("--set", numbers, float)) if numbers else problem
+
+
 def solution_of(
-    path: Path, rtol: float | None, method: str | None = None, effort: str | float = "normal"
+    arguments: argparse.Namespace, method: str | None = None, effort: str | float = "normal"
 ) -> Solution:
     """Load a saved solution, which takes no tolerance and no method, or solve a problem file."""
     import rankone
-    from rankone.frontend.problem_files import load_problem
     from rankone.models.document import is_model_file
     from rankone.support.budget import preparing
     from rankone.support.errors import OptionError, ProblemError
 
+    path, rtol, numbers = arguments.file, arguments.rtol, arguments.set
     if is_saved(path):
-        for option, argument in (("--rtol", rtol), ("--method", method)):
+        for option, argument in (("--rtol", rtol), ("--method", method), ("--set", numbers)):
             if argument is not None:
                 raise OptionError(
                     f"{option} is for problem files; `{path}` is solved already",
@@ -118,7 +139,7 @@ def solution_of(
             else "give an .npz, .nc, .py or .toml file",
         )
     with preparing(None):
-        compiled = rankone.compile(load_problem(path))
+        compiled = rankone.compile(problem_of(path, numbers))
     rtol = _DEFAULT_RTOL if rtol is None else rtol
     engine = "auto" if method is None else method
     return compiled.solve(rtol=rtol, method=engine, effort=effort)  # type: ignore[arg-type]

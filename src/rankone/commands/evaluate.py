@@ -17,7 +17,7 @@ from rankone.commands.common import (
     SOLVED_HELP,
     Commands,
     add_command,
-    add_solve_rtol,
+    add_solve_arguments,
     add_states,
     finite_or_none,
     solution_of,
@@ -52,7 +52,7 @@ def register(commands: Commands) -> None:
     add("--json", action="store_true", help="print JSON")
     add("--csv", metavar="PATH", nargs="?", const="-", help="a table, printed or written to PATH")
     add("--overwrite", action="store_true", help="let --csv replace a file")
-    add_solve_rtol(parser)
+    add_solve_arguments(parser)
 
 
 def _evaluate(arguments: argparse.Namespace) -> int:
@@ -70,7 +70,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     if to_file:  # find out before the solve, not after it
         free_target(arguments.csv, arguments.overwrite, StorageError)
 
-    solution = solution_of(arguments.file, arguments.rtol)
+    solution = solution_of(arguments)
     names = solution.states if arguments.states == "all" else solution.unknowns
     axes = {name: [coordinate] for name, coordinate in at.items()} | grid
     states = _states(solution, names, axes)

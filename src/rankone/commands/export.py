@@ -15,6 +15,7 @@ from rankone.commands.common import (
     add_states,
     is_saved,
     may_be_written,
+    problem_of,
     solution_of,
     toml_help,
 )
@@ -67,7 +68,6 @@ def _export(arguments: argparse.Namespace) -> int:
 def _write_solver(arguments: argparse.Namespace) -> int:
     import rankone
     from rankone.export import solver_target
-    from rankone.frontend.problem_files import load_problem
     from rankone.support.errors import OptionError
 
     for name in _FOR_MODELS:
@@ -78,7 +78,7 @@ def _write_solver(arguments: argparse.Namespace) -> int:
                 remedy="add --model, or leave it out",
             )
     solver_target(arguments.output, arguments.overwrite)
-    compiled = rankone.compile(load_problem(arguments.file))
+    compiled = rankone.compile(problem_of(arguments.file, arguments.set))
     method = arguments.method or "auto"
     compiled.export(arguments.output, method=method, overwrite=arguments.overwrite)
     return SUCCESS
@@ -90,7 +90,7 @@ def _write_model(arguments: argparse.Namespace) -> int:
     # before the solve, not after it
     target = model_target(arguments.output, arguments.overwrite)
     check_options(target, rtol=arguments.model_rtol, fmi=arguments.fmi)
-    solution = solution_of(arguments.file, arguments.rtol, arguments.method)
+    solution = solution_of(arguments, arguments.method)
     if not may_be_written(solution, arguments):
         return FAILURE
     solution.export(
@@ -112,7 +112,7 @@ def _explore(arguments: argparse.Namespace) -> int:
     # before the solve, not after it
     page_target(target, arguments.overwrite)
     check_options(target, rtol=arguments.model_rtol)
-    solution = solution_of(arguments.file, arguments.rtol, arguments.method)
+    solution = solution_of(arguments, arguments.method)
     if not may_be_written(solution, arguments):
         return FAILURE
     path = solution.explore(

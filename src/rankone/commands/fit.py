@@ -16,7 +16,7 @@ from rankone.commands.common import (
     SUCCESS,
     Commands,
     add_command,
-    add_solve_rtol,
+    add_solve_arguments,
     finite_or_none,
     solution_of,
 )
@@ -76,7 +76,7 @@ def register(commands: Commands) -> None:
     add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
     add("--profile", action="store_true", help="intervals by profile likelihood")
     add("--posterior", action="store_true", help="the distribution of the parameters as well")
-    add_solve_rtol(parser)
+    add_solve_arguments(parser)
     add("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP)
     add("--json", action="store_true", help="print the result as JSON")
 
@@ -85,7 +85,7 @@ def _fit(arguments: argparse.Namespace) -> int:
     from rankone.estimation.posterior import posterior_of
     from rankone.export.program import box_of, pairs_of
 
-    solution = solution_of(arguments.file, arguments.rtol, effort=arguments.effort)
+    solution = solution_of(arguments, effort=arguments.effort)
     table = _read(arguments.data)
     fit = solution.fit(
         table,

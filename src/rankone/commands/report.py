@@ -16,7 +16,7 @@ from rankone.commands.common import (
     SOLVED_HELP,
     Commands,
     add_command,
-    add_solve_rtol,
+    add_solve_arguments,
     complain,
     finite_or_none,
     solution_of,
@@ -56,7 +56,7 @@ def register(commands: Commands) -> None:
     add("--no-plots", dest="plots", action="store_false", help=_NO_PLOTS_HELP)
     add("--json", action="store_true", help="print JSON")
     add("--overwrite", action="store_true", help="replace existing files")
-    add_solve_rtol(parser)
+    add_solve_arguments(parser)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -70,7 +70,7 @@ def _report(arguments: argparse.Namespace) -> int:
         folder = Path(f"{arguments.file.stem}_report")
     if folder is not None:  # find out before the solve, not after it
         _check_place(folder, arguments.overwrite)
-    solution = solution_of(arguments.file, arguments.rtol)
+    solution = solution_of(arguments)
     statistics = _statistics(solution)
     answer: dict[str, object] = {"file": str(arguments.file), **summary(solution)}
     answer |= {"ranks": [list(ranks) for ranks in solution.ranks], "bytes": solution.nbytes}

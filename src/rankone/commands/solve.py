@@ -14,10 +14,13 @@ from rankone.commands.common import (
     SUCCESS,
     Commands,
     add_command,
+    add_set,
     complain,
     model_problem,
+    problem_of,
     summary,
     toml_help,
+    with_numbers,
 )
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
@@ -79,6 +82,7 @@ def register(commands: Commands) -> None:
     add("--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)")
     add("--box", metavar="NAME=LOWER:UPPER[:SCALE]", nargs="+", action="extend", help=_BOX_HELP)
     add("--t-final", metavar="T", type=float, help=_END_HELP)
+    add_set(solve)
     add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
@@ -111,6 +115,7 @@ def register(commands: Commands) -> None:
         type=float,
         help="of a model the end of the horizon; without it the model itself is printed",
     )
+    add_set(show)
     for stage, (title, _) in _STAGES.items():
         show.add_argument(f"--{stage}", action="store_true", help=f"the {title}")
 
@@ -135,7 +140,6 @@ def _markers(words: list[str]) -> str | list[str] | None:
 def _solve(arguments: argparse.Namespace) -> int:
     import rankone
     from rankone.export.program import box_of, options_of
-    from rankone.frontend.problem_files import load_problem
     from rankone.models.document import is_model_file
     from rankone.storage import target
     from rankone.support.budget import preparing
@@ -148,9 +152,9 @@ def _solve(arguments: argparse.Namespace) -> int:
     of_model = is_model_file(arguments.file)  # its box and horizon are those of the problem
     with preparing(arguments.max_seconds):
         compiled = rankone.compile(
-            model_problem(arguments.file, box, arguments.t_final)
+            with_numbers(model_problem(arguments.file, box, arguments.t_final), arguments.set)
             if of_model
-            else load_problem(arguments.file)
+            else problem_of(arguments.file, arguments.set)
         )
     check = True if arguments.check is None else arguments.check or False
     bar = sys.stderr.isatty() and not arguments.quiet
@@ -192,7 +196,6 @@ def _solve(arguments: argparse.Namespace) -> int:
 def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
     """The problem whose stages are printed; None for a model, which has been printed."""
     from rankone.export.program import box_of
-    from rankone.frontend.problem_files import load_problem
     from rankone.models.document import is_model_file
     from rankone.models.sbml import read_sbml
     from rankone.support.errors import OptionError
@@ -200,7 +203,12 @@ def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
     file, box, t_final = arguments.file, box_of(arguments.box), arguments.t_final
     given = bool(box) or t_final is not None
     if is_model_file(file) and given:
-        return model_problem(file, box, t_final)
+        return with_numbers(model_problem(file, box, t_final), arguments.set)
+    if is_model_file(file) and arguments.set:
+        raise OptionError(
+            "--set is for problems; without --box and --t-final the model itself is printed",
+            remedy="give --t-final, or leave --set out",
+        )
     if is_model_file(file):
         print(read_sbml(file))
         return None
@@ -208,7 +216,7 @@ def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
         raise OptionError(
             f"--box and --t-final are for models; `{file}` has its own", remedy="leave them out"
         )
-    return load_problem(file)
+    return problem_of(file, arguments.set)
 
 
 def _show(arguments: argparse.Namespace) -> int:

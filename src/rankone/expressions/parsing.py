@@ -90,7 +90,7 @@ def parse_expression(
     where: str,
     equation: int | None = None,
     further: Mapping[str, Callable[..., sp.Expr]] | None = None,
-    unknown_name_remedy: str = "declare it in `parameters` or give it in `rhs`",
+    unknown_name_remedy: str = "declare it in `parameters`, or give it in `rhs` or `unknowns`",
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 

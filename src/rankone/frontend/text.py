@@ -238,7 +238,7 @@ def formula(
     names: Mapping[str, sp.Expr],
     where: str,
     equation: int | None,
-    unknown_name_remedy: str = "declare it in `parameters` or give it in `rhs`",
+    unknown_name_remedy: str = "declare it in `parameters`, or give it in `rhs` or `unknowns`",
 ) -> sp.Expr:
     """Parse a text; let numbers pass."""
     if isinstance(text, str):

@@ -22,7 +22,8 @@ time = [0, 6]
 x = "x*(1.5 - y)"
 y = "-y*(3 - x)"
 
-# equations = ["m*y_tt = -k*y"]  # above the tables: where no right-hand side gives a derivative
+# equations = ["m*y_tt = -k*y"]  # above the tables: where no right-hand side gives a derivative,
+# unknowns = ["z"]               # as in "0 = z**3 + z - x"; further unknowns without initial values
 
 [initial]                  # numbers or formulas of the parameters
 x = "x0"
