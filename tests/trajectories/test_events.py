@@ -203,3 +203,10 @@ def test_a_surface_that_is_dipped_into(dip):
     (each,) = trajectories(system, [[1.5]], [marker], "single")
     exact = 1.234 + np.sqrt(dip) * np.array([-1, 1])
     np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-5)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_small_bounce_within_a_long_step_is_met(integrator):
+    """After the first bounce the ball is up for 2e-4, and integrated for about one."""
+    (each,) = trajectories(ball(2.0), [[1.0]], [bounce(1e-4)], integrator)
+    assert each.times_of(0)[:2] == pytest.approx([1.0, 1.0002], rel=1e-8)

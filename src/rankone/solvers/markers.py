@@ -21,7 +21,7 @@ from rankone.verification.measure import ReferenceSet
 
 # Operations of a reference over clock time after which pilots tell whether markers pay, since
 # trajectories that are out of phase take many common steps
-_FIRST_LOOK = 4e8
+_FIRST_LOOK = 2e8
 _PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.ir.system import System
+from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.support.errors import warn
@@ -35,7 +35,9 @@ _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer ar
 _TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall too
 _PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
-_NEXT_LOOK = 1.25  # Factor on the work of a stack from one look at it to the next
+# Factors on the work of a stack from one look at it to the next, and to one at which pilots that
+# came to no end begin anew
+_NEXT_LOOK, _NEXT_PILOTS = 1.25, 2.0
 
 
 def span_integrator_for(
@@ -98,13 +100,15 @@ def tell_fallback(system: System, integrator: str) -> None:
         )
 
 
-def following(integrator: str, taken: str, trajectories: int) -> str:
+def following(integrator: str, taken: str, trajectories: int, clock: Clock | None = None) -> str:
     """The option for what follows an integration of some trajectories by the one ``taken``.
 
-    So a stall is met once. A few trajectories tell nothing of large stacks.
+    So a stall is met once. A few trajectories tell nothing of large stacks. A stack on the
+    ``clock`` of markers, which is in phase, is not watched again.
     """
-    stalled = integrator == "auto" and taken == "single" and trajectories >= _TELLING
-    return taken if stalled else integrator
+    in_phase = clock is not None and clock.last_marks is not None and taken == "stack"
+    told = integrator == "auto" and trajectories >= _TELLING
+    return taken if told and (in_phase or taken == "single") else integrator
 
 
 def explicit_steps(dense: DenseTrajectories, accuracy: float) -> float:
@@ -150,7 +154,8 @@ class SamplingChoice:
         """Count trajectories that were sampled."""
         self.taken = taken
         self.trajectories, self.work = self.trajectories + trajectories, self.work + work
-        self.integrator = following(self.integrator, taken, trajectories)
+        clock = self.system.clock
+        self.integrator = following(self.integrator, taken, trajectories, clock)
         if self.option == "auto" and self.integrator == "compiled" != taken:
             self.integrator, self.may_compile = taken, False
 
@@ -234,6 +239,8 @@ class _Watch:
         self.next_look = _NEXT_LOOK * spent
         if not self.paths:
             self._integrate_pilots(min(_PILOTS / len(self.points) / _PATIENCE, 1.0) * spent)
+            if not self.paths:
+                self.next_look = _NEXT_PILOTS * spent
         if spent > _PATIENCE * self.alone and self._left(time) * spent > self.alone:
             raise _StallError
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,7 +25,9 @@ _MOST_HALVINGS = 12  # Most halvings of a step in which an event may hide
 _UNRESOLVED = 1e-3  # Error of a polynomial between the nodes, over its size, that may hide a root
 _NEAR = 4.0  # Distance from zero, in such errors, within which there may be one
 _GRAZING = 0.05  # Least distance from zero inside of a step, over its size, that may hide two
+_LOW = 0.5  # Least value on a step, over its size, above which it comes nowhere near zero
 _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
+_BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
 
 
@@ -35,6 +38,7 @@ def _interpolation(shares: Array) -> Array:
 
 
 _TO_BETWEEN, _TO_FINE = _interpolation(_BETWEEN), _interpolation(_FINE)
+_TO_START_SLOPE = np.linalg.solve(np.vander(NODES, increasing=True).T, np.eye(NODES.size)[1])
 _TO_HALVES = _interpolation(0.5 * NODES), _interpolation(0.5 + 0.5 * NODES)
 
 
@@ -71,40 +75,69 @@ class _Steps:
         states = nodal.reshape(times.size, -1).T
         return _heights(event, times, states, parameters).reshape(-1, shares.size)
 
-    def resolved(self, event: SystemEvent) -> _Steps:
-        """The steps halved until polynomials resolve what crosses zero, where it may do so."""
-        steps = self
-        for _ in range(_MOST_HALVINGS):
-            at_nodes = steps.heights(event, NODES, steps.nodal)
-            between = steps.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, steps.nodal))
-            missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
-            sizes = np.abs(np.concatenate([at_nodes, between], axis=1))
-            hidden = (missed > _UNRESOLVED * sizes.max(axis=1)) & (
-                sizes.min(axis=1) <= _NEAR * missed
-            )
-            fine = at_nodes @ _TO_FINE.T
-            same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
-            lowest = np.abs(fine).argmin(axis=1)
-            inside = (lowest > 0) & (lowest < fine.shape[1] - 1)
-            near = np.abs(fine).min(axis=1) < _GRAZING * sizes.max(axis=1)
-            halved = np.nan_to_num(hidden | (same & inside & near)).astype(bool)
-            if not halved.any():
-                break
-            steps = steps._halved(halved)
-        return steps
+    def resolved(self, event: SystemEvent) -> tuple[_Steps, Array]:
+        """Steps halved until polynomials resolve what crosses zero, where it may do so.
 
-    def _halved(self, chosen: NDArray[np.bool_]) -> _Steps:
-        """The steps with both halves in place of the chosen ones."""
+        What crosses zero is given at their nodes, (S, nodes).
+        """
+        steps, done = self, list[tuple[_Steps, Array]]()
+        for halvings in range(_MOST_HALVINGS + 1):
+            at_nodes = steps.heights(event, NODES, steps.nodal)
+            hides = steps._hides(event, at_nodes)
+            if halvings == _MOST_HALVINGS or not hides.any():
+                break
+            if not hides.all():
+                done.append((steps._chosen(~hides), at_nodes[~hides]))
+            steps = steps._chosen(hides)._halved()
+        return _in_order([*done, (steps, at_nodes)])
+
+    def _hides(self, event: SystemEvent, at_nodes: Array) -> NDArray[np.bool_]:
+        """Where what crosses zero may do so unseen, (S,), by its values at the nodes."""
+        between = self.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, self.nodal))
+        missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
+        sizes = np.abs(np.concatenate([at_nodes, between], axis=1))
+        largest, least = sizes.max(axis=1), sizes.min(axis=1)
+        hides = np.asarray((missed > _UNRESOLVED * largest) & (least <= _NEAR * missed))
+        same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
+        near = np.flatnonzero(same & (least <= _LOW * largest) & ~hides)
+        fine = np.abs(at_nodes[near] @ _TO_FINE.T)
+        lowest = fine.argmin(axis=1)
+        inside = (lowest > 0) & (lowest < fine.shape[1] - 1)
+        hides[near] = inside & (fine.min(axis=1) < _GRAZING * largest[near])
+        # a crossing soon after a start on the surface, such as that of a small bounce
+        on_surface = np.abs(at_nodes[:, 0]) <= _ON_SURFACE * np.abs(at_nodes[:, 1] - at_nodes[:, 0])
+        turned = np.sign(at_nodes @ _TO_START_SLOPE) * at_nodes[:, 1] < 0.0
+        return np.asarray(hides | (on_surface & turned))
+
+    def _chosen(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> _Steps:
+        """Some of the steps."""
+        begin, end, nodal = self.begin[chosen], self.end[chosen], self.nodal[chosen]
+        return _Steps(begin, end, nodal, self.parameters[:, chosen], self.owner[chosen])
+
+    def _halved(self) -> _Steps:
+        """Both halves of all steps."""
+        halves = self._chosen(np.repeat(np.arange(self.begin.size), 2))
         middle = 0.5 * (self.begin + self.end)
-        counts = np.where(chosen, 2, 1)
-        source = np.repeat(np.arange(chosen.size), counts)
-        first = np.cumsum(counts) - counts
-        begin, end = self.begin[source], self.end[source]
-        nodal, places = self.nodal[source], first[chosen]
-        end[places], begin[places + 1] = middle[chosen], middle[chosen]
-        nodal[places] = np.matmul(_TO_HALVES[0], self.nodal[chosen])
-        nodal[places + 1] = np.matmul(_TO_HALVES[1], self.nodal[chosen])
-        return _Steps(begin, end, nodal, self.parameters[:, source], self.owner[source])
+        halves.end[::2] = halves.begin[1::2] = middle
+        for half, matrix in enumerate(_TO_HALVES):
+            halves.nodal[half::2] = np.matmul(matrix, self.nodal)
+        return halves
+
+
+def _in_order(parts: Sequence[tuple[_Steps, Array]]) -> tuple[_Steps, Array]:
+    """Steps, and what there is for each of them, path by path."""
+    if len(parts) == 1:
+        return parts[0]
+    steps = [each for each, _ in parts]
+    together = _Steps(
+        np.concatenate([each.begin for each in steps]),
+        np.concatenate([each.end for each in steps]),
+        np.concatenate([each.nodal for each in steps]),
+        np.concatenate([each.parameters for each in steps], axis=1),
+        np.concatenate([each.owner for each in steps]),
+    )
+    order = np.lexsort((together.begin, together.owner))
+    return together._chosen(order), np.concatenate([heights for _, heights in parts])[order]
 
 
 class Crossings:
@@ -112,7 +145,33 @@ class Crossings:
 
     Every path has made a step. ``fired`` are for each of them the events at its very start, and
     ``first`` says whether they were the first ones there. Times within an ``instant`` are the same.
+    Paths are looked at in blocks, since much of what is read is read once.
     """
+
+    def __init__(
+        self,
+        system: System,
+        paths: Sequence[Path],
+        points: Array,
+        fired: Sequence[frozenset[int]],
+        first: NDArray[np.bool_],
+        instant: float,
+    ) -> None:
+        steps = np.cumsum([path.steps for path in paths])
+        borders = np.searchsorted(steps, np.arange(0, steps[-1], _BLOCK)).tolist()
+        blocks = itertools.pairwise([*sorted(set(borders)), len(paths)])
+        self.blocks = [
+            _Block(system, paths[a:b], points[a:b], fired[a:b], first[a:b], instant)
+            for a, b in blocks
+        ]
+
+    def of(self, k: int, event: SystemEvent) -> list[Array]:
+        """For each path the times of event ``k``, in order; the first alone if it interrupts."""
+        return [times for block in self.blocks for times in block.of(k, event)]
+
+
+class _Block:
+    """Paths whose crossings are looked for together; see :class:`Crossings`."""
 
     def __init__(
         self,
@@ -127,14 +186,13 @@ class Crossings:
         self.steps, self.count = _Steps.of(paths, points), len(paths)
 
     def of(self, k: int, event: SystemEvent) -> list[Array]:
-        """For each path the times of event ``k``, in order; the first alone if it interrupts.
+        """The times of event ``k``; see :meth:`Crossings.of`.
 
         A trajectory that begins at the event is on its surface except for rounding. It is there
         again at once if it was reset, goes on to the same side as before, and does not cross the
         surface on its way: a ball that comes to rest falls again.
         """
-        steps = self.steps.resolved(event)
-        heights = steps.heights(event, NODES, steps.nodal)
+        steps, heights = self.steps.resolved(event)
         instants = [steps.begin[:0]] * self.count
         firsts = np.searchsorted(steps.owner, np.arange(self.count))
         was_here = np.array([k in fired for fired in self.fired])

@@ -171,13 +171,11 @@ class _Search:
         if not moved:
             return
         some = [trajectories[k] for k in moved]
-        moving = Paths.of([paths[k] for k in moved])
+        moving = [paths[k] for k in moved]
         fired = [each.fired for each in some]
         first = np.array([not each.returned for each in some])
         instant = SAME_INSTANT * self.horizon
-        crossings = Crossings(
-            self.system, [paths[k] for k in moved], points[moved], fired, first, instant
-        )
+        crossings = Crossings(self.system, moving, points[moved], fired, first, instant)
         of_events = [
             crossings.of(k, event) if event.at is None else self._known(k, some, moving)
             for k, event in enumerate(self.events)
@@ -194,7 +192,7 @@ class _Search:
             each.ends = not interrupted.size and each.end < ends[k] - SAME_INSTANT * self.horizon
         if interrupted.size:
             at = next_times[interrupted]
-            met = moving.chosen(interrupted)
+            met = Paths.of([moving[k] for k in interrupted.tolist()])
             before = met(at[:, None])[:, :, 0]
             cuts = met.until(at, before)
             for place, cut in zip(interrupted.tolist(), cuts, strict=True):
@@ -205,14 +203,15 @@ class _Search:
                 [some[k] for k in interrupted.tolist()], fired_now, at, before, at_points
             )
 
-    def _known(self, k: int, trajectories: Sequence[EventTrajectory], paths: Paths) -> list[Array]:
+    def _known(
+        self, k: int, trajectories: Sequence[EventTrajectory], paths: Sequence[Path]
+    ) -> list[Array]:
         """For each path the known time of event ``k``, if the path reaches it."""
-        reach = paths.ends + SAME_INSTANT * self.horizon
-        pairs = zip(trajectories, paths.ends, reach, strict=True)
-        return [
-            np.minimum(each.ahead[k : k + 1], end)[each.ahead[k : k + 1] <= far]
-            for each, end, far in pairs
+        instant = SAME_INSTANT * self.horizon
+        pairs = [
+            (each.ahead[k : k + 1], path) for each, path in zip(trajectories, paths, strict=True)
         ]
+        return [np.minimum(time, path.end)[time <= path.end + instant] for time, path in pairs]
 
     def _next(self, crossings: Sequence[Array]) -> float:
         """The time of the first event that interrupts, infinite if none does."""

@@ -52,7 +52,6 @@ def _begun_with(system: System, states: OfParameters) -> System:
     """The system with states (n, m) of its parameters at the start, and without its jumps."""
     return replace(
         system.starting_at(states),
-        parameter_factors=lambda j, p: np.ones((1, p.size)),
         jumps=Jumps(),
         constraints=Constraints(),
     )
@@ -62,9 +61,11 @@ def _over_shares(system: System) -> System:
     """The system over the share of the way; where each begins is told by further parameters.
 
     They are its state, its time, the length of the way, and how far times stay inside of it: rates
-    may jump at its ends. It has no terms, which would be those of the system over times.
+    may jump at its ends. Terms are those of the system times the length; functions of time in them
+    are over times still.
     """
     cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
+    length_alone = *(0,) * (n + 1), 1, 0
 
     def at(share: float | Array, p: VectorLike) -> tuple[Array, Array, Array]:
         """Times, the parameters of the system, and lengths."""
@@ -87,4 +88,20 @@ def _over_shares(system: System) -> System:
         return system.features.state_surfaces(times, u, parameters)
 
     features = replace(system.features, state_surfaces=surfaces)
-    return replace(system, rhs=rhs, jacobian=jacobian, features=features, terms=())
+
+    def parameter_factors(j: int, p: Array) -> Array:
+        if j < len(system.parameters):
+            return system.parameter_factors(j, p)
+        return np.stack([np.ones_like(p), p])
+
+    return replace(
+        system,
+        rhs=rhs,
+        jacobian=jacobian,
+        features=features,
+        parameter_factors=parameter_factors,
+        terms=tuple(
+            (coefficient, state, (*rows, *length_alone), states)
+            for coefficient, state, rows, states in system.terms
+        ),
+    )

@@ -172,10 +172,17 @@ class StackedTrajectories:
 
     @cached_property
     def paths(self) -> tuple[Path, ...]:
-        breaks = np.concatenate([self.times[:1], *(piece.ends for piece in self.pieces)])
+        ends = [piece.ends for piece in self.pieces]
+        breaks = np.concatenate([self.times[:1], *ends])
         within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES
-        states = self(within.ravel()) if within.size else np.zeros((*self.state.shape, 0))
-        nodal = states.reshape(*self.state.shape, *within.shape).transpose(1, 2, 3, 0)
+        (n, m), (steps, nodes) = self.state.shape, within.shape
+        nodal, first = np.empty((m, steps, nodes, n)), 0
+        for piece, parts in zip(self.pieces, map(len, ends), strict=True):
+            here = slice(first, first + parts)
+            states = piece.at(within[here].ravel()).reshape(parts, nodes, n, m)
+            nodal[:, here] = states.transpose(3, 0, 1, 2)
+            first += parts
+        nodal[:, :-1, -1] = nodal[:, 1:, 0]  # after a jump, and the same to the last bit
         return tuple(Path(breaks, *each) for each in zip(nodal, self.state.T, strict=True))
 
     def samples(self, count: int) -> list[tuple[float, Array]]:

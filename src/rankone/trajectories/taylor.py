@@ -22,6 +22,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.newton import SPARSE_STATES
+from rankone.trajectories.paths import NODES
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
@@ -35,6 +36,10 @@ _FIRST_FACTOR = 1e3  # Largest factor from there to the first step
 _FIRST_TRIALS = 12  # Trials of a first step whose coefficients are not finite
 # Steps over those of DOP853 at a tolerance of one, and the power of the tolerance that they fall by
 _STEPS_RATIO, _DOP853_POWER = 4.2, 0.125
+# Parts of a step, and the largest product of the distances of a share from all nodes of a path
+_LEAST_PARTS, _MOST_PARTS = 4, 64
+_DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
+_NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 # Step times decay rate from which stability limits a step, over the one at which the last
 # coefficient is as large as the state
@@ -197,18 +202,39 @@ def _halved(monomial: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 class TaylorPiece(Piece):
-    """A step of a Taylor series: powers of the time since its start, in units of a trial step."""
+    """A step of a Taylor series: powers of the time since its start, in units of a trial step.
+
+    On each of its parts the polynomials of paths are within the ``allowed`` errors (n m,) of it.
+    """
 
     method = "Taylor"
-    parts = 4
 
-    def __init__(self, t_old: float, t: float, y_old: Array, rows: Array, unit: float) -> None:
+    def __init__(
+        self, t_old: float, t: float, y_old: Array, rows: Array, unit: float, allowed: Array
+    ) -> None:
         super().__init__(t_old, t, y_old, rows)
         self.h, self.order = unit, len(rows)
+        missed = interpolation_errors((t - t_old) / unit, rows)
+        shares = np.divide(missed, allowed, out=np.zeros_like(missed), where=missed > 0.0)
+        parts = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
+        self.parts = max(_LEAST_PARTS, math.ceil(parts))
 
     def weights(self, shares: Array) -> Array:
         factors = np.broadcast_to(shares, (self.order, shares.size))
         return np.multiply.accumulate(factors, axis=0).T
+
+
+def interpolation_errors(share: float, rows: Array) -> Array:
+    """About the largest error (n m,) of the polynomial of a path over a share of a series' unit.
+
+    The ``rows`` (order, n m) are coefficients of powers, from the first. The error is that of the
+    first derivative which the polynomial misses, at a few places.
+    """
+    missing = np.arange(NODES.size, len(rows) + 1)
+    binomials = np.array([math.comb(power, NODES.size) for power in missing.tolist()], dtype=float)
+    places = _DERIVATIVE_SHARES[:, None] ** (missing - NODES.size)
+    weights = places * binomials * share**missing * _NODE_PRODUCT
+    return np.asarray(np.abs(weights @ rows[NODES.size - 1 :]).max(axis=0))
 
 
 class _TaylorSolver(scipy.integrate.OdeSolver):  # type: ignore[misc]
@@ -313,4 +339,7 @@ class StackedTaylor(Stepper, _TaylorSolver):
 
     def dense_output(self) -> TaylorPiece:
         """The last step as a function of time."""
-        return TaylorPiece(self.t_old, self.t, self.y_old, self.powers[1:], self.unit)
+        slopes = np.abs(self.powers[1]) * ((self.t - self.t_old) / self.unit)
+        sizes = np.maximum(np.maximum(np.abs(self.y_old), np.abs(self.y)), slopes)
+        step = self.t_old, self.t, self.y_old, self.powers[1:]
+        return TaylorPiece(*step, self.unit, self.atol + self.rtol * sizes)

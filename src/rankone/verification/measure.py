@@ -175,7 +175,8 @@ class ReferenceSet:
     def taken(self) -> str:
         """The option ``integrator`` for further trajectories, after those of the reference."""
         reference = self.reference
-        return following(self.integrator, reference.integrator, len(reference.points))
+        clock, count = self.system.clock, len(reference.points)
+        return following(self.integrator, reference.integrator, count, clock)
 
     @property
     def end(self) -> float:
