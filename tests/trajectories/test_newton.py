@@ -11,14 +11,21 @@ import scipy.linalg
 import rankone as ro
 from rankone.ir.jacobian import PatternJacobian
 from rankone.ir.system import System
-from rankone.trajectories.integrator import jacobians
+from rankone.trajectories.elimination import (
+    BandElimination,
+    SparseElimination,
+    elimination_of,
+)
+from rankone.trajectories.integrator import Tolerances, jacobians
 from rankone.trajectories.newton import (
     DenseJacobians,
     SparseJacobians,
+    entries_at,
     jacobians_for,
     sparse_pattern,
 )
 from rankone.trajectories.spectra import decays_faster, first_jacobian, growth_rate
+from rankone.trajectories.stacks import StackedIntegrator
 
 N, TIME = 80, 0.2
 
@@ -56,10 +63,43 @@ def test_sparse_solutions_are_those_of_inverses(system, stack, shift) -> None:
         ],
         axis=1,
     )
-    for matrices in (sparse.newton(shift), DenseJacobians(blocks).newton(shift)):
+    pattern = sparse_pattern(system)
+    entries = entries_at(system, pattern, points, TIME, states)
+    both = [each.of(pattern) for each in (BandElimination, SparseElimination)]
+    chosen = [SparseJacobians(each, entries) for each in both]
+    for matrices in (each.newton(shift) for each in (sparse, *chosen, DenseJacobians(blocks))):
         assert matrices.solve(right).reshape(N, 3) == pytest.approx(expected, rel=1e-9)
         some = matrices.solve_some(np.array([2, 0]), right.reshape(N, 3)[:, [2, 0]])
         assert some == pytest.approx(expected[:, [2, 0]], rel=1e-9)
+
+
+def test_chains_are_bands_and_nets_are_not() -> None:
+    chain = np.stack([np.arange(1, N), np.arange(N - 1)])
+    shuffled = np.random.default_rng(3).permutation(N)[chain]
+    band = elimination_of(PatternJacobian(N, *shuffled, np.zeros))
+    assert isinstance(band, BandElimination)
+    assert band.lower + band.upper <= 2
+    net = np.unique(np.random.default_rng(3).integers(0, 400, (2, 700)), axis=1)
+    assert isinstance(elimination_of(PatternJacobian(400, *net, np.zeros)), SparseElimination)
+
+
+@pytest.mark.parametrize("stages", [3, 5, 7])
+def test_more_stages_keep_the_tolerance_in_fewer_steps(stages, monkeypatch) -> None:
+    monkeypatch.setattr("rankone.trajectories.stacks.stages_for", lambda *_: stages)
+    rates = {"y": "-k*(y - cos(t)) - sin(t)", "z": "-z*z"}
+    problem = ro.Problem.from_strings(rates, {"y": 2, "z": 1}, {"k": (1, 1e5)}, (0, 3))
+    points, times = np.geomspace(1, 1e5, 9)[:, None], np.linspace(0.01, 3, 40)
+    steps = []
+    for tolerance in (1e-4, 1e-7):
+        tolerances = Tolerances(tolerance, np.full((2, 1), tolerance))
+        stacked = StackedIntegrator(stiff=True)
+        dense = stacked.run(ro.compile(problem).system, points, (0.0, 3.0), tolerances)
+        y, z = dense(times)
+        exact = np.cos(times) + np.exp(-points * times)
+        assert np.abs(y - exact).max() < 3 * tolerance
+        assert np.abs(z - 1 / (1 + times)).max() < 3 * tolerance
+        steps.append(dense.steps)
+    assert steps[1] < 1.5 * 1e3 ** (1 / (stages + 1)) * steps[0]
 
 
 def test_growth_and_decay_are_those_of_eigenvalues(system, stack) -> None:

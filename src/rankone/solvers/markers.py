@@ -16,6 +16,7 @@ from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.integrator import DenseTrajectories, SeparateTrajectories, Tolerances
 from rankone.trajectories.markers import LastMarks, chosen_marker, marked_order
+from rankone.trajectories.newton import sparse_pattern
 from rankone.trajectories.stretches import timed_events
 from rankone.verification.measure import ReferenceSet
 
@@ -50,7 +51,8 @@ def start_of(
     OrderError
         If trajectories do not meet the markers in the same order.
     """
-    if not markers or request.check.points == 0 or _interrupted(system):
+    large = sparse_pattern(system) is not None  # over stretches the Jacobian is dense
+    if not markers or request.check.points == 0 or large or _interrupted(system):
         return SolveStart(request, ReferenceSet.of(system, request, first_points))
     try:
         with limited(_FIRST_LOOK):

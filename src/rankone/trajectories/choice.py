@@ -22,6 +22,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
+from rankone.trajectories.newton import sparse_pattern
 from rankone.trajectories.paths import Path
 from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
 from rankone.trajectories.shares import paths_over_shares
@@ -60,6 +61,8 @@ def span_integrator_for(
         return single
     stack = StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
     if integrator == "stack":
+        return stack
+    if sparse_pattern(system) is not None:  # LSODA has dense matrices
         return stack
     watched = WatchedStack(stack, single)
     if integrator == "compiled" and not stiff and has_series(system):

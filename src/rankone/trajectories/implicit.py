@@ -2,7 +2,7 @@
 
 The method, its test of convergence and its estimate of the error are SciPy's (Hairer & Wanner,
 Solving Ordinary Differential Equations II, IV.8). Newton's iterations are made here: the rates at
-the three nodes are one call for all trajectories, and the Newton matrices serve several steps.
+all nodes are one call for all trajectories, and the Newton matrices serve several steps.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy.integrate
@@ -25,8 +26,7 @@ from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
-_EXPONENTS = np.arange(1, 4)  # Powers of the rows of a step
-_MOST_ITERATIONS = 6  # Newton's iterations of a step before it is halved
+_MOST_ITERATIONS = 6  # Newton's iterations of a step of three stages before it is halved
 _MOST_EXCESS = 10  # Iterations that old Newton matrices may cost before they are made anew
 _LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
@@ -34,31 +34,71 @@ _KEPT_FACTOR = 1.2  # Growth of the step below which its length stays
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 
 
-def _modes(derivative: Array) -> tuple[Array, Array]:
-    """Columns that take modes to nodes, and the derivative (3, 3) of the modes.
+@dataclass(frozen=True)
+class _Scheme:
+    """Radau IIA of some stages, an odd number, in modes that Newton's matrices do not couple.
 
-    The first mode has a real eigenvalue, the other two are the real and the imaginary part of one
-    with a complex eigenvalue. At the last node their sum is that of the first two.
+    ``to_nodes`` takes modes to nodes and ``to_modes`` back, and ``of_modes`` is the derivative of
+    modes. The first mode has the ``real`` eigenvalue, each two others are the real and the
+    imaginary part of one with a complex eigenvalue, of the ``paired``. ``to_powers`` takes states
+    at the nodes to powers of the share, and ``to_start`` to minus the slope at the start that
+    slopes at the nodes extrapolate to.
     """
-    eigenvalues, vectors = np.linalg.eig(derivative)
-    real, paired = np.argmin(np.abs(eigenvalues.imag)), np.argmin(eigenvalues.imag)
-    first = (vectors[:, real] / vectors[-1, real]).real
-    second = vectors[:, paired] / vectors[-1, paired]
-    to_nodes = np.stack([first, second.real, -second.imag], axis=1)
-    return to_nodes, np.linalg.solve(to_nodes, derivative @ to_nodes)
+
+    nodes: Array
+    to_nodes: Array
+    of_modes: Array
+    to_modes: Array
+    real: float
+    paired: tuple[complex, ...]
+    to_powers: Array
+    to_start: Array
+
+    @staticmethod
+    @cache
+    def of(stages: int) -> _Scheme:
+        """The scheme, made once."""
+        collocation = RadauCollocation.of(stages)
+        nodes, derivative = collocation.nodes, collocation.derivative
+        eigenvalues, vectors = np.linalg.eig(derivative)
+        real = int(np.argmin(np.abs(eigenvalues.imag)))
+        columns = [(vectors[:, real] / vectors[-1, real]).real]
+        for paired in np.argsort(eigenvalues.imag, kind="stable")[: stages // 2]:
+            vector = vectors[:, paired] / vectors[-1, paired]
+            columns += [vector.real, -vector.imag]
+        to_nodes = np.stack(columns, axis=1)
+        of_modes = np.linalg.solve(to_nodes, derivative @ to_nodes)
+        pairs = range(1, stages, 2)
+        start = np.linalg.solve(np.vander(nodes, increasing=True).T, np.eye(stages)[0])
+        return _Scheme(
+            nodes,
+            to_nodes,
+            of_modes,
+            np.linalg.inv(to_nodes),
+            float(of_modes[0, 0]),
+            tuple(complex(of_modes[k, k], of_modes[k + 1, k]) for k in pairs),
+            np.asarray(np.linalg.inv(nodes[:, None] ** _exponents(stages)), dtype=float),
+            np.asarray(-start @ derivative),
+        )
+
+    @property
+    def stages(self) -> int:
+        return self.nodes.size
+
+    @property
+    def most_iterations(self) -> int:
+        """Newton's iterations of a step before it is halved."""
+        return _MOST_ITERATIONS + 2 * (self.stages - 3)
+
+    @property
+    def power(self) -> float:
+        """The power of the length of a step that its error is proportional to, inverted."""
+        return 1.0 / (self.stages + 1)
 
 
-_COLLOCATION = RadauCollocation.of(3)
-_NODES = _COLLOCATION.nodes
-_TO_NODES, _OF_MODES = _modes(_COLLOCATION.derivative)
-_TO_MODES = np.linalg.inv(_TO_NODES)
-_REAL, _PAIRED = float(_OF_MODES[0, 0]), complex(_OF_MODES[1, 1], _OF_MODES[2, 1])
-# States at the nodes to the powers of the share, and to minus the slope at the start that slopes at
-# the nodes extrapolate to
-_TO_POWERS = np.linalg.inv(_NODES[:, None] ** _EXPONENTS)
-_TO_START = -np.linalg.solve(np.vander(_NODES, increasing=True).T, np.eye(3)[0]) @ (
-    _COLLOCATION.derivative
-)
+def _exponents(stages: int) -> NDArray[np.intp]:
+    """Powers of the rows of a step."""
+    return np.arange(1, stages + 1)
 
 
 class PowerPiece(Piece):
@@ -67,12 +107,17 @@ class PowerPiece(Piece):
     method = "Radau"
 
     def weights(self, shares: Array) -> Array:
-        return shares[:, None] ** _EXPONENTS
+        return shares[:, None] ** self.exponents
+
+    @property
+    def exponents(self) -> NDArray[np.intp]:
+        """Powers of the rows."""
+        return _exponents(len(self.rows))
 
 
 @dataclass
 class _Newton:
-    """Newton's matrices of a step: those of the real and of the paired mode.
+    """Newton's matrices of a step: those of the real and of the paired modes.
 
     Later steps of a similar length take them as well. They are made at the time ``t`` for steps of
     the length ``h``; ``fresh`` counts the iterations of the first step, and ``excess`` those that
@@ -83,13 +128,14 @@ class _Newton:
     h: float
     jacobians: Jacobians
     real: NewtonMatrices
-    paired: NewtonMatrices
+    paired: tuple[NewtonMatrices, ...]
     fresh: int = 0
     excess: int = 0
 
     @staticmethod
-    def of(t: float, h: float, jacobians: Jacobians) -> _Newton:
-        real, paired = (jacobians.newton(mode / h) for mode in (_REAL, _PAIRED))
+    def of(t: float, h: float, jacobians: Jacobians, scheme: _Scheme) -> _Newton:
+        real = jacobians.newton(scheme.real / h)
+        paired = tuple(jacobians.newton(mode / h) for mode in scheme.paired)
         return _Newton(t, h, jacobians, real, paired)
 
     def serves(self, h: float) -> bool:
@@ -121,7 +167,9 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     If h is far above a stiff time scale, the error estimate sees the nodes only. The defect of the
     interpolant, divided by the Newton matrix, is its error in between: ``looks_between`` says
-    whether to check it. ``blocks`` maps a time and a stacked state to Jacobians.
+    whether to check it. With more ``stages`` steps are longer, most of all at tight tolerances, and
+    each takes a further Newton matrix for two of them. ``blocks`` maps a time and a stacked state
+    to Jacobians.
     """
 
     t: float
@@ -139,11 +187,13 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         control: DefectControl | None,
         blocks: Callable[[float, Array], Jacobians],
         looks_between: bool = True,
+        stages: int = 3,
     ) -> None:
+        self._scheme = _Scheme.of(stages)
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
         super().__init__(rates, start, states, end, tolerances, control)
         h = min(self.h_abs, self.max_step, end - start)
-        self._newton = _Newton.of(start, h, self._blocks(start, self.y))
+        self._newton = _Newton.of(start, h, self._blocks(start, self.y), self._scheme)
 
     def _validate_jac(self, jac: object, sparsity: object) -> tuple[None, object]:
         """No Jacobian, and an empty matrix that SciPy needs and nothing uses."""
@@ -164,8 +214,9 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
                 continue
             states, iterations = solved
             error = self._error(h, states, refused)
-            safety = 0.9 * (2 * _MOST_ITERATIONS + 1) / (2 * _MOST_ITERATIONS + iterations)
-            factor = safety * _predicted_factor(h, error, *before)
+            most = self._scheme.most_iterations
+            safety = 0.9 * (2 * most + 1) / (2 * most + iterations)
+            factor = safety * _predicted_factor(self._scheme.power, h, error, *before)
             factor = min(_MOST_FACTOR, max(_LEAST_FACTOR, factor))  # the least if not a number
             if not error <= 1.0:
                 h *= factor
@@ -174,16 +225,16 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             if 1.0 <= factor < _KEPT_FACTOR:
                 factor = 1.0
             self.h_abs_old, self.error_norm_old, self.h_abs = h, error, h * factor
-            self.sol = PowerPiece(t, end, y, _TO_POWERS @ states)
+            self.sol = PowerPiece(t, end, y, self._scheme.to_powers @ states)
             self.t_old, self.t, self.y = t, end, y + states[-1]
             self.f = self.fun(end, self.y)
             return True, None
         return False, self.TOO_SMALL_STEP
 
     def _collocated(self, h: float) -> tuple[Array, int] | None:
-        """Changes of the states to the nodes (3, n m), and iterations; None without convergence.
+        """Changes of the states to the nodes (stages, n m), and iterations.
 
-        Matrices of earlier steps are tried first.
+        None without convergence. Matrices of earlier steps are tried first.
         """
         newton = self._newton
         if newton.serves(h):
@@ -192,7 +243,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
                 return changes
         current = newton.t == self.t
         jacobians = newton.jacobians if current else self._blocks(self.t, self.y)
-        self._newton = _Newton.of(self.t, h, jacobians)
+        self._newton = _Newton.of(self.t, h, jacobians, self._scheme)
         return self._iterated(h, self._newton)
 
     def _iterated(self, h: float, newton: _Newton) -> tuple[Array, int] | None:
@@ -201,27 +252,29 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         The corrections of slow modes are too long with matrices for longer steps, and too short
         with those for shorter ones; those of fast modes are not. The relaxation is in the middle.
         """
-        y, times, relaxation = self.y, self.t + h * _NODES, 2.0 / (1.0 + newton.h / h)
-        of_slopes, of_modes = relaxation * _TO_MODES, relaxation / h * _OF_MODES
+        scheme, most = self._scheme, self._scheme.most_iterations
+        y, times, relaxation = self.y, self.t + h * scheme.nodes, 2.0 / (1.0 + newton.h / h)
+        of_slopes, of_modes = relaxation * scheme.to_modes, relaxation / h * scheme.of_modes
         scale = self.atol + np.abs(y) * self.rtol
         modes = self._predicted(times)
-        states = _TO_NODES @ modes
+        states = scheme.to_nodes @ modes
         corrections, before, rate = np.empty_like(modes), 0.0, 0.0
-        for iteration in range(1, _MOST_ITERATIONS + 1):
+        for iteration in range(1, most + 1):
             right = of_slopes @ self.fun.at(times, y + states) - of_modes @ modes
             corrections[0] = newton.real.solve(right[0])
-            paired = newton.paired.solve(right[1] + 1j * right[2])
-            corrections[1], corrections[2] = paired.real, paired.imag
+            for k, matrices in zip(range(1, scheme.stages, 2), newton.paired, strict=True):
+                paired = matrices.solve(right[k] + 1j * right[k + 1])
+                corrections[k], corrections[k + 1] = paired.real, paired.imag
             size = _mean(corrections / scale)
             if not math.isfinite(size):
                 return None
             if iteration > 1:
                 rate = size / before
-                left = _MOST_ITERATIONS + 1 - iteration
+                left = most + 1 - iteration
                 if rate >= 1.0 or rate**left / (1.0 - rate) * size > self.newton_tol:
                     return None
             modes += corrections
-            states = _TO_NODES @ modes
+            states = scheme.to_nodes @ modes
             if not size or (iteration > 1 and rate / (1.0 - rate) * size < self.newton_tol):
                 newton.count(iteration)
                 return states, iteration
@@ -229,11 +282,11 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         return None
 
     def _predicted(self, times: Array) -> Array:
-        """The modes (3, n m) that the last step continued to the nodes has there."""
+        """The modes (stages, n m) that the last step continued to the nodes has there."""
         if self.sol is None:
-            return np.zeros((3, self.n))
+            return np.zeros((self._scheme.stages, self.n))
         weights = self.sol.weights((times - self.sol.t_old) / self.sol.h)
-        return (_TO_MODES @ (weights - 1.0)) @ self.sol.rows
+        return np.asarray((self._scheme.to_modes @ (weights - 1.0)) @ self.sol.rows)
 
     def _error(self, h: float, states: Array, refused: bool) -> float:
         """The error of a step in tolerances, estimated more closely after a refusal.
@@ -242,7 +295,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         """
         after = np.abs(self.y + states[-1])
         scale = self.atol + np.maximum(np.abs(self.y), after) * self.rtol
-        slope = _TO_START / h @ states
+        slope = self._scheme.to_start / h @ states
         error = self._newton.error(h, self.f + slope)
         size = _mean(error / scale)
         if refused and size > 1.0:
@@ -253,15 +306,16 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     def _shortening(self, y_before: Array) -> float:
         error = max(map(self._interpolation_error, self._shares), default=0.0)
         if error > _MOST_INTERPOLATION_ERROR:
-            factor = 0.8 * (_MOST_INTERPOLATION_ERROR / error) ** 0.25
+            factor = 0.8 * (_MOST_INTERPOLATION_ERROR / error) ** self._scheme.power
             return float(max(0.1, factor))
         return super()._shortening(y_before)
 
     def _interpolation_error(self, share: float) -> float:
         """Largest error of a trajectory at a share of the step, in units of the tolerance."""
         piece: PowerPiece = self.sol
-        state = piece.y_old + share**_EXPONENTS @ piece.rows
-        slope = (_EXPONENTS * share ** (_EXPONENTS - 1)) @ piece.rows / piece.h
+        exponents = piece.exponents
+        state = piece.y_old + share**exponents @ piece.rows
+        slope = (exponents * share ** (exponents - 1)) @ piece.rows / piece.h
         defect = slope - self.fun(piece.t_old + share * piece.h, state)
         error = self._newton.error(piece.h, defect) / (self.atol + np.abs(state) * self.rtol)
         square = np.square(error).reshape(self.trajectory_states, -1).mean(axis=0).max()
@@ -272,20 +326,20 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         return self._newton.real.solve_some(columns, defect / min(self.sol.h, self._newton.h))
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # powers of the share
-        n = self.trajectory_states
-        coefficients = self.sol.rows.T.reshape(n, -1, _EXPONENTS.size)[:, columns]
+        n, exponents = self.trajectory_states, self.sol.exponents
+        coefficients = self.sol.rows.T.reshape(n, -1, exponents.size)[:, columns]
         start = self.sol.y_old.reshape(n, -1)[:, columns]
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
-            powers = shares[:, None] ** (_EXPONENTS - 1)
+            powers = shares[:, None] ** (exponents - 1)
             y = start + (coefficients * (shares[:, None] * powers)).sum(axis=2)
-            return y, (coefficients * (powers * _EXPONENTS)).sum(axis=2) if slopes else y
+            return y, (coefficients * (powers * exponents)).sum(axis=2) if slopes else y
 
         return evaluate
 
 
 def _predicted_factor(
-    h: float, error: float, h_old: float | None, error_old: float | None
+    power: float, h: float, error: float, h_old: float | None, error_old: float | None
 ) -> float:
     """The change of the step that brings the error to the tolerance (Gustafsson).
 
@@ -293,5 +347,5 @@ def _predicted_factor(
     """
     if not error:
         return math.inf
-    trend = h / h_old * (error_old / error) ** 0.25 if h_old and error_old else 1.0
-    return float(min(1.0, trend) * error**-0.25)
+    trend = h / h_old * (error_old / error) ** power if h_old and error_old else 1.0
+    return float(min(1.0, trend) * error**-power)

@@ -31,7 +31,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.newton import jacobians_for
+from rankone.trajectories.newton import jacobians_for, stages_for
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.spectra import decays_faster
@@ -41,7 +41,8 @@ from rankone.trajectories.taylor import StackedTaylor, TaylorSeries, steps_ratio
 _FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
-_RADAU_TOLERANCE = 1.7  # Factor on tolerances of Radau, whose error estimate is cautious
+# Factors on tolerances of Radau, by its stages: its estimate is cautious, and the more so the more
+_RADAU_TOLERANCE = {3: 1.7, 5: 4.0, 7: 4.0}
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
@@ -305,12 +306,14 @@ class _Stack:
                 state, avoided = self._steps(explicit, record, self._explicit_steps_left)
                 if not avoided:
                     return state, avoided
+            stages = stages_for(self.system, self.tolerances.relative)
             implicit = partial(
                 StackedRadau,
-                tolerances=self.tolerances.times(_RADAU_TOLERANCE),
+                tolerances=self.tolerances.times(_RADAU_TOLERANCE[stages]),
                 control=control,
                 blocks=jacobians_for(self.system, self.points),
                 looks_between=not has_smooth_rates(self.system, self.edges[0]),
+                stages=stages,
             )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
         return state, avoided
