@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import rankone as ro
 from rankone.support.errors import EvaluationError, OptionError
@@ -14,7 +15,7 @@ AT = {name: TRUE[name] for name in ("ka", "ke", "V")}
 CANDIDATES = np.linspace(0.25, 24, 40)
 
 
-def derivatives(times, sigma=0.1):
+def derivatives(times, sigma=0.1, dose=100.0):
     """Of the concentration in closed form, over sigma, by differences of eighth order or so."""
     columns = []
     for name in AT:
@@ -24,7 +25,7 @@ def derivatives(times, sigma=0.1):
             at = {**AT, name: AT[name] + step}
             rate = at["ka"] - at["ke"]
             curve = np.exp(-at["ke"] * times) - np.exp(-at["ka"] * times)
-            values.append(100.0 * at["ka"] / (at["V"] * rate) * curve)
+            values.append(dose * at["ka"] / (at["V"] * rate) * curve)
         slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * steps[2])
         columns.append(slope / sigma)
     return np.stack(columns, axis=1)
@@ -87,6 +88,65 @@ def test_after_a_fit_its_information_counts():
     np.testing.assert_allclose(np.linalg.inv(fit.information), fit.covariance, rtol=1e-6)
     assert design.efficiency([0.25, 20]) < 1.0
     assert design.efficiency(design.times) == pytest.approx(1.0)
+
+
+def two_doses(**options):
+    """A fit of a low and a high dose, by blood and, after the high dose, by the gut as well."""
+    low = bateman(HOURS, 50.0) + 0.1 * draws(3)
+    high = bateman(HOURS, 200.0) + 0.1 * draws(4)
+    gut = 200.0 * np.exp(-TRUE["ka"] * HOURS) + 3.0 * draws(5)
+    pairs = [
+        (oral(), ro.Experiment(low, HOURS, observe="C", fixed={"dose": 50}, **options)),
+        (
+            oral(),
+            ro.Experiment(
+                {"C": high, "A": gut}, HOURS, fixed={"dose": 200}, **options, name="high"
+            ),
+        ),
+    ]
+    return ro.fit(pairs)
+
+
+def test_after_several_experiments():
+    """The conditions of the next one have to be told where they differ; what is measured may be."""
+    fit = two_doses()
+    with pytest.raises(OptionError, match="`dose` differs between the experiments of the fit: 50"):
+        oral().design(2, after=fit)
+    with pytest.raises(OptionError, match="fixed: the fit estimates `ke`"):
+        oral().design(2, after=fit, fixed={"dose": 100, "ke": 0.3})
+    with pytest.raises(OptionError, match="the fit has not measured `B`"):
+        oral().design(2, after=fit, fixed={"dose": 100}, observe="B")
+    plans = {d: oral().design(2, after=fit, fixed={"dose": d}, observe="C") for d in (25, 250)}
+    for dose, plan in plans.items():
+        at = {name: fit.x[name] for name in AT}
+        level, names = fit.x["sigma_C"], list(fit.parameters)
+        rows = derivatives(plan.times, level, dose)
+        own = [names.index(name) for name in at]
+        more = (plan.information - fit.information)[np.ix_(own, own)]
+        np.testing.assert_allclose(more, rows.T @ rows, rtol=0.2, atol=0.1 * np.abs(more).max())
+    assert plans[250].std["ke"] < plans[25].std["ke"] < fit.std["ke"]
+    both = oral().design(2, after=fit, fixed={"dose": 250})
+    assert both.std["ka"] < plans[250].std["ka"]
+
+
+def test_expected_intervals_are_students_where_noise_is_estimated():
+    at, options = {**AT, "sigma_C": 0.1}, {"observe": "C", "fixed": {"dose": 100}}
+    given = oral().design(6, HOURS, at=AT, sigma=0.1, **options)
+    free = oral().design(6, HOURS, at=at, noise="constant", **options)
+    for plan, q in ((given, scipy.stats.norm.ppf(0.95)), (free, scipy.stats.t.ppf(0.95, 3))):
+        low, high = plan.interval(0.9)["ke"]
+        assert high - low == pytest.approx(2 * q * plan.std["ke"], rel=1e-9)
+    fit = oral().fit(HOURS, bateman(HOURS) + 0.1 * draws(3), **options)
+    after = oral().design(4, HOURS, after=fit)
+    low, high = after.interval()["ke"]
+    q = scipy.stats.t.ppf(0.975, HOURS.size - 3 + 4)
+    assert high - low == pytest.approx(2 * q * after.std["ke"], rel=1e-9)
+    unknown = oral().design(6, HOURS, at=AT, **options)
+    assert "sigma" in repr(unknown)
+    with pytest.raises(OptionError, match="the design knows no sigma"):
+        unknown.interval()
+    with pytest.raises(OptionError, match="the noise of `C` and `A` is not given"):
+        oral().design(6, HOURS, at=AT, observe=["C", "A"], fixed={"dose": 100})
 
 
 def test_on_average_over_a_posterior():

@@ -7,7 +7,7 @@ import scipy.stats
 
 from rankone.support.errors import OptionError
 from tests.estimation.experiments import bateman, oral
-from tests.estimation.systems import decay
+from tests.estimation.systems import decay, line
 
 TIMES = np.linspace(0.05, 2.0, 25)
 TRUE = {"k": 1.3, "a": 2.0}
@@ -192,6 +192,17 @@ def test_priors_and_bounds_over_decades():
     np.testing.assert_allclose(decades.covariance, plain.covariance, rtol=1e-5)
     low, high = decades.interval()["k"]
     assert low * high == pytest.approx(decades.x["k"] ** 2, rel=1e-9)
+
+
+def test_degrees_of_freedom_with_priors():
+    """A prior that says as much as the data takes half a direction, one that says all a whole."""
+    times, data = np.linspace(0, 1, 9), 0.1 * draws()[:9]
+    design = np.stack([np.ones(9), times], axis=1) / 0.1
+    for width in (1e-3, 0.05, 1.0):
+        prior = {"a": scipy.stats.norm(0.0, width)}
+        fit = line().fit(times, data, sigma=0.1, prior=prior)
+        whole = design.T @ design + np.diag([width**-2, 0.0])
+        assert fit.dof == pytest.approx(9 - np.trace(np.linalg.solve(whole, design.T @ design)))
 
 
 def test_residuals_are_looked_at():

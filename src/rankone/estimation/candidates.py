@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from rankone.discretization.coordinates import name_of
 from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.estimation.fit import Fit
+from rankone.estimation.formulas import Formula
 from rankone.estimation.free_parameters import Range, free_parameters
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.noise import Noise
@@ -20,6 +21,7 @@ from rankone.estimation.observations import (
     Observations,
     Sigma,
     checked_times,
+    label,
     observables,
     observed,
 )
@@ -49,8 +51,11 @@ class Candidates:
 
     def at_times(self, times: ArrayLike) -> Array:
         """The information of all data at other times, (P, k, p, p)."""
-        clock = checked_times(self.trial.solution, times)
-        return _information(_moved(self.trial, clock, 1.0), self.names, self.points, self.scale)
+        row, solution = self.trial.observations, self.trial.solution
+        pairs = zip(row.formulas, row.noises, strict=True)
+        own = dict(zip(row.names, pairs, strict=True))
+        trial = _measured(solution, self.trial.fixed, own, checked_times(solution, times), 1.0)
+        return _information(trial, self.names, self.points, self.scale)
 
     def curves(self) -> Array:
         """What each observable will be at the candidates, (observables, N)."""
@@ -69,35 +74,29 @@ class Candidates:
         return information / np.outer(self.scale, self.scale)
 
 
+class Wanted(NamedTuple):
+    """What is to be measured: the arguments of a design."""
+
+    observe: object
+    sigma: Sigma
+    noise: object
+    fixed: Mapping[Any, float] | None
+
+
 def candidates_of(
     solution: SolutionCore,
     times: Array,
     at: Mapping[Any, ArrayLike] | None,
     after: Fit | None,
-    observe: object,
-    sigma: Sigma,
-    noise: object,
-    fixed: Mapping[Any, float] | None,
+    wanted: Wanted,
 ) -> Candidates:
     """The information at candidate times (N,); see :func:`~.design.design` for the arguments."""
-    if after is not None:
-        if any(option is not None for option in (observe, sigma, noise, fixed)):
-            raise OptionError(
-                "after is given, and observe, sigma, noise or fixed",
-                remedy="leave them out: the fit says what is measured, and how well",
-            )
-        first = after.trials[0]
-        at, held = after.x if at is None else at, {**after.fixed, **first.fixed}
-        trial = _moved(replace(first, fixed=held), times, 1.0 if after.unit_known else after.sigma)
-        if first.solution is not solution:
-            raise OptionError("the fit is of another solution", remedy="give one of this solution")
+    if after is None:
+        trial = _new_trial(solution, times, wanted)
     else:
-        names = tuple(observables(solution, observe, None))
-        ones = {name: np.ones(times.size) for name in names}
-        row = observed(solution, times, ones, observe, sigma=sigma, noise=noise)
-        held = held_parameters(solution, fixed)
-        trial = trial_of("", solution, held, row)
-    points, names = _points(trial, at, held, after)
+        at = after.x if at is None else at
+        trial = _trial_after(solution, after, times, wanted)
+    points, names = _points(trial, at, after)
     scale = np.where(points.mean(axis=0) != 0.0, np.abs(points.mean(axis=0)), 1.0)
     base = np.zeros((len(points), len(names), len(names)))
     if after is not None:
@@ -108,40 +107,122 @@ def candidates_of(
     return Candidates(names, values, scale, base, each, data, trial, points)
 
 
-def _moved(trial: Trial, times: Array, unit: float) -> Trial:
-    """The same observables with the same noise times a unit, at other times."""
-    before = trial.observations
-    k = len(before.names)
-    noises = tuple(
-        Noise(
-            n.distribution,
-            np.full(times.size, unit * np.median(n.spread)),
-            n.formula,
-            n.levels,
-            n.relative,
+def _new_trial(solution: SolutionCore, times: Array, wanted: Wanted) -> Trial:
+    """Measurements at times (N,) of what nobody has measured yet."""
+    observe, sigma, noise, fixed = wanted
+    names = tuple(observables(solution, observe, None))
+    if len(names) > 1 and sigma is None and noise is None:
+        raise OptionError(
+            f"the noise of {listing(names)} is not given, and it may differ between them",
+            remedy="give sigma={name: standard deviation}, or observe one of them",
         )
-        for n in before.noises
+    ones = {name: np.ones(times.size) for name in names}
+    row = observed(solution, times, ones, observe, sigma=sigma, noise=noise)
+    return trial_of("", solution, held_parameters(solution, fixed), row)
+
+
+def _trial_after(solution: SolutionCore, after: Fit, times: Array, wanted: Wanted) -> Trial:
+    """Measurements at times (N,) of what a fit has measured, under the conditions that are wanted.
+
+    An experiment of the fit has what the wanted conditions leave open, if all of them agree.
+    """
+    if wanted.sigma is not None or wanted.noise is not None:
+        raise OptionError(
+            "after is given, and sigma or noise",
+            remedy="leave them out: the fit says how well is measured",
+        )
+    trials = [trial for trial in after.trials if trial.solution is solution]
+    if not trials:
+        raise OptionError("the fit is of another solution", remedy="give one of this solution")
+    conditions = _conditions(after, trials, held_parameters(solution, wanted.fixed))
+    owners: dict[str, tuple[Formula, Noise]] = {}
+    for row in (trial.observations for trial in trials):
+        for name, formula, noise in zip(row.names, row.formulas, row.noises, strict=True):
+            owners.setdefault(name, (formula, noise))
+    names = _observed_again(wanted.observe, solution, tuple(owners))
+    unit = 1.0 if after.unit_known else after.sigma
+    return _measured(solution, conditions, {name: owners[name] for name in names}, times, unit)
+
+
+def _conditions(
+    after: Fit, trials: Sequence[Trial], wanted: Mapping[str, float]
+) -> dict[str, float]:
+    """The parameters that are fixed in measurements after a fit."""
+    conditions = [{**after.fixed, **trial.fixed} for trial in trials]
+    held = dict(wanted)
+    for name in wanted:
+        if not any(name in each for each in conditions):
+            raise OptionError(
+                f"fixed: the fit estimates {quote(name)}",
+                term=name,
+                remedy="fix it in the fit if you know it",
+            )
+    for name in dict.fromkeys(name for each in conditions for name in each):
+        values = sorted({each[name] for each in conditions if name in each})
+        if name in held or name in after.parameters:
+            continue
+        if len(values) > 1:
+            raise OptionError(
+                f"{quote(name)} differs between the experiments of the fit: "
+                f"{', '.join(f'{value:g}' for value in values)}",
+                term=name,
+                remedy=f"say what it will be: fixed={{{name!r}: {values[0]:g}}}",
+            )
+        held[name] = values[0]
+    return held
+
+
+def _observed_again(
+    observe: object, solution: SolutionCore, names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """The observables of a fit that are to be measured, by name."""
+    if observe is None:
+        return names
+    keys = observe if isinstance(observe, list | tuple) else [observe]
+    chosen = tuple(label(solution, key) for key in keys)
+    for name in chosen:
+        if name not in names:
+            raise OptionError(
+                f"observe: the fit has not measured {quote(name)}{did_you_mean(name, names)}",
+                term=name,
+                remedy=f"choose from {listing(names)}",
+            )
+    return chosen
+
+
+def _measured(
+    solution: SolutionCore,
+    fixed: dict[str, float],
+    observed: Mapping[str, tuple[Formula, Noise]],
+    times: Array,
+    unit: float,
+) -> Trial:
+    """Observables with their noise times a unit, at times (N,)."""
+    k = len(observed)
+    noises = tuple(
+        replace(noise, spread=np.full(times.size, unit * np.median(noise.spread)))
+        for _, noise in observed.values()
     )
     row = Observations(
-        names=before.names,
-        formulas=before.formulas,
+        names=tuple(observed),
+        formulas=tuple(formula for formula, _ in observed.values()),
         noises=noises,
         owner=np.repeat(np.arange(k), times.size),
         times=np.tile(times, k),
         values=np.ones(k * times.size),
-        sigma_known=before.sigma_known,
+        sigma_known=True,
         present=np.ones(k * times.size, dtype=bool),
         shape=(k, times.size),
     )
-    return trial_of(trial.name, trial.solution, trial.fixed, row)
+    return trial_of("", solution, fixed, row)
 
 
 def _points(
-    trial: Trial, at: Mapping[Any, ArrayLike] | None, held: Mapping[str, float], after: Fit | None
+    trial: Trial, at: Mapping[Any, ArrayLike] | None, after: Fit | None
 ) -> tuple[Array, tuple[str, ...]]:
     """Values (P, p) of the parameters that are estimated, and their names."""
-    order = [*trial.solution.parameters, *trial.extras] if after is None else after.parameters
-    names = tuple(name for name in order if name not in held)
+    held = trial.fixed
+    names = (*trial.parameters, *trial.extras) if after is None else after.parameters
     given = {name_of(key): np.atleast_1d(np.asarray(x, float)) for key, x in (at or {}).items()}
     for name in given:
         if name not in (*names, *held):

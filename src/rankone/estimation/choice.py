@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rankone.estimation.fit import Fit
-from rankone.estimation.identification import Best, identify
+from rankone.estimation.identification import Best, degrees_of_freedom, identify
 from rankone.estimation.intervals import quantile_of
 from rankone.estimation.jumps import jumps_within
 from rankone.estimation.least_squares import Minima, squares_of
@@ -35,16 +35,16 @@ def chosen(problem: Likelihood, ends: Minima) -> int:
 def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Array) -> Fit:
     """The fit at one of the minima: what is identified there, and what else fits."""
     z, cost, jacobian = ends.z[k], float(ends.cost[k]), ends.jacobian[k]
-    free, size = problem.free, problem.size
-    dof = max(size - len(free.names) + len(problem.levels), 1)
+    dof = degrees_of_freedom(problem, cost, jacobian)
+    least = max(dof, 1.0)
     noise_given = problem.unit_known and not problem.levels
-    unit = 1.0 if problem.unit_known else math.sqrt(cost / dof)
-    q = quantile_of(level, noise_given, dof)
+    unit = 1.0 if problem.unit_known else math.sqrt(cost / least)
+    q = quantile_of(level, noise_given, least)
     reported, freedom = _corrected(problem, z, jacobian)
     if problem.levels:
         jacobian = problem.linearised(reported[None], settle=False).jacobian[0]
     identification = identify(problem, z, cost, jacobian, q, unit)
-    limit = size * math.log1p(q**2 / dof) if problem.levels else (q * unit) ** 2
+    limit = problem.size * math.log1p(q**2 / least) if problem.levels else (q * unit) ** 2
     distinct = () if identification.flat else _others(problem, ends, k, limit)
     deviations = np.minimum(identification.spread * unit, 1.0)
     jumps = jumps_within(
@@ -54,6 +54,7 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
         level=level,
         converged=bool(ends.converged[k]),
         stuck=bool(ends.stuck[k]),
+        dof=dof,
         _problem=problem,
         _best=Best(z, cost, deviations),
         _z=reported,

@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rankone.discretization.coordinates import name_of
-from rankone.estimation.candidates import Candidates, candidates_of
+from rankone.estimation.candidates import Candidates, Wanted, candidates_of
 from rankone.estimation.fit import Fit
-from rankone.estimation.intervals import checked_level
+from rankone.estimation.intervals import checked_level, quantile_of
 from rankone.estimation.observations import Sigma, checked_times
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -61,6 +60,12 @@ class Design(Labelled):
     success : bool
         Whether the times identify all parameters.
     message : str
+    sigma_known : bool
+        Whether the size of the noise is known, by sigma, by levels in ``at`` or by a fit.
+    noise_given : bool
+        Whether the data will be fitted with this size: it is not estimated from them.
+    dof : float
+        Degrees of freedom of that fit, those of a fit before among them.
     """
 
     times: Array
@@ -74,6 +79,8 @@ class Design(Labelled):
     message: str
     level: float
     sigma_known: bool
+    noise_given: bool
+    dof: float
     _blocks: Candidates = field(repr=False)
     _score: Criterion = field(repr=False)
 
@@ -91,8 +98,22 @@ class Design(Labelled):
         return dict(zip(self.parameters, map(float, roots), strict=True))
 
     def interval(self, level: float | None = None) -> dict[str, tuple[float, float]]:
-        """The interval that is expected for each parameter, if its value is that of ``at``."""
-        q = float(scipy.stats.norm.ppf(0.5 + 0.5 * checked_level(level or self.level)))
+        """The interval that is expected for each parameter, if its value is that of ``at``.
+
+        By Student's quantiles if the noise is estimated with the parameters.
+
+        Raises
+        ------
+        OptionError
+            If the size of the noise is not known, or the level is not between 0 and 1.
+        """
+        if not self.sigma_known:
+            raise OptionError(
+                "the design knows no sigma, so no interval can be expected",
+                remedy="give design(..., sigma=...)",
+            )
+        level = self.level if level is None else checked_level(level)
+        q = quantile_of(level, self.noise_given, self.dof)
         return {
             name: (self.at[name] - q * s, self.at[name] + q * s) for name, s in self.std.items()
         }
@@ -109,13 +130,15 @@ class Design(Labelled):
         return math.exp(share) if math.isfinite(share) else 0.0
 
     def _table(self) -> Table:
+        intervals = self.interval() if self.sigma_known else {}
         rows = []
-        for name, (low, high) in self.interval().items():
-            expected = [f"{self.std[name]:.4g}", f"[{low:.6g}, {high:.6g}]"]
+        for name, deviation in self.std.items():
+            expected = [f"{deviation:.4g} sigma", ""]
             if not self.success:
                 expected = ["not identified", ""]
-            elif not self.sigma_known:
-                expected = [f"{self.std[name]:.4g} sigma", ""]
+            elif name in intervals:
+                low, high = intervals[name]
+                expected = [f"{deviation:.4g}", f"[{low:.6g}, {high:.6g}]"]
             rows.append([name, *expected])
         listed = ", ".join(f"{time:.6g}" for time in self.times)
         return Table(
@@ -167,12 +190,14 @@ def design(
         which the design is made: what derivatives say depends on them. Several values of each,
         ``posterior.sample(100)``, give the design that is best on average.
     after : Fit, optional
-        A fit: its estimates are taken for ``at``, its observables and noise for new measurements,
-        and its information is added.
+        A fit: its estimates are taken for ``at``, its observables, noise and fixed values for new
+        measurements, and its information is added.
     observe, sigma, noise
-        What is to be measured, as for :meth:`fit`.
+        What is to be measured, as for :meth:`fit`; after a fit perhaps the names of some of its
+        observables.
     fixed : mapping, optional
-        Values of parameters that are known.
+        Values of parameters that are known. After a fit the conditions of the new measurements: a
+        dose that differs between the experiments of the fit has to be given, others may be.
     interest : name, symbol or list of them, optional
         Parameters that matter, the others being estimated as well; by default all.
     criterion : {"D", "A", "E"}
@@ -202,7 +227,7 @@ def design(
     clock = np.unique(checked_times(self, clock))
     if after is not None and not isinstance(after, Fit):
         raise OptionError(f"{shown(after)} is not a Fit", term=after)
-    blocks = candidates_of(self, clock, at, after, observe, sigma, noise, fixed)
+    blocks = candidates_of(self, clock, at, after, Wanted(observe, sigma, noise, fixed))
     level = checked_level(level)
     wanted = _interest(interest, blocks.names)
     rows = tuple(blocks.names.index(name) for name in wanted)
@@ -227,6 +252,7 @@ def design(
             "these measurements cannot identify all parameters, whatever the times",
             "fix some, or observe more",
         )
+    known, given, dof = _noise(blocks, times, after)
     return Design(
         times=clock[np.sort(indices)],
         criterion=criterion,
@@ -238,10 +264,21 @@ def design(
         success=success,
         message=message,
         level=level,
-        sigma_known=after is not None or sigma is not None,
+        sigma_known=known,
+        noise_given=given,
+        dof=dof,
         _blocks=blocks,
         _score=score,
     )
+
+
+def _noise(blocks: Candidates, times: int, after: Fit | None) -> tuple[bool, bool, float]:
+    """Whether the size of noise is known, whether it is given, and degrees of freedom."""
+    row, data = blocks.trial.observations, times * blocks.data
+    if after is not None:
+        return True, after.noise_given, after.dof + data
+    dof = data - len(blocks.names) + len(row.levels)
+    return row.sigma_known, row.sigma_known and not row.levels, float(dof)
 
 
 def _interest(interest: object, names: tuple[str, ...]) -> list[str]:

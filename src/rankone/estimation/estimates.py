@@ -24,27 +24,12 @@ from rankone.support.wording import did_you_mean, listing, quote
 
 @dataclass(frozen=True, repr=False)
 class Estimates:
-    """The best values of parameters, and what they leave of the data.
-
-    Attributes
-    ----------
-    level : float
-        Default level of intervals.
-    converged : bool
-        Whether the search converged.
-    stuck : bool
-        Whether it ended where the likelihood jumps: an event passes a time of the data there.
-    others : tuple of dict of str to float
-        Other minima that the data do not exclude at the level.
-    jumps : tuple of Jump
-        Parameters in whose intervals an event passes a time of the data, and that time.
-    sizes : tuple of dict of str to float
-        For each experiment the largest values of the observed states over the box.
-    """
+    """The best values of parameters, and what they leave of the data; see :class:`.Fit`."""
 
     level: float
     converged: bool
     stuck: bool
+    dof: float
     _problem: Likelihood
     _best: Best
     _z: Array
@@ -174,11 +159,6 @@ class Estimates:
     def chi2(self) -> float:
         """Sum of squared residuals over sigma; of weighted residuals if sigma is not known."""
         return float(sum(np.sum(row.scaled**2) for row in self._rows))
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom: number of data less the number of fitted directions."""
-        return self.size - self._identification.used + len(self._problem.levels)
 
     @property
     def unit_known(self) -> bool:

@@ -40,8 +40,8 @@ def findings_of(fit: Intervals) -> Iterator[str]:
     if fit.p_value < _UNLIKELY:
         yield (
             f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "
-            f"{fit.dof} degrees of freedom, p = {fit.p_value:.1g}): the model does not describe "
-            "the data, or sigma is larger"
+            f"{fit.dof:.4g} degrees of freedom, p = {fit.p_value:.1g}): "
+            "the model does not describe the data, or sigma is larger"
         )
     for solution in {id(trial.solution): trial.solution for trial in fit.trials}.values():
         if not solution.success:

@@ -26,6 +26,9 @@ class Fit(Intervals, Labelled):
         Whether the search converged.
     stuck : bool
         Whether it ended where the likelihood jumps: an event passes a time of the data there.
+    dof : float
+        Degrees of freedom: number of data less that of directions of the parameters that were
+        fitted to them. Priors make it fractional: what they say is not fitted.
     others : tuple of dict of str to float
         Other minima that the data do not exclude at the level.
     jumps : tuple of Jump
@@ -92,7 +95,7 @@ class Fit(Intervals, Labelled):
             rows.append([name, f"{self.value_of(name):.6g}", f"[{low:.6g}, {high:.6g}]"])
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         return Table(
-            f"Fit to {of}: {noise}, {self.dof} degrees of freedom",
+            f"Fit to {of}: {noise}, {self.dof:.4g} degrees of freedom",
             ["parameter", "estimate", f"{100 * self.level:g} % interval"],
             rows,
             [verdict, *(f"note: {check}" for check in self.checks)],

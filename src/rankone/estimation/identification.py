@@ -226,14 +226,13 @@ class Identification:
     ``flat`` are the positions of parameters that are not identified. ``root`` (n, n - q) is a root
     of the covariance in z over the identified directions, for unit sigma; ``null`` (n, q) are
     orthonormal directions that are not identified. ``combinations`` of the flat parameters are
-    identified. Along ``used`` directions the residuals change within the cube.
+    identified.
     """
 
     flat: tuple[int, ...]
     root: Array
     null: Array
     combinations: tuple[str, ...]
-    used: int
 
     @property
     def spread(self) -> Array:
@@ -241,6 +240,25 @@ class Identification:
         deviations = np.sqrt(np.sum(self.root**2, axis=1))
         deviations[list(self.flat)] = np.inf
         return np.asarray(deviations)
+
+
+def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> float:
+    """The number of data less that of directions fitted to them, at a minimum with Jacobian (r, n).
+
+    What priors say of a direction is not fitted: it counts by the leverages of the data, as in
+    Spiegelhalter et al., "Bayesian measures of model complexity and fit" (2002), for linear models.
+    Levels of noise do not count.
+    """
+    moving = [j for j in range(len(problem.free.names)) if j not in problem.levels]
+    if not moving:
+        return float(problem.size)
+    unit = 1.0
+    if not problem.unit_known:
+        unit = float(np.sqrt(cost / max(problem.size - len(moving), 1)))
+    left, singular, _ = np.linalg.svd(jacobian[:, moving], full_matrices=False)
+    used = left[:, singular > max(_USED_CHANGE * unit, _USED_RATIO * singular[0])]
+    by_priors = float(np.sum(used[len(used) - len(problem.priors) :] ** 2))
+    return float(problem.size - used.shape[1] + by_priors)
 
 
 def identify(
@@ -254,10 +272,9 @@ def identify(
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
     floor = 1e-13 * singular[0] if singular[0] > 0.0 else 1.0
     root = right.T / np.maximum(singular, floor)
-    used = int(np.count_nonzero(singular > max(_USED_CHANGE * sigma, _USED_RATIO * singular[0])))
     half = quantile * sigma * np.sqrt(np.sum(root**2, axis=1))
     uncertain = np.flatnonzero(half > _SUSPICIOUS_WIDTH)
-    all_identified = Identification((), root, np.zeros((z.size, 0)), (), used)
+    all_identified = Identification((), root, np.zeros((z.size, 0)), ())
     best = Best(z, cost, np.minimum(half / quantile, 1.0))
     limit = max((quantile * sigma) ** 2, 1e-12 * cost)
     curves = profiles(problem, best, limit, uncertain.tolist(), _ROUGH_END_TOLERANCE)
@@ -275,7 +292,7 @@ def identify(
     if not flat:
         return all_identified
     names = _combinations(problem, z, jacobian, flat, q, boxed, limit)
-    return Identification(flat, root[:, kept], right[order[:q]].T, names, used)
+    return Identification(flat, root[:, kept], right[order[:q]].T, names)
 
 
 def _combinations(

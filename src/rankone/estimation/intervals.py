@@ -246,7 +246,12 @@ def checked_level(level: float) -> float:
     return float(level)
 
 
-def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
-    """Half the length of an interval in standard deviations; Student's for unknown sigma."""
+def quantile_of(level: float, sigma_known: bool, dof: float) -> float:
+    """Half the length of an interval in standard deviations; Student's for unknown sigma.
+
+    Infinite without degrees of freedom.
+    """
     share = 0.5 + 0.5 * level
-    return float(scipy.stats.norm.ppf(share) if sigma_known else scipy.stats.t.ppf(share, dof))
+    if sigma_known:
+        return float(scipy.stats.norm.ppf(share))
+    return float(scipy.stats.t.ppf(share, dof)) if dof > 0.0 else math.inf

@@ -67,11 +67,6 @@ class Likelihood:
         return float(sum(np.sum(ratio**2) for ratio in ratios))
 
     @cached_property
-    def estimates_noise(self) -> bool:
-        """Whether levels of noise are among the free parameters."""
-        return bool(self.levels)
-
-    @cached_property
     def levels(self) -> tuple[int, ...]:
         """Positions of the free levels of noise."""
         names = {name for trial in self.trials for name in trial.observations.levels}
