@@ -158,7 +158,42 @@ def test_a_page_says_what_measurements_do_not_determine(tmp_path):
             assert page.evaluate("rankone.fit().unseen") == ["V", "dose"]
     except NoBrowserError as reason:
         pytest.skip(str(reason))
-    assert "do not determine V, dose: other values fit as well" in told
+    assert "Not determined: V, dose; other values fit as well" in told
+
+
+IN_SIGHT = """(shown) => [...document.querySelectorAll(shown)].filter((element) => {
+  const box = element.getBoundingClientRect();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const top = document.elementFromPoint(x, y);
+  return box.top >= 0 && box.bottom <= innerHeight && (top === element || element.contains(top));
+}).length"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_sliders_curves_and_what_a_fit_says_are_in_sight(tmp_path, width, scheme):
+    """Beside each other on a screen; on a telephone each slider below the curves."""
+    table = tmp_path / "measured.csv"
+    table.write_text(csv_of({"t": HOURS, "C": bateman(HOURS)}))
+    page_file = oral().explore(tmp_path / "page.html")
+    sliders = "#parameters input[type=range]"
+    try:
+        with browser() as chromium, chromium.open(page_file, width=width, scheme=scheme) as page:
+            page.locator("#file").set_input_files(table)
+            page.locator("#fit").click()
+            settle(page)
+            assert page.evaluate(IN_SIGHT, "#notice.doubtful") == 1
+            assert page.evaluate(IN_SIGHT, "#fit") == 1
+            if width == 1280:
+                assert page.evaluate(IN_SIGHT, sliders) == 4
+                return
+            for slider in page.locator(sliders).all():
+                slider.focus()
+                page.wait_for_function(f"() => ({IN_SIGHT})('{sliders}:focus') === 1")
+                assert page.evaluate(IN_SIGHT, ".plot .u-over") >= 1
+                assert page.evaluate(IN_SIGHT, "#time") == 1
+    except NoBrowserError as reason:
+        pytest.skip(str(reason))
 
 
 def test_units_are_typeset_and_time_is_named(tmp_path):

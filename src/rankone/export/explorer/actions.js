@@ -90,8 +90,16 @@ export function load(text) {
   for (const [j, value] of measurements.held) state.p[j] = value;
   $("fit").hidden = !data.parameters.length;
   arrange();
+  showMeasured();
   showAll();
   return measurements;
+}
+
+/** Where plots stand side by side and scroll, begin with one that has measurements. */
+function showMeasured() {
+  const k = visibleRows().indexOf(state.measurements.series[0].row);
+  const { offsetLeft } = state.together ? $("plots") : $("plots").children[k];
+  $("plots").scrollLeft = offsetLeft - $("plots").offsetLeft;
 }
 
 export async function loadFile() {
@@ -123,15 +131,13 @@ export function fitAndSay() {
     const named = (positions) => positions.map((j) => data.parameters[j].text).join(", ");
     const deviations = series.map(({ row, values: { length } }, i) => {
       const { text, unit } = data.unknowns[row];
-      const size = shown(Math.sqrt(squares[i] / length), 3);
-      return `${size} ${weighted ? "standard deviations" : unit} for ${text}`.replace(/ +/, " ");
+      return `${text} ${shown(Math.sqrt(squares[i] / length), 3)} ${weighted ? "sigma" : unit}`.trim();
     });
     const sentences = [
-      `Fitted ${named(free)} to ${count} measurements. Root mean square deviation: ${deviations.join(", ")}.`,
+      `Fitted ${named(free)} to ${count} measurements.`,
+      `Root mean square deviation: ${deviations.join(", ")}.`,
     ];
-    if (unseen.length) {
-      sentences.push(`The measurements do not determine ${named(unseen)}: other values fit as well.`);
-    }
+    if (unseen.length) sentences.push(`Not determined: ${named(unseen)}; other values fit as well.`);
     if (atBounds.length) sentences.push(`At an end of its range: ${named(atBounds)}.`);
     say(sentences.join(" "), unseen.length || atBounds.length);
   } catch (error) {

@@ -25,13 +25,13 @@ export function parameterControl(place, parameter, number, onValue) {
     `<div class="row"><label for="p${number}">${symbol}</label><span class="quantity">` +
     '<input type="text" role="spinbutton" autocomplete="off" spellcheck="false">' +
     '<span class="unit"></span></span></div>' +
-    `<input type="range" id="p${number}" min="0" max="${STEPS}" step="1">` +
-    '<div class="ends"><span></span><span></span><span></span></div>' +
+    `<div class="ends"><span></span><input type="range" id="p${number}" min="0" max="${STEPS}" step="1">` +
+    '<span></span></div><p class="spread"></p>' +
     `<p class="wrong" id="w${number}" role="alert" hidden></p>`;
   const slider = box.querySelector('[type="range"]');
   const field = box.querySelector('[type="text"]');
   const wrong = box.querySelector(".wrong");
-  const [left, middle, right] = box.querySelectorAll(".ends span");
+  const [left, right] = box.querySelectorAll(".ends span");
   box.querySelector(".unit").textContent = unit;
   field.inputMode = lower < 0 ? "text" : "decimal"; // some keys for decimals have no minus
   field.style.minWidth = `calc(${digits + 2}ch + 18px)`;
@@ -40,7 +40,7 @@ export function parameterControl(place, parameter, number, onValue) {
   field.setAttribute("aria-valuemin", String(lower));
   field.setAttribute("aria-valuemax", String(upper));
   left.textContent = short(lower).replaceAll("-", "−");
-  middle.textContent = unbroken(distribution);
+  box.querySelector(".spread").textContent = unbroken(distribution);
   right.textContent = short(upper).replaceAll("-", "−");
   let present;
   let settled; // the value to return to if what is typed ends as refused

@@ -63,11 +63,15 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
     place,
   );
   const observer = follow(plot, place, () => height);
+  plot.over.addEventListener("click", point);
   plot.over.addEventListener("pointerdown", (event) => {
+    if (!state.together && event.pointerType === "touch") return; // a finger scrolls plots side by side
     plot.over.setPointerCapture(event.pointerId);
     point(event);
   });
-  plot.over.addEventListener("pointermove", (event) => event.buttons && point(event));
+  plot.over.addEventListener("pointermove", (event) => {
+    if (plot.over.hasPointerCapture(event.pointerId)) point(event);
+  });
 
   function point(event) {
     const { left } = plot.over.getBoundingClientRect();

@@ -80,8 +80,8 @@ export function arrange() {
   const rows = visibleRows();
   const groups = state.together ? [rows] : rows.map((i) => [i]);
   const narrow = innerWidth <= 900;
-  const low = Math.max(150, Math.min(230, 0.27 * innerHeight)); // room for sliders below
-  const height = state.together ? (narrow ? low : 380) : groups.length > 2 || narrow ? 190 : 260;
+  const low = Math.max(150, Math.min(230, 0.24 * innerHeight)) - (state.together ? 0 : 18); // sliders go below
+  const height = narrow ? low : state.together ? 380 : groups.length > 2 ? 190 : 260;
   views.plots = groups.filter((group) => group.length).map((group) => plotOf(place, group, height));
 }
 

@@ -7,6 +7,7 @@ const STARTS = 6;
 const MOST_ITERATIONS = 300; // of one search
 const SETTLED = 1e-13; // step, in widths of the box, that is rounding
 const WIDE = 0.5; // half an interval, in widths of the box, above which measurements say nothing
+const FLAT = 1e-10; // information, in shares of the largest, below which there is none, whatever the noise
 
 /**
  * The parameters of the largest likelihood, inside of their ranges.
@@ -111,14 +112,16 @@ function jacobianAt({ model, measurements, ...problem }, z) {
   );
 }
 
-/** Half of a 95 % interval of each free parameter, in widths of its range, by linearisation. */
+/** Half of a 95 % interval of each free parameter, in widths of its range; infinite without information. */
 function halfLengths(problem, { z, residuals }) {
   const precisions = precisionsOf(problem, residuals);
   const jacobian = jacobianAt(problem, z).map((row, m) => row.map((x) => x * precisions[m]));
   const all = z.map(() => true);
+  const largest = Math.max(...z.map((_, k) => jacobian.reduce((sum, row) => sum + row[k] * row[k], 0)));
   return z.map((_, k) => {
     const unit = z.map((_, a) => -Number(a === k));
-    return 1.96 * Math.sqrt(Math.max(0, stepOf(jacobian, unit, all, 0)[k]));
+    const variance = Math.max(0, stepOf(jacobian, unit, all, 0)[k]);
+    return variance * largest > 1 / FLAT ? Infinity : 1.96 * Math.sqrt(variance);
   });
 }
 

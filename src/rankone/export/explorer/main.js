@@ -70,6 +70,16 @@ if (views.phase) {
 }
 if (views.shares) choice("shares-of", 0, (i) => (state.sharesOf = i));
 
+/** Tell the style how much room is beside the curves, and how much they take above the sliders. */
+function tellRoom() {
+  const top = Math.max(20, document.querySelector("main").getBoundingClientRect().top);
+  $("controls").style.setProperty("--room", `${innerHeight - top - 20}px`);
+  document.documentElement.style.setProperty("--stuck", `${$("curves").offsetHeight}px`);
+}
+new ResizeObserver(tellRoom).observe($("curves"));
+addEventListener("scroll", tellRoom, { passive: true });
+addEventListener("resize", tellRoom);
+
 // ---- What people do -----------------------------------------------------------------------------
 
 $("time").addEventListener("input", () => {
