@@ -15,6 +15,7 @@ TRUE = {
     "scale": 2.5,
     "offset": 0.4,
     "sigma_C": 0.15,
+    "sigma_A": 2.0,
     "relative_C": 0.1,
     "sigma_signal": 0.3,
 }
@@ -92,10 +93,37 @@ def conditions(seed):
     return ro.fit(pairs)
 
 
+def combined(seed):
+    """A constant and a relative part, and concentrations over a decade."""
+    level = bateman(HOURS)
+    deviations = np.hypot(TRUE["sigma_C"], TRUE["relative_C"] * level)
+    data = level + deviations * draws(seed)
+    return oral().fit(HOURS, data, observe="C", noise="combined", fixed={"dose": 100})
+
+
+def student(seed):
+    """Heavy tails, whose standard deviation is that of the constant noise."""
+    tails = np.random.default_rng(seed).standard_t(4, HOURS.shape) / np.sqrt(2.0)
+    data = bateman(HOURS) + TRUE["sigma_C"] * tails
+    return oral().fit(HOURS, data, observe="C", noise="student", fixed={"dose": 100})
+
+
+def two_observables(seed):
+    """The blood and, half as often, the gut, each with noise of its own."""
+    times, noise = HOURS[::2], draws(seed, (2, HOURS.size))
+    gut = 100.0 * np.exp(-TRUE["ka"] * times) + TRUE["sigma_A"] * noise[1, : times.size]
+    blood = bateman(HOURS) + TRUE["sigma_C"] * noise[0]
+    clock = {"C": HOURS, "A": times}
+    return oral().fit(clock, {"C": blood, "A": gut}, fixed={"dose": 100})
+
+
 DESIGNS = {
     "constant noise": constant,
     "proportional noise": proportional,
     "log-normal noise": log_normal,
     "scale and offset": scaled,
     "three conditions": conditions,
+    "combined noise": combined,
+    "Student's noise": student,
+    "two observables": two_observables,
 }

@@ -108,6 +108,26 @@ def test_each_observable_has_noise_of_its_own():
     assert fit.std["ke"] < 0.3 * share.std["ke"]
 
 
+def test_one_kind_of_noise_for_all_experiments():
+    rows = [bateman(HOURS, dose) * (1.0 + 0.1 * noise(3, 16)) for dose in DOSES]
+
+    def pairs(**options):
+        experiments = zip(rows, DOSES, strict=True)
+        return [
+            (oral(), ro.Experiment(row, HOURS, observe="C", fixed={"dose": dose}, **options))
+            for row, dose in experiments
+        ]
+
+    once = ro.fit(pairs(), noise="proportional")
+    each = ro.fit(pairs(noise="proportional"))
+    assert once.x == pytest.approx(each.x, rel=1e-12)
+    assert list(once.x) == ["ka", "ke", "V", "relative_C"]
+    own = ro.fit(pairs(sigma=0.1), noise="proportional")
+    assert list(own.x) == ["ka", "ke", "V"]
+    with pytest.raises(OptionError, match=r"noise='proprtional' is unknown"):
+        ro.fit(pairs(), noise="proprtional")
+
+
 def test_experiments_that_share_noise_or_do_not():
     def both(one, other):
         return ro.fit(

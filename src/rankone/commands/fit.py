@@ -73,6 +73,13 @@ def register(commands: Commands) -> None:
         action="extend",
         help=_BOUNDS_HELP,
     )
+    add(
+        "--prior",
+        metavar="NAME=DISTRIBUTION",
+        nargs="+",
+        action="extend",
+        help="what was known before, as in scipy.stats: k='norm(1, 0.1)'",
+    )
     add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
     add("--profile", action="store_true", help="intervals by profile likelihood")
     add("--posterior", action="store_true", help="the distribution of the parameters as well")
@@ -84,6 +91,7 @@ def register(commands: Commands) -> None:
 def _fit(arguments: argparse.Namespace) -> int:
     from rankone.estimation.posterior import posterior_of
     from rankone.export.program import box_of, pairs_of
+    from rankone.statistics.distributions import from_text
 
     solution = solution_of(arguments, effort=arguments.effort)
     table = _read(arguments.data)
@@ -95,6 +103,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         fixed=pairs_of("--fixed", arguments.fixed, float),
         start=pairs_of("--start", arguments.start, float) or None,
         bounds={k: tuple(ends) for k, ends in box_of(arguments.bounds, "--bounds").items()},
+        prior=pairs_of("--prior", arguments.prior, from_text),
         level=arguments.level,
         effort=arguments.effort,
     )

@@ -47,8 +47,9 @@ _END_DISTANCE = 1e-9
 class LogPosterior:
     """Logarithm of the posterior density in the unit cube; ``measures`` are the priors.
 
-    Gaussian noise; where its sigma is not known, it is integrated over with the density 1/sigma
-    (Gelman et al., Bayesian Data Analysis, ch. 14.2).
+    Where only the factor of all standard deviations is unknown, it is integrated over with the
+    density 1/sigma (Gelman et al., Bayesian Data Analysis, ch. 14.2); levels of noise are
+    parameters with that density.
     """
 
     problem: Likelihood
@@ -237,7 +238,7 @@ def posterior(
     seed: int = 0,
     steps: int = 1000,
 ) -> Posterior:
-    """The distribution of the parameters after the data are known, for Gaussian noise.
+    """The distribution of the parameters after the data are known, for any kind of noise.
 
     Up to three free parameters are integrated on cells that are refined where the density is
     large. More take a Markov chain, which needs emcee.

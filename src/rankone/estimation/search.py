@@ -153,6 +153,7 @@ def fit(
 def fit_experiments(
     pairs: Sequence[tuple[SolutionCore, Experiment]],
     *,
+    noise: object = None,
     fixed: ParameterValues = None,
     start: ParameterValues = None,
     bounds: Bounds = None,
@@ -169,6 +170,8 @@ def fit_experiments(
         Parameters of the same name are the same parameter, unless an experiment fixes them. So are
         parameters of observables and levels of noise: each output has one standard deviation in
         all experiments, unless they give it, or name levels of their own, ``sigma="s_low"``.
+    noise : str or mapping, optional
+        The kind of noise of experiments that say nothing of theirs; see :meth:`Solution.fit`.
     fixed, start, bounds, prior, starts, effort, level
         As for :meth:`Solution.fit`.
 
@@ -192,8 +195,17 @@ def fit_experiments(
     for solution, _ in listed:
         if not isinstance(solution, SolutionCore):
             raise OptionError(f"{shown(solution)} is not a Solution", term=solution)
+    listed = [(solution, _with_noise(experiment, noise)) for solution, experiment in listed]
     options = Options(fixed, start, bounds, prior, starts, effort, level)
     return fitted(trials_of(listed), options)
+
+
+def _with_noise(experiment: Experiment, noise: object) -> Experiment:
+    """An experiment with a kind of noise, if it says nothing of its own."""
+    if not isinstance(experiment, Experiment):
+        return experiment  # refused with the other things that are none
+    own = (experiment.noise, experiment.sigma, experiment.weights)
+    return replace(experiment, noise=noise) if all(each is None for each in own) else experiment
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,8 @@ class Density(Labelled):
         return Variables({"density": (("value",), self.density)}, {"value": self.values})
 
 
-@dataclass(frozen=True)
-class Probability:
+@dataclass(frozen=True, repr=False)
+class Probability(Labelled):
     """Share of the box, weighted by its distributions, where a condition holds.
 
     Attributes
@@ -74,10 +74,30 @@ class Probability:
     value, error : ndarray (*shape of the times)
         The probability and its standard error, from eight sets of points, each shifted by its own
         random numbers; at least one over the number of points.
+    condition : str
+        What is probable, such as ``"u > 2"``.
+    times : ndarray
+        As they were given; none if nothing depends on time.
     """
 
     value: Array
     error: Array
+    condition: str
+    times: Array
+
+    def _table(self) -> Table:
+        values, errors = np.ravel(self.value), np.ravel(self.error)
+        when = [f"{time:.6g}" for time in self.times.ravel()] or [""]
+        triples = zip(when, values, errors, strict=True)
+        rows = [[time, f"{value:.4g}", f"{error:.1g}"] for time, value, error in triples]
+        return Table(f"Probability of {self.condition}", ["time", "probability", "error"], rows)
+
+    def _variables(self) -> Variables:
+        columns = {"probability": self.value, "error": self.error}
+        if not self.times.size:
+            return Variables({name: ((), x) for name, x in columns.items()}, {})
+        arrays = {name: (("time",), np.ravel(x)) for name, x in columns.items()}
+        return Variables(arrays, {"time": self.times.ravel()})
 
 
 class DistributionOverBox(StatisticsOverBox):
@@ -217,7 +237,11 @@ class DistributionOverBox(StatisticsOverBox):
 
         shares = self._at(t, shares_of_sets)
         error = shares.std(axis=0, ddof=1) / np.sqrt(_POINT_SETS)
-        return Probability(shares.mean(axis=0), np.maximum(error, 1.0 / count))
+        ends = f"{lower:g} < " if above is not None and below is not None else ""
+        side = f" > {lower:g}" if below is None else f" < {upper:g}"
+        condition = f"{ends}{self.states[row]}{side}"
+        clock = np.asarray([] if t is None else t, dtype=float)
+        return Probability(shares.mean(axis=0), np.maximum(error, 1.0 / count), condition, clock)
 
     def _one(self, unknown: object) -> UnknownView:
         """One state; the only unknown where none is named."""

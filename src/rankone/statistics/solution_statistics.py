@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -80,8 +80,8 @@ class Sobol(Labelled):
         return Variables({**arrays, "second": (pairs, self.second)}, {**labels, **clock})
 
 
-@dataclass(frozen=True)
-class MainEffects:
+@dataclass(frozen=True, repr=False)
+class MainEffects(Labelled):
     """Means of the unknowns given one parameter.
 
     Attributes
@@ -99,6 +99,50 @@ class MainEffects:
     times: Array
     values: dict[str, Array]
     means: dict[str, Array]
+
+    @property
+    def _stacked(self) -> tuple[Array, Array]:
+        """Values (parameters, count) and means (parameters, unknowns, count, times)."""
+        if not self.parameters:
+            return np.zeros((0, 0)), np.zeros((0, len(self.unknowns), 0, 0))
+        values = np.stack([self.values[name] for name in self.parameters])
+        means = np.stack([self.means[name] for name in self.parameters])
+        return values, means.reshape(*means.shape[:3], -1)
+
+    def _table(self) -> Table:
+        """Means at the ends of each interval and in its middle, at the first and the last time."""
+        values, means = self._stacked
+        count, clock = values.shape[1], self.times.ravel()
+        chosen = list(dict.fromkeys((0, count // 2, count - 1)))
+        rows = []
+        for i, unknown in enumerate(self.unknowns):
+            for j, parameter in enumerate(self.parameters):
+                for k in dict.fromkeys((0, means.shape[-1] - 1)):
+                    pairs = zip(values[j, chosen], means[j, i, chosen, k], strict=True)
+                    cells = [f"{mean:.5g} at {value:.4g}" for value, mean in pairs]
+                    when = f"{clock[k]:.4g}" if clock.size else ""
+                    rows.append([unknown, parameter, when, *cells])
+        header = ["unknown", "parameter", "time", "lower", "middle", "upper"]
+        if len(chosen) < 3:
+            header.remove("middle")
+        summary = f"Means of {', '.join(self.unknowns)} given one parameter"
+        return Table(summary, header, rows, labels=2)
+
+    def _variables(self) -> Variables:
+        values, means = self._stacked
+        axes: tuple[str, ...] = ("parameter", "unknown", "position", "time")
+        labels: dict[str, Any] = {
+            "parameter": list(self.parameters),
+            "unknown": list(self.unknowns),
+            "position": np.linspace(0.0, 1.0, values.shape[1]),
+            "time": self.times.ravel(),
+        }
+        if not self.times.size:
+            axes, means = axes[:3], means[..., 0]
+            del labels["time"]
+        spread = (slice(None), None, slice(None), None)[: means.ndim]
+        every = np.broadcast_to(values[spread], means.shape)
+        return Variables({"mean": (axes, means), "value": (axes, every)}, labels)
 
 
 class Statistics:

@@ -83,6 +83,9 @@ class Labelled(ABC):
         arrays, labels = self._variables()
         (axes, _), *_ = arrays.values()
         columns = {name: array for name, (own, array) in arrays.items() if own == axes}
+        if not axes:
+            single: pd.DataFrame = pandas.DataFrame({n: [float(x)] for n, x in columns.items()})
+            return single
         index = pandas.MultiIndex.from_product([labels[axis] for axis in axes], names=axes)
         if len(axes) == 1:
             index = pandas.Index(labels[axes[0]], name=axes[0])
