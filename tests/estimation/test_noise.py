@@ -107,6 +107,23 @@ def test_levels_are_corrected_for_the_parameters():
     assert fit.dof == plain.dof == 23
 
 
+def test_two_means_with_noise_of_their_own():
+    """The interval of their difference is that of Welch's test."""
+    generator = np.random.default_rng(2)
+    one, other = generator.normal(1.0, 0.1, 12), generator.normal(1.5, 0.5, 7)
+    times = {"x": np.linspace(0, 1, 12), "y": np.linspace(0, 1, 7)}
+    fit = line().fit(
+        times,
+        {"x": one, "y": other},
+        observe={"x": "a + 0*u", "y": "a + shift + 0*u"},
+        fixed={"b": 0},
+    )
+    welch = scipy.stats.ttest_ind(other, one, equal_var=False).confidence_interval(0.95)
+    np.testing.assert_allclose(fit.interval()["shift"], welch, rtol=1e-4)
+    plain = scipy.stats.t.interval(0.95, 11, one.mean(), scipy.stats.sem(one))
+    np.testing.assert_allclose(fit.interval()["a"], plain, rtol=1e-4)
+
+
 def test_a_given_level_and_an_expression_of_the_model():
     data = closed(**TRUE) * (1.0 + 0.05 * draws())
     given = decay().fit(TIMES, data, noise="proportional", sigma=0.05)

@@ -15,6 +15,7 @@
 ``choice``              the minimum that a fit reports
 ``estimates``           best values, residuals, criteria
 ``intervals``           how sure they are
+``levels``              what estimated levels of noise add to that
 ``fit``                 the result of a fit: both, and whether to believe it
 ``residuals``           predictions and residuals at a point
 ``curves``              fitted curves and their derivatives

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from rankone.estimation.identification import Best, degrees_of_freedom, identify
 from rankone.estimation.intervals import quantile_of
 from rankone.estimation.jumps import jumps_within
 from rankone.estimation.least_squares import Minima, squares_of
+from rankone.estimation.levels import level_uncertainty
 from rankone.estimation.likelihood import Likelihood
 from rankone.support.arrays import Array
 
@@ -43,7 +45,10 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
     reported, freedom = _corrected(problem, z, jacobian)
     if problem.levels:
         jacobian = problem.linearised(reported[None], settle=False).jacobian[0]
-    identification = identify(problem, z, cost, jacobian, q, unit)
+    identification, levels = identify(problem, z, cost, jacobian, q, unit), None
+    if problem.levels:
+        levels = level_uncertainty(problem, jacobian, identification.root, freedom)
+        identification = replace(identification, root=levels.enlarged(identification.root))
     limit = problem.size * math.log1p(q**2 / least) if problem.levels else (q * unit) ** 2
     distinct = () if identification.flat else _others(problem, ends, k, limit)
     deviations = np.minimum(identification.spread * unit, 1.0)
@@ -60,6 +65,7 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
         _z=reported,
         _identification=identification,
         _freedom=freedom,
+        _levels=levels,
         others=distinct,
         jumps=jumps,
         sizes=_sizes(problem, points),

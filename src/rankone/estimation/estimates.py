@@ -12,6 +12,7 @@ import scipy
 from rankone.estimation.experiments import Trial
 from rankone.estimation.identification import Best, Identification
 from rankone.estimation.jumps import Jump
+from rankone.estimation.levels import LevelUncertainty
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.noise import normal_scores
 from rankone.estimation.observations import Observations
@@ -35,6 +36,7 @@ class Estimates:
     _z: Array
     _identification: Identification
     _freedom: dict[int, float] = field(default_factory=dict)
+    _levels: LevelUncertainty | None = None
     others: tuple[dict[str, float], ...] = ()
     jumps: tuple[Jump, ...] = ()
     sizes: tuple[dict[str, float], ...] = ()

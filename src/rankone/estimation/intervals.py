@@ -87,7 +87,8 @@ class Intervals(Estimates):
                 f"method={method!r} is unknown", remedy='choose "linear" or "profile"'
             )
         free = self._problem.free
-        half = self._quantile(level) * self._identification.spread * self._unit
+        quantiles = [self._quantile(level, slope) for slope in np.eye(len(free.names))]
+        half = np.array(quantiles) * self._identification.spread * self._unit
         flat = ~np.isfinite(half)
         half = np.where(flat, 0.0, half)
         low, high = free.unclipped(self._z - half), free.unclipped(self._z + half)
@@ -131,9 +132,9 @@ class Intervals(Estimates):
         OptionError
             If it is not a quantity of the parameters.
         """
-        q = self._quantile(level)
-        estimate, deviation = self._quantity(given)
-        return estimate - q * deviation, estimate + q * deviation
+        estimate, slope = self._quantity(given)
+        half = self._quantile(level, slope) * self.deviation(slope)
+        return estimate - half, estimate + half
 
     def value_of(self, given: object) -> float:
         """The estimate of a quantity of the parameters; see :meth:`interval_of`."""
@@ -148,11 +149,11 @@ class Intervals(Estimates):
             With ``values`` and ``half_width`` (times,): half the width of its band at the level of
             the fit, NaN where the data do not identify it.
         """
-        at, half = self.trial(experiment), self._quantile(None)
+        at = self.trial(experiment)
         values, slopes = curve_of(self._problem, at, observable, times, self._z)
-        deviations = np.array([self.deviation(slope) for slope in slopes])
-        deviations[~np.isfinite(deviations)] = np.nan
-        return Curve(values, half * deviations)
+        half = np.array([self._quantile(None, slope) * self.deviation(slope) for slope in slopes])
+        half[~np.isfinite(half)] = np.nan
+        return Curve(values, half)
 
     def profile(self, parameter: object, level: float | None = None) -> Profile:
         """The profile likelihood of a parameter up to a level.
@@ -163,26 +164,30 @@ class Intervals(Estimates):
             In coordinates from 0 to 1 between the bounds; each end says what stops it.
         """
         index = self._problem.free.index(parameter)
-        return profiles(self._problem, self._best, self.rise(level), [index])[0]
+        return profiles(self._problem, self._best, self.rise(parameter, level), [index])[0]
 
-    def rise(self, level: float | None = None) -> float:
+    def rise(self, parameter: object, level: float | None = None) -> float:
         """By how much -2 log L is larger at the ends of profile intervals; squares without sigma.
 
         For levels of noise that are estimated it is n log(1 + q^2/dof), with Student's quantile q,
         which is exact for one level and a linear model.
         """
-        q = self._quantile(level)
+        j = self._problem.free.index(parameter)
+        q = self._quantile(level, np.eye(len(self.parameters))[j])
         if self._problem.levels:
             return self.size * math.log1p(q**2 / max(self.dof, 1))
         return (q * self._unit) ** 2
 
-    def _quantile(self, level: float | None) -> float:
-        """Half the length of an interval, in standard deviations."""
+    def _quantile(self, level: float | None, slope: Array) -> float:
+        """Half the length of an interval in standard deviations, of a quantity with derivatives."""
         level = self.level if level is None else checked_level(level)
-        return quantile_of(level, self.noise_given, self.dof)
+        dof = self.dof
+        if self._levels is not None:
+            dof = min(dof, self._levels.dof(self._identification.root, slope))
+        return quantile_of(level, self.noise_given, dof)
 
-    def _quantity(self, given: object) -> tuple[float, float]:
-        """A quantity at the estimate, and its standard deviation."""
+    def _quantity(self, given: object) -> tuple[float, Array]:
+        """A quantity at the estimate, and its derivatives (n,) with respect to z."""
         free = self._problem.free
         of = quantity(given, free.order)
         width = dict(zip(self.parameters, free.width, strict=True))
@@ -193,7 +198,7 @@ class Intervals(Estimates):
             raise OptionError(f"{quote(given)} has no value at the fit: {reason}") from reason
         if not math.isfinite(estimate):
             raise OptionError(f"{quote(given)} has no value at the fit")
-        return estimate, self.deviation(slope * free.slopes(self._z))
+        return estimate, slope * free.slopes(self._z)
 
     def deviation(self, slope: Array) -> float:
         """The standard deviation of a quantity by its derivatives (n,) with respect to z.

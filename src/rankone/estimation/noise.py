@@ -9,6 +9,7 @@ Gauss-Newton step is a step of Fisher scoring, also where parameters move the st
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -71,6 +72,13 @@ class Noise:
             return self.spread
         sigma: Operand = self.formula(at)
         return sigma * self.spread
+
+    @property
+    def scale_root(self) -> float:
+        """Root of the Fisher information of a datum about the logarithm of its deviation."""
+        nu = STUDENT_FREEDOM
+        student = self.distribution == "student"
+        return math.sqrt(2.0 * nu / (nu + 3.0)) if student else math.sqrt(2.0)
 
     @property
     def scales(self) -> bool:
@@ -155,13 +163,12 @@ def terms(
     p, s = value_of(prediction), value_of(sigma)
     r = (p - data) / s
     shares = np.ones(r.shape)
-    location, scale = 1.0, np.sqrt(2.0)
+    location, scale = 1.0, noise.scale_root
     each = r**2
     if noise.distribution == "student":
         nu, squares = STUDENT_FREEDOM, (r / _STUDENT_SCALE) ** 2
         shares = (nu + 1.0) / (nu + squares) / _STUDENT_SCALE**2
         location = np.sqrt((nu + 1.0) / (nu + 3.0)) / _STUDENT_SCALE
-        scale = np.sqrt(2.0 * nu / (nu + 3.0))
         each = (nu + 1.0) * np.log1p(squares / nu)
     if noise.estimated:
         each = each + 2.0 * np.log(s)

@@ -228,7 +228,7 @@ def _smoothed(counts: Array) -> Array:
 def _draw_profile(panel: Axes, fit: Fit, name: str) -> None:
     free = fit._problem.free
     j = free.names.index(name)
-    profile, limit, unit = fit.profile(name), fit.rise(), 1.0
+    profile, limit, unit = fit.profile(name), fit.rise(name), 1.0
     if not fit.unit_known:
         unit = fit.sigma**2 or 1.0
     shown = profile.rise <= _SHOWN_RISE * limit
