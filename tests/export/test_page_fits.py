@@ -181,9 +181,8 @@ def test_sliders_curves_and_what_a_fit_says_are_in_sight(tmp_path, width, scheme
         with browser() as chromium, chromium.open(page_file, width=width, scheme=scheme) as page:
             page.locator("#file").set_input_files(table)
             page.locator("#fit").click()
-            settle(page)
-            assert page.evaluate(IN_SIGHT, "#notice.doubtful") == 1
-            assert page.evaluate(IN_SIGHT, "#fit") == 1
+            for part in ("#notice.doubtful", "#fit"):
+                page.wait_for_function(f"() => ({IN_SIGHT})('{part}') === 1")
             if width == 1280:
                 assert page.evaluate(IN_SIGHT, sliders) == 4
                 return
