@@ -45,6 +45,7 @@ from rankone.ir.verdict import (
     SwitchingTerm,
     TrajectoryStops,
     UncertainPart,
+    UndecidedShare,
     UnknownOutputError,
     UnsettledTerms,
     Verdict,
@@ -353,7 +354,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=4), "version 4 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=5), "version 5 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
@@ -624,6 +625,7 @@ VERDICTS = [
     Verdict(Status.CONVERGED, None, (SteadyBranch((("x", 1.5),), -0.1, 3.0),)),
     Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf, "peak"),)),
     Verdict(Status.WORK_LIMIT, None, (NarrowBox((("k", 0.1, 1.0), ("m", 2.0, 3.0))),)),
+    Verdict(Status.CONVERGED, None, (UndecidedShare(1e-3),)),
     Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
 ]
 

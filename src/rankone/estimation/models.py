@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.outcome import Outcome
+from rankone.ir.timeline import BranchedTimeline
+from rankone.solution.branches import branch_evaluator
 from rankone.solution.core import timeline_evaluator
 from rankone.support.arrays import Array
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.tensors.timeline import TimelineEvaluator
 
@@ -40,16 +43,21 @@ class Model(Protocol):
 
 def model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
     """The model of states ``rows`` at times, one each."""
-    if outcome.timeline is not None:
-        evaluator = timeline_evaluator(outcome.slabs, outcome.timeline)
-        return TimelineModel(evaluator, rows, times)
+    timeline = outcome.timeline
+    if isinstance(timeline, BranchedTimeline):
+        branches = branch_evaluator(outcome.slabs, timeline).likeliest()
+        return TimelineModel(branches, rows, times)
+    if timeline is not None:
+        return TimelineModel(timeline_evaluator(outcome.slabs, timeline), rows, times)
     return TrainModel(outcome.slabs, rows, times)
 
 
 class TimelineModel:
     """A :class:`Model` of a solution over stretches between events."""
 
-    def __init__(self, evaluator: TimelineEvaluator, rows: NDArray[np.intp], times: Array) -> None:
+    def __init__(
+        self, evaluator: TimelineEvaluator | BranchEvaluator, rows: NDArray[np.intp], times: Array
+    ) -> None:
         self.evaluator, self.rows, self.times = evaluator, rows, times
 
     def thinned(self, scale: Array, tolerance: float) -> TimelineModel:

@@ -22,7 +22,7 @@ from rankone.discretization import IDENTITY, Scale
 from rankone.export.rounding import rounded_slabs
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
-from rankone.ir.timeline import CLOCK_STATES, Timeline
+from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Timeline
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
@@ -184,13 +184,18 @@ def pack(
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
     metadata, timeline = solution.metadata, solution.outcome.timeline
+    if isinstance(timeline, BranchedTimeline):
+        raise ExportError(
+            "models do not take solutions in which the order of events changes inside the box",
+            remedy="solve on a box in which one order holds (print solution.timeline)",
+        )
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
     packed_rows = list(rows) if timeline is None else [*rows, -CLOCK_STATES]
     slabs = [slab.with_first(slab.cores[0][packed_rows]) for slab in solution.outcome.slabs]
     errors = [solution.errors[solution.states[row]] for row in rows]
-    summary, reduction = _summary(solution, names), None
+    summary, reduction = _summary(solution, names, timeline), None
     if rtol is not None:
         rounding = rounded_slabs(slabs, intervals, rtol, timeline)
         slabs = list(rounding.slabs)
@@ -282,7 +287,9 @@ def checked_rtol(rtol: float | None) -> float | None:
     )
 
 
-def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ...]:
+def _summary(
+    solution: SolutionCore, unknowns: tuple[str, ...], timeline: Timeline | None
+) -> tuple[str, ...]:
     """Lines that say what the model is and how good it is."""
     metadata = solution.metadata
     coordinates = {metadata.time: solution.time, **solution.parameters}
@@ -300,7 +307,7 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
         *(f"{name} in {units[name]}" for name in unknowns if name in units),
         "",
         f"Relative tolerance asked for: {solution.rtol:g}; {solution.message}.",
-        *_stretches(solution.outcome.timeline),
+        *_stretches(timeline),
     )
 
 

@@ -24,6 +24,7 @@ from rankone.statistics.joint_distribution import copula_of
 from rankone.storage import read, write
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, StorageError, optional_module
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 from rankone.tensors.timeline import TimelineEvaluator
 
@@ -260,7 +261,7 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
         ndarray (unknowns, parameters, *broadcast shape of the values)
         """
         gathered = self._coordinates.gather(at, named)
-        if isinstance(self._evaluator, TimelineEvaluator):
+        if isinstance(self._evaluator, TimelineEvaluator | BranchEvaluator):
             arrays = np.broadcast_arrays(*self._coordinates.arrays(gathered))
             times, *points = (array.ravel() for array in arrays)
             free, stacked = range(len(points)), np.array(points).reshape(-1, times.size)
@@ -331,12 +332,13 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        timeline = self.outcome.timeline_of_one_order("output")
         expressions = optional_module(
             "rankone.codegen.output_expressions",
             "outputs are given as expressions of SymPy",
             "pip install sympy",
         )
-        asked = quantities, self.metadata, self.time, samples_of(self), self.outcome.timeline
+        asked = quantities, self.metadata, self.time, samples_of(self), timeline
         outputs = expressions.quantities_of(*asked)
         if units is None and not isinstance(quantities, Mapping):
             units = {name: unit for name, unit in self.metadata.units if name in outputs.names}

@@ -83,6 +83,36 @@ class Marker:
     level: float
 
 
+@dataclass(frozen=True)
+class Guard:
+    """What ``when`` of an event is at an instant, which tells how trajectories go on there.
+
+    The instant -1 is the start. The states are those after so many of the events at the instant
+    are ``applied``, with a ``side`` of its own for the switch that the event sets, if told.
+    """
+
+    instant: int
+    applied: int
+    event: int
+    side: float | None = None
+
+
+@dataclass(frozen=True)
+class ForcedOrder:
+    """An order that trajectories follow wherever it holds or not.
+
+    ``met`` are the events at each instant in the order in which they happen: the first one ends the
+    stretch. Stretches may then be of negative length. ``lengths`` predicts those up to the last
+    instant, (m, instants) at points (m, d), to about ``margins`` (instants,). The ``guards`` are
+    functions of the parameters besides.
+    """
+
+    met: tuple[tuple[int, ...], ...]
+    lengths: OfPoints
+    margins: tuple[float, ...]
+    guards: tuple[Guard, ...] = ()
+
+
 class Ending(StrEnum):
     """What ends the last stretch of all trajectories."""
 

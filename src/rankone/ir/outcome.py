@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from rankone.ir.timeline import Timeline
+from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import Cause, Note, Status, Verdict
 from rankone.support.errors import EvaluationError
 from rankone.tensors.slab import SlabTrain, fixed
@@ -114,7 +114,7 @@ class Outcome:
     time and parameter values near which a trajectory blows up, ``safe`` where the box would have to
     end instead, the one that keeps most of it first. ``switching`` is the state whose rate switches
     to and fro where the reference trajectories came to an end. With events, the slabs are over the
-    stretches of a ``timeline``.
+    stretches of a ``timeline``, or of one branch after the other.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -128,7 +128,7 @@ class Outcome:
     switching: int | None = None
     cause: Cause | None = None
     notes: tuple[Note, ...] = ()
-    timeline: Timeline | None = None
+    timeline: Timeline | BranchedTimeline | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -145,12 +145,26 @@ class Outcome:
         timeline = self.timeline and self.timeline.fixed(parameter, value)
         return replace(self, slabs=fixed(self.slabs, parameter, value), timeline=timeline)
 
+    def timeline_of_one_order(self, what: str) -> Timeline | None:
+        """The timeline, for what takes one order of events alone.
+
+        An EvaluationError that names it, if the order changes inside the box.
+        """
+        if isinstance(self.timeline, BranchedTimeline):
+            raise EvaluationError(
+                f"{what} does not take solutions in which the order of events changes inside the "
+                "box",
+                remedy="solve on a box in which one order holds (print solution.timeline), or "
+                "evaluate the solution at points",
+            )
+        return self.timeline
+
     def slabs_over_clock_time(self, what: str) -> tuple[SlabTrain, ...]:
         """The slabs, for what reads them as functions of time.
 
         An EvaluationError that names it, if they are over the stretches of a timeline.
         """
-        if self.timeline is not None:
+        if self.timeline_of_one_order(what) is not None:
             raise EvaluationError(
                 f"{what} does not take solutions over stretches between events or switches",
                 remedy="give solution.in_clock_time(), which everything takes where events reset "

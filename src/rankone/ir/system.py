@@ -40,7 +40,7 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 import numpy as np
 
 from rankone.ir.constraints import Constraints
-from rankone.ir.events import EventOrder, Marker, OfPoints, OfTrajectory, SystemEvent
+from rankone.ir.events import EventOrder, ForcedOrder, Marker, OfPoints, OfTrajectory, SystemEvent
 from rankone.ir.features import (
     GAP_REMEDY,
     Features,
@@ -228,7 +228,8 @@ class Clock:
     """The system over clock time that runs in stretches, and the order of its events.
 
     Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``last_marks`` tells about
-    when trajectories at points (m, d) pass the last event, where nothing interrupts them.
+    when trajectories at points (m, d) pass the last event, where nothing interrupts them. Where the
+    order is ``forced``, trajectories follow it also where others would come first.
     """
 
     system: System
@@ -237,6 +238,12 @@ class Clock:
     cuts: tuple[float, ...] = ()
     markers: tuple[Marker, ...] = ()
     last_marks: OfPoints | None = None
+    forced: ForcedOrder | None = None
+
+    @property
+    def n_guards(self) -> int:
+        """Number of functions of the parameters behind the states."""
+        return 0 if self.forced is None else len(self.forced.guards)
 
     @property
     def n_states(self) -> int:

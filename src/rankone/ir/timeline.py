@@ -108,6 +108,90 @@ class Timeline:
         return len(self.instants) + (self.ending is not Ending.EVENT)
 
 
+@dataclass(frozen=True)
+class Fork:
+    """Two branches that are the same up to the beginning of a stretch, and then part.
+
+    The ``first`` one holds if its stretch ends before that of the ``second``, or, where both end
+    at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states. A
+    The guard is relative to its ``scale``. The events that end the stretch ``may_be_past`` at its
+    beginning: then they do not come.
+    """
+
+    first: int
+    second: int
+    stretch: int
+    guard: int | None = None
+    sign: float = 1.0
+    scale: float = 1.0
+    may_be_past: tuple[bool, bool] = (False, False)
+
+
+@dataclass(frozen=True)
+class BranchedTimeline:
+    """Timelines of branches: orders of events that hold in parts of the box.
+
+    The slabs of each branch follow those of the one before. ``guards`` counts the functions of the
+    parameters, behind the states of each branch, that tell which one holds by the ``forks``. These
+    are known up to a ``width``, relative to the horizon or to their scales. Where branches differ
+    by more than the ``tolerances`` of the states within it, which one holds is ``undecided``: on
+    that share of the box.
+    """
+
+    branches: tuple[Timeline, ...]
+    guards: tuple[int, ...]
+    forks: tuple[Fork, ...]
+    width: float
+    tolerances: tuple[float, ...]
+    undecided: float
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """The names of all events."""
+        return self.branches[0].events
+
+    @property
+    def horizon(self) -> tuple[float, float]:
+        """That of the clock."""
+        return self.branches[0].horizon
+
+    @property
+    def terminal(self) -> bool:
+        """Whether an event may end the trajectories."""
+        return any(branch.terminal for branch in self.branches)
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches of all branches."""
+        return sum(branch.stretches for branch in self.branches)
+
+    @property
+    def met(self) -> tuple[tuple[str, ...], ...]:
+        """The instants that some trajectory meets before the end of the horizon, by branches."""
+        return tuple(instant for branch in self.branches for instant in branch.met)
+
+    @property
+    def moving_resets(self) -> tuple[str, ...]:
+        """The events that reset states at times that are not known to be the same everywhere."""
+        names = (name for branch in self.branches for name in branch.moving_resets)
+        return tuple(dict.fromkeys(names))
+
+    def fixed(self, parameter: int, value: float) -> BranchedTimeline:
+        """The timeline where the parameter at a position is no longer a coordinate."""
+        branches = tuple(branch.fixed(parameter, value) for branch in self.branches)
+        return replace(self, branches=branches)
+
+    def __str__(self) -> str:
+        """The branches, and what is undecided, in words."""
+        count = len(self.branches)
+        lines = [f"{count} orders of events, each in a part of the box"]
+        if self.undecided:
+            lines[0] += f"; undecided in {100 * self.undecided:.2g} % of it"
+        for k, branch in enumerate(self.branches):
+            lines += [f"order {k}: {branch}"]
+        return "\n".join(lines)
+
+
 def _resets(event: SystemEvent) -> bool:
     return event.then is not None and not event.switch
 

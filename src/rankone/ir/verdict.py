@@ -377,6 +377,19 @@ class NumericallyZero(Note):
 
 
 @dataclass(frozen=True)
+class UndecidedShare(Note):
+    """The share of the box in which it is undecided in which order events come."""
+
+    share: float
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"in {100.0 * self.share:.2g} % of the box it is undecided in which order events come, "
+            "and values are NaN"
+        )
+
+
+@dataclass(frozen=True)
 class OtherEngines(Note):
     """The engine of the solution, and how the others ended that were tried."""
 

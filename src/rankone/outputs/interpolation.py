@@ -181,7 +181,7 @@ class OutputInterpolation:
     def _timeline(self) -> Timeline | None:
         """The timeline of the quantities, if they depend on time."""
         apart = self.quantities.timeless or self.clock_time
-        return None if apart else self.solution.outcome.timeline
+        return None if apart else self.solution.outcome.timeline_of_one_order("output")
 
     @property
     def domain(self) -> Domain:
@@ -233,7 +233,7 @@ class OutputInterpolation:
 
         Infinite where the interpolation has no value and the solution has one.
         """
-        timeline = self.solution.outcome.timeline
+        timeline = self._timeline
         assert timeline is not None
         times = np.linspace(*timeline.horizon, _CLOCK_TIMES)
         exact, compared = sampler.at_clock(times, check.points)

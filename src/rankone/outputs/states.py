@@ -30,7 +30,7 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
     parameters alone.
     """
     metadata, evaluator = solution.metadata, solution._evaluator
-    timeline = solution.outcome.timeline
+    timeline = solution.outcome.timeline_of_one_order("at")
     assert isinstance(evaluator, TimelineEvaluator)
     assert timeline is not None
     texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
@@ -66,6 +66,7 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
 def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
     """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
     metadata, name = solution.metadata, name_of(coordinate)
+    solution.outcome.timeline_of_one_order("diff")
     by_time = name == metadata.time
     j = None if by_time else position(metadata, name)
     sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
@@ -80,7 +81,8 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
 
 def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:
     """A solution with events over clock time; see :meth:`rankone.Solution.in_clock_time`."""
-    metadata, timeline = solution.metadata, solution.outcome.timeline
+    metadata = solution.metadata
+    timeline = solution.outcome.timeline_of_one_order("in_clock_time")
     assert timeline is not None
     if timeline.terminal:
         raise EvaluationError(

@@ -19,12 +19,14 @@ import numpy as np
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SafeInterval
-from rankone.ir.timeline import Timeline
+from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import Status, SwitchingTerm
+from rankone.solution.branches import branch_evaluator
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
 from rankone.support.wording import did_you_mean, listing, quote
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import TimelineEvaluator
@@ -141,10 +143,12 @@ class SolutionCore:
         return on_grid[:, 0] if self.metadata.timeless else on_grid
 
     @cached_property
-    def _evaluator(self) -> TrainEvaluator | TimelineEvaluator:
+    def _evaluator(self) -> TrainEvaluator | TimelineEvaluator | BranchEvaluator:
         if not self.outcome.slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
         timeline = self.outcome.timeline
+        if isinstance(timeline, BranchedTimeline):
+            return branch_evaluator(self.outcome.slabs, timeline)
         if timeline is not None:
             return timeline_evaluator(self.outcome.slabs, timeline)
         return TrainEvaluator(self.outcome.slabs)

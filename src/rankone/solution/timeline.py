@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
-from rankone.ir.timeline import Timeline
+from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
 from rankone.support.wording import did_you_mean, listing
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 
@@ -19,8 +20,10 @@ class EventTimes(SolutionCore):
     """The times of events, as functions of the parameters."""
 
     @property
-    def timeline(self) -> Timeline:
+    def timeline(self) -> Timeline | BranchedTimeline:
         """The events that end the stretches of all trajectories, in their order.
+
+        Where the order changes inside the box, that is a :class:`BranchedTimeline`.
 
         Raises
         ------
@@ -84,11 +87,16 @@ class EventTimes(SolutionCore):
                 f"the events are {listing(timeline.events) or 'none'}",
                 term=event,
             )
-        borders, shape = self._borders(at, named)
-        places = [i for i, instant in enumerate(timeline.met, 1) if name in instant]
-        times = borders[places]
+        evaluator = self._evaluator
+        if isinstance(evaluator, BranchEvaluator):
+            points, shape = self._points(at, named)
+            assert isinstance(timeline, BranchedTimeline)
+            times = _times_in_branches(evaluator, timeline, name, points)
+        else:
+            borders, shape = self._borders(at, named)
+            times = borders[_places(timeline.met, name)]
         times[times > timeline.horizon[1]] = np.nan
-        return times.reshape(len(places), *shape)
+        return times.reshape(len(times), *shape)
 
     def end(self, *at: object, **named: object) -> Array:
         """When the solution ends: at a terminal event, or at the end of the horizon.
@@ -104,18 +112,29 @@ class EventTimes(SolutionCore):
             values = self._parameters(at, named)
             return np.full(np.broadcast_shapes(*(v.shape for v in values)), horizon)
         borders, shape = self._borders(at, named)
-        return np.asarray(np.minimum(borders[-1], horizon).reshape(shape))
+        last = borders[-1]
+        if isinstance(timeline, BranchedTimeline):  # those of shorter branches are NaN
+            counts = np.isfinite(borders).sum(axis=0)
+            last = np.take_along_axis(borders, np.maximum(counts - 1, 0)[None], axis=0)[0]
+            last = np.where(counts > 0, last, np.nan)
+        return np.asarray(np.minimum(last, horizon).reshape(shape))
 
     def _borders(
         self, at: tuple[object, ...], named: dict[str, object]
     ) -> tuple[Array, tuple[int, ...]]:
         """Clock times (stretches + 1, N) of the borders of stretches, and the shape of N."""
         evaluator = self._evaluator
-        assert isinstance(evaluator, TimelineEvaluator)
+        assert isinstance(evaluator, TimelineEvaluator | BranchEvaluator)
+        points, shape = self._points(at, named)
+        return evaluator.borders(points), shape
+
+    def _points(
+        self, at: tuple[object, ...], named: dict[str, object]
+    ) -> tuple[Array, tuple[int, ...]]:
+        """The points (d, N) of the parameters, and the shape of N."""
         values = np.broadcast_arrays(*self._parameters(at, named))
         shape = values[0].shape if values else ()
-        points = np.array([v.ravel() for v in values]) if values else np.empty((0, 1))
-        return evaluator.borders(points), shape
+        return np.array([v.ravel() for v in values]) if values else np.empty((0, 1)), shape
 
     def _parameters(self, at: tuple[object, ...], named: dict[str, object]) -> list[Array]:
         """The values of the parameters; times are no coordinate here."""
@@ -130,3 +149,22 @@ class EventTimes(SolutionCore):
             )
         gathered = self._coordinates.gather(at, {clock: self.time[0], **named})
         return self._coordinates.arrays(gathered)[1:]
+
+
+def _places(met: Sequence[Sequence[str]], name: str) -> list[int]:
+    """The borders of stretches at which an event occurs."""
+    return [i for i, instant in enumerate(met, 1) if name in instant]
+
+
+def _times_in_branches(
+    evaluator: BranchEvaluator, timeline: BranchedTimeline, name: str, points: Array
+) -> Array:
+    """The times of an event (count, N) in the branches that hold at points (d, N)."""
+    decision = evaluator.decided(points)
+    places = [_places(branch.met, name) for branch in timeline.branches]
+    times = np.full((max(map(len, places)), points.shape[1]), np.nan)
+    for k, own in enumerate(places):
+        here = np.flatnonzero((decision.chosen == k) & ~decision.undecided)
+        if own and here.size:
+            times[: len(own), here] = evaluator.branches[k].borders(points[:, here])[own]
+    return times

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
+from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import SolveStart, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.arrays import Array
@@ -24,7 +25,7 @@ from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
-from rankone.trajectories.event_order import MoreEventsError, OrderError
+from rankone.trajectories.event_order import MoreEventsError, OrderError, TrajectoryEndError
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 
@@ -69,10 +70,10 @@ class Engine:
         if system.held is None or not request.markers:
             return self._solve_as_written(system, request, report)
         if not system.events and not system.features.n_steps:  # kinks may be smooth enough
-            with limited(*_part(_KINKS_SHARE)):
+            with limited(*_part(_KINKS_SHARE)), suppress(ConvergenceError):
                 outcome = self._solve_as_written(system, request, report)
-            if outcome.status in _SOLVED:
-                return outcome
+                if outcome.status in _SOLVED:
+                    return outcome
         try:
             with limited(*_part(_HELD_SHARE)):
                 outcome = self._solve_over_stretches(system.held, request, report)
@@ -99,6 +100,10 @@ class Engine:
         """Solve over the stretches between events; an OrderError where their order changes."""
         first: OrderError | None = None
         stages = Stages()
+
+        def solve(stretched: System, over_it: SolveRequest) -> Outcome:
+            return self._attempted(stretched, over_it, report)
+
         for more in range(1 + _MOST_MORE_EVENTS):
             try:
                 with stages.of("reference"):
@@ -117,9 +122,15 @@ class Engine:
             except MoreEventsError as error:
                 first = first or error
             except OrderError as error:
-                raise first or error from None
+                first = first or error
+                break
         assert first is not None
-        raise first
+        if self.name != "cross" or isinstance(first, TrajectoryEndError):
+            raise first
+        try:
+            return solve_in_branches(solve, system, request, first)
+        except OutOfBudgetError as out:
+            return out_at_reference(out, system, stages)
 
     def _solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve over stretches between markers where they pay, else over the time of the system."""

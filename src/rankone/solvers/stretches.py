@@ -32,21 +32,30 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
         If the trajectories do not meet the same events in the same order.
     """
     domain = request.domain
-    in_time, *_ = system_cuts(system, domain)
-    cuts = tuple(cut for cut in in_time.points if domain.horizon[0] < cut < domain.horizon[1])
-    timed = timed_events(system, cuts)
+    timed, cuts = timed_system(system, domain)
     points, tolerances = pilots(system, domain, _PILOT_RTOL)
     chosen = span_integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
 
 
+def timed_system(system: System, domain: Domain) -> tuple[System, tuple[float, ...]]:
+    """The system with all that happens at known times as events, and the cuts of its time."""
+    in_time, *_ = system_cuts(system, domain)
+    cuts = tuple(cut for cut in in_time.points if domain.horizon[0] < cut < domain.horizon[1])
+    return timed_events(system, cuts), cuts
+
+
 def pilots(system: System, domain: Domain, rtol: float) -> tuple[Array, Tolerances]:
     """Points (m, d) of trajectories that tell the order of events, and their tolerances."""
     points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
+    return points, Tolerances(rtol, rtol * _PILOT_FLOOR * sizes_at_start(system, points))
+
+
+def sizes_at_start(system: System, points: Array) -> Array:
+    """The largest initial values of the states at points (m, d), (n, 1); none of them is zero."""
     largest = np.abs(system.initial(np.ascontiguousarray(points.T))).max(axis=1, keepdims=True)
-    sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
-    return points, Tolerances(rtol, rtol * _PILOT_FLOOR * sizes)
+    return np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
 
 
 def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRequest]:

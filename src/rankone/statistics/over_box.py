@@ -31,6 +31,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import shown
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 Times = ArrayLike | None
@@ -408,7 +409,9 @@ class StatisticsOverBox(SolutionCore):
 
     def _statistics_of(self, parameters: JointDistribution) -> Statistics:
         rows, evaluator = self.metadata.unknown_rows, self._evaluator
-        if isinstance(evaluator, TimelineEvaluator):
+        if isinstance(evaluator, BranchEvaluator):
+            evaluator = evaluator.likeliest()
+        if isinstance(evaluator, TimelineEvaluator | BranchEvaluator):
             return TimelineStatistics(evaluator, rows, parameters)
         return Statistics(self.outcome.slabs, rows, parameters)
 

@@ -15,6 +15,7 @@ from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.solution_statistics import Statistics
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 POINTS = 2**15
@@ -35,7 +36,10 @@ class TimelineStatistics(Statistics):
     _latest: tuple[Array, tuple[Array, Array]] | None = None  # variances, and their times
 
     def __init__(
-        self, evaluator: TimelineEvaluator, rows: Sequence[int], parameters: JointDistribution
+        self,
+        evaluator: TimelineEvaluator | BranchEvaluator,
+        rows: Sequence[int],
+        parameters: JointDistribution,
     ) -> None:
         self.evaluator, self.rows, self.parameters = evaluator, list(rows), parameters
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rankone.discretization import BASES, SCALES, Basis1D, Scale
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.timeline import CLOCK_STATES, Timeline
+from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Timeline
 from rankone.ir.verdict import NarrowBox, Status
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
@@ -36,7 +36,8 @@ from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 3  # Newest version that is read: it came with timelines
+FORMAT_VERSION = 4  # Newest version that is read: it came with timelines of several branches
+_THIRD_VERSION = 3  # It came with timelines
 _FIRST_VERSION, _SECOND_VERSION = 1, 2  # Versions of files that hold nothing of what came later
 _SECOND_NOTES = (NarrowBox.__name__,)  # Notes that came with version 2, as did scales of bases
 # Fields of an outcome that the header holds as they are
@@ -104,9 +105,11 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     scaled = any(not basis.scale.is_identity for basis in bases)
     is_second = scaled or _has_new_notes(plain((outcome.cause, outcome.notes)))
     version = _SECOND_VERSION if is_second else _FIRST_VERSION
-    timeline = {}
-    if outcome.timeline is not None:
-        version, timeline = FORMAT_VERSION, {"timeline": outcome.timeline}
+    timeline: dict[str, Timeline | BranchedTimeline] = {}
+    if isinstance(outcome.timeline, BranchedTimeline):
+        version, timeline = FORMAT_VERSION, {"branches": outcome.timeline}
+    elif outcome.timeline is not None:
+        version, timeline = _THIRD_VERSION, {"timeline": outcome.timeline}
     header = {
         "format": FORMAT,
         "format_version": version,
@@ -197,7 +200,8 @@ def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays
     return Outcome(
         slabs=tuple(slabs),
         history=tuple(rebuilt(record, entry) for entry in header["history"]),
-        timeline=rebuilt(hints["timeline"], header.get("timeline")),
+        timeline=rebuilt(Timeline | None, header.get("timeline"))
+        or rebuilt(BranchedTimeline | None, header.get("branches")),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
     )
 
@@ -247,6 +251,8 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     timeline = outcome.timeline
     rows = states if timeline is None else states + CLOCK_STATES
     counts = {(len(slab.cores[0]), len(slab.bases)) for slab in outcome.slabs}
+    if isinstance(timeline, BranchedTimeline):
+        counts = _check_branches(timeline, outcome.slabs, states, parameters)
     measured = states if outcome.measured is None else len(outcome.measured.interior)
     if counts | {(rows, len(metadata.box))} != {(rows, parameters)} or measured != states:
         raise ValueError("the names do not fit the cores")
@@ -262,7 +268,9 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
             raise ValueError(f"{subject} is {interval}, not two finite ascending numbers")
     span = metadata.horizon
     if timeline is not None:
-        _check_timeline(timeline, span, parameters)
+        branches = timeline.branches if isinstance(timeline, BranchedTimeline) else (timeline,)
+        for branch in branches:
+            _check_timeline(branch, span, parameters)
         span = (0.0, float(timeline.stretches))
     _check_slabs(outcome.slabs, metadata, span)
     end = span[1]
@@ -318,6 +326,30 @@ def _check_timeline(timeline: Timeline, horizon: tuple[float, float], parameters
         fits = 0 < border <= timeline.stretches and len(numbers) in (1, 1 + parameters)
         if not fits or not all(map(math.isfinite, numbers)):
             raise ValueError(f"the time of border {border} is {numbers}, which is none")
+
+
+def _check_branches(
+    timeline: BranchedTimeline, slabs: Sequence[SlabTrain], states: int, parameters: int
+) -> set[tuple[int, int]]:
+    """The rows and parameters of slabs without guards; a ValueError for forks that do not fit."""
+    branches = range(len(timeline.branches))
+    if not branches or len(timeline.guards) != len(branches):
+        raise ValueError("the guards do not fit the branches")
+    if len(timeline.tolerances) != states or not timeline.width > 0.0:
+        raise ValueError("the tolerances of the branches do not fit the states")
+    for fork in timeline.forks:
+        guards = timeline.guards[fork.first] if fork.first in branches else 0
+        fits = fork.first in branches and fork.second in branches and fork.stretch >= -1
+        if not fits or (fork.guard is not None and not 0 <= fork.guard < guards):
+            raise ValueError(f"{fork} is between no branches")
+    ends = np.cumsum([branch.stretches for branch in timeline.branches])
+    counts = set()
+    for slab in slabs:
+        k = int(np.searchsorted(ends, 0.5 * (slab.start + slab.end)))
+        if k not in branches:
+            raise ValueError("the slabs do not fit the branches")
+        counts.add((len(slab.cores[0]) - timeline.guards[k], len(slab.bases)))
+    return counts
 
 
 def _check_slabs(

@@ -21,6 +21,7 @@ import numpy as np
 
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.timeline import BranchedTimeline
 from rankone.ir.verdict import Status
 from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
 from rankone.support.arrays import Array
@@ -116,6 +117,8 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
     add("digest", (), str(arrays["digest"]), "SHA-256 of header and cores")
     row = "state" if outcome.timeline is None else "state_or_clock"
     for i, slab in enumerate(outcome.slabs):
+        if isinstance(outcome.timeline, BranchedTimeline):  # each branch has guards of its own
+            row = f"row_of_{len(slab.cores[0])}"
         for j in range(len(slab.cores)):
             add(f"core_{i}_{j}", _dimensions(i, j, len(slab.cores), row), arrays[f"core_{i}_{j}"])
 
@@ -123,7 +126,8 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
 def _dimensions(i: int, j: int, count: int, row: str) -> tuple[str, str, str]:
     """Names of the dimensions of core j of slab i, which has ``count`` cores; the first has rows.
 
-    The rows of a solution with events are its states, the clock and the length of the stretch.
+    The rows of a solution with events are its states, the guards of branches, the clock and the
+    length of the stretch.
     """
     left = row if j == 0 else f"rank_{i}_{j - 1}_{j}"
     right = "one" if j == count - 1 else f"rank_{i}_{j}_{j + 1}"

@@ -39,17 +39,21 @@ class TimelineEvaluator:
 
     def borders(self, points: Array) -> Array:
         """Clock times (stretches + 1, N) at which stretches begin and end at points (d, N)."""
+        return np.asarray(np.maximum.accumulate(self.borders_as_solved(points), axis=0))
+
+    def borders_as_solved(self, points: Array) -> Array:
+        """The same, in the order of the stretches, in which they need not ascend."""
         pseudo = np.append(self._begins, self._last)[:, None]
         times = self.trains.curves(pseudo, points, self._clock)[0]
         return self._with_affine(times, points)
 
     def _with_affine(self, times: Array, points: Array) -> Array:
-        """Times of borders (stretches + 1, N) by the slabs, the affine ones replaced; ascending."""
+        """Times of borders (stretches + 1, N) by the slabs, the affine ones replaced."""
         for border, (constant, *slopes) in self.affine_borders.items():
             times[border] = constant
             for j in np.flatnonzero(slopes):
                 times[border] += slopes[j] * points[j]
-        return np.asarray(np.maximum.accumulate(times, axis=0))
+        return times
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """States at one point, 1 + d numbers: shape (rows,)."""
@@ -65,7 +69,7 @@ class TimelineEvaluator:
         ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
         """
         times = np.broadcast_to(times, (len(times), points.shape[1]))
-        borders = self.borders(points)
+        borders = self.borders_as_solved(points)
         pseudo, outside = self._pseudo_times(times, borders)
         states = self.trains.curves(pseudo, points, rows)
         states[:, outside] = math.nan
@@ -141,7 +145,7 @@ class TimelineEvaluator:
     def _pseudo_times(self, times: Array, borders: Array) -> tuple[Array, Array]:
         """Pseudo-times (T, N) of clock times, and which are in no stretch."""
         stretch = np.zeros(times.shape, dtype=np.intp)
-        for border in borders[1:-1]:
+        for border in np.maximum.accumulate(borders, axis=0)[1:-1]:  # none ends before it begins
             stretch += times >= border
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin

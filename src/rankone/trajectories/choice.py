@@ -82,6 +82,8 @@ def integrator_for(
 ) -> Integrator:
     """The integrator for a system, also for one in stretches; see :func:`span_integrator_for`."""
     clock = system.clock
+    if clock is not None and clock.forced is not None and integrator == "compiled":
+        integrator = "auto"  # forced trajectories are read path by path
     chosen = span_integrator_for(
         system if clock is None else clock.system,
         integrator,

@@ -21,11 +21,16 @@ _FAR = 4.0  # Horizons beyond the horizon up to which events are waited for
 _SPARE = 0.05  # Length of a last stretch beyond what all known trajectories need, over that
 SAME_INSTANT = 1e-11
 """Part of the horizon within which events are at one instant."""
-_REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
+REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
+"""What to do where they do not."""
 
 
 class OrderError(ConvergenceError):
     """A trajectory does not meet the events of the others, or not in their order."""
+
+
+class TrajectoryEndError(OrderError):
+    """A trajectory ends although no event ends it."""
 
 
 class MoreEventsError(OrderError):
@@ -78,7 +83,7 @@ def event_order(
         except ConvergenceError:
             pass
     if more:
-        raise MoreEventsError("trajectories meet different numbers of events", remedy=_REMEDY)
+        raise MoreEventsError("trajectories meet different numbers of events", remedy=REMEDY)
     reached = follow(some, integrator, points, tolerances, len(instants), followed)
     check_orders(some, reached, points)
     if terminal:
@@ -207,21 +212,21 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
             what = f"event {number} is {named(here)}, elsewhere {named(there)}"
         raise kind(
             f"events do not come in the same order everywhere: {what}{at_point(clock, point)}",
-            remedy=_REMEDY,
+            remedy=REMEDY,
         )
     for number, (side, there_too) in enumerate(zip(sides, order.sides, strict=False), 1):
         if side != there_too:
             raise OrderError(
                 f"switches are on other sides than elsewhere on stretch {number}"
                 f"{at_point(clock, point)}",
-                remedy=_REMEDY,
+                remedy=REMEDY,
             )
 
 
-def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> OrderError:
+def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> TrajectoryEndError:
     """The error for a trajectory that ends at a time."""
     why = "events accumulate" if stuck else "it cannot be integrated further"
-    return OrderError(
+    return TrajectoryEndError(
         f"a trajectory ends at t = {time:.6g}{at_point(clock, point)}: {why}",
         remedy="shorten the horizon or narrow the box",
     )
@@ -257,6 +262,6 @@ def stretch_borders(clock: Clock, trajectories: Sequence[EventTrajectory], point
         raise MoreEventsError(
             "a trajectory meets more events before the end than those that told their order"
             f"{at_point(clock, points[early])}",
-            remedy=_REMEDY,
+            remedy=REMEDY,
         )
     return borders

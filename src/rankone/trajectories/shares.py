@@ -22,18 +22,30 @@ from rankone.trajectories.integrator import SeparateTrajectories, Spans, Toleran
 from rankone.trajectories.paths import Path
 
 # Integrates a system at points over edges, such as :meth:`Integrator.run`
-_Run: TypeAlias = Callable[[System, Array, Sequence[float], Tolerances], SeparateTrajectories]
+SeparateRun: TypeAlias = Callable[
+    [System, Array, Sequence[float], Tolerances], SeparateTrajectories
+]
 
 
 def paths_over_shares(
-    run: _Run, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    run: SeparateRun, system: System, points: Array, spans: Spans, tolerances: Tolerances
 ) -> list[Path]:
     """The paths of spans; see :meth:`SpanIntegrator.paths`."""
+    times = zip(spans.starts, spans.ends, strict=True)
+    paths = share_paths(run, system, points, spans, tolerances)
+    return [path.over_times(*span) for path, span in zip(paths, times, strict=True)]
+
+
+def share_paths(
+    run: SeparateRun, system: System, points: Array, spans: Spans, tolerances: Tolerances
+) -> Sequence[Path]:
+    """The paths of spans over the share of the way, from 0 to 1; spans may go back in time."""
     lengths = spans.ends - spans.starts
     n = len(spans.states)
-    near = insets(spans.starts, spans.ends)
+    first, last = np.minimum(spans.starts, spans.ends), np.maximum(spans.starts, spans.ends)
+    near = insets(first, last) * np.sign(lengths)
     moved = np.column_stack([points, spans.states.T, spans.starts, lengths, near])
-    longest = tolerances.longest_step / float(np.max(lengths))
+    longest = tolerances.longest_step / (float(np.abs(lengths).max()) or 1.0)
     begun = _begun_with(system, lambda p: np.asarray(p)[-3 - n : -3])
     try:
         over = replace(tolerances, longest_step=longest)
@@ -44,8 +56,7 @@ def paths_over_shares(
             time = float((spans.starts + reached.time * lengths).min())
             reached = reached._replace(time=time)
         raise type(out)(reached) from out
-    times = zip(spans.starts, spans.ends, strict=True)
-    return [path.over_times(*span) for path, span in zip(dense.paths, times, strict=True)]
+    return dense.paths
 
 
 def _begun_with(system: System, states: OfParameters) -> System:
@@ -71,7 +82,11 @@ def _over_shares(system: System) -> System:
         """Times, the parameters of the system, and lengths."""
         rows = np.asarray(p)
         start, length, near = rows[-3:]
-        inside = np.minimum(np.maximum(share * length, near), length - near)
+        one_way = np.sign(length)
+        gone = np.minimum(
+            np.maximum(share * one_way * length, one_way * near), one_way * (length - near)
+        )
+        inside = one_way * gone
         return start + inside, rows[: len(rows) - n - 3], length
 
     def rhs(share: float | Array, u: VectorLike, p: VectorLike) -> Array:

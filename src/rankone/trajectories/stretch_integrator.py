@@ -16,6 +16,7 @@ from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.trajectories.event_order import SAME_INSTANT, end_error, follow, stretch_borders
 from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     SampledTrajectories,
@@ -186,7 +187,7 @@ class StretchIntegrator:
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
-    ) -> StretchTrajectories:
+    ) -> StretchTrajectories | ForcedTrajectories:
         """Trajectories at all pseudo-times, always to their end; see :meth:`Integrator.run`."""
         clock = system.clock
         assert clock is not None
@@ -199,6 +200,8 @@ class StretchIntegrator:
             absolute=np.concatenate([absolute, np.ones((clock.system.n_sides, 1))]),
             longest_step=tolerances.longest_step * per_stretch,
         )
+        if clock.forced is not None:
+            return forced_trajectories(system, clock, self.integrator, points, tolerances)
         trajectories = follow(clock, self.integrator, points, tolerances, len(order.instants))
         borders = stretch_borders(clock, trajectories, points)
         if order.ending is Ending.LENGTH:

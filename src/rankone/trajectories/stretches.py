@@ -18,7 +18,15 @@ from typing import TypeVar
 import numpy as np
 
 from rankone.ir.constraints import Constraints
-from rankone.ir.events import RISING, EventOrder, Marker, OfPoints, OfTrajectory, SystemEvent
+from rankone.ir.events import (
+    RISING,
+    EventOrder,
+    ForcedOrder,
+    Marker,
+    OfPoints,
+    OfTrajectory,
+    SystemEvent,
+)
 from rankone.ir.features import Features, Jumps, VectorLike
 from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
 from rankone.ir.timeline import CLOCK_STATES
@@ -117,10 +125,12 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
 def in_stretches(clock: Clock) -> System:
     """The system over the pseudo-time of stretches, with its clock and their lengths as states.
 
-    Its Jacobian leaves out how the rates depend on the clock.
+    Guards of a forced order are constant states before these. Its Jacobian leaves out how the rates
+    depend on the clock.
     """
-    system, order = clock.system, clock.order
+    system, order, guards = clock.system, clock.order, clock.n_guards
     cost, n = function_cost(system.rhs, system.user_functions), clock.n_states
+    now = n + guards  # the row of the clock
     stretches = order.stretches
     sides = np.array(order.sides, dtype=float).reshape(stretches, system.n_sides)
 
@@ -134,29 +144,32 @@ def in_stretches(clock: Clock) -> System:
 
     def rhs(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        states, time, length = of_system(s, rows), rows[n], rows[n + 1]
+        states, time, length = of_system(s, rows), rows[now], rows[now + 1]
         charge(cost(length.size))
         rates = np.broadcast_to(system.rhs(time, states, p), states.shape)[:n]
-        return np.concatenate([length * rates, [length, np.zeros_like(length)]])
+        still = np.zeros((guards, *length.shape))
+        return np.concatenate([length * rates, still, [length, np.zeros_like(length)]])
 
     def jacobian(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        states, time, length = of_system(s, rows), rows[n], rows[n + 1]
-        matrices = np.zeros((n + CLOCK_STATES, n + CLOCK_STATES, *length.shape))
+        states, time, length = of_system(s, rows), rows[now], rows[now + 1]
+        matrices = np.zeros((now + CLOCK_STATES, now + CLOCK_STATES, *length.shape))
         matrices[:n, :n] = length * np.asarray(system.jacobian(time, states, p))[:n, :n]
-        matrices[:n, n + 1] = np.asarray(system.rhs(time, states, p))[:n]
-        matrices[n, n + 1] = 1.0
+        matrices[:n, now + 1] = np.asarray(system.rhs(time, states, p))[:n]
+        matrices[now, now + 1] = 1.0
         return matrices
 
     def surfaces(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        return system.features.state_surfaces(rows[n], of_system(s, rows), p)
+        return system.features.state_surfaces(rows[now], of_system(s, rows), p)
 
     def initial(p: VectorLike) -> Array:
         parameters = np.asarray(p)
         count = parameters.shape[1]
         clock_states = [np.full(count, clock.horizon[0]), np.full(count, clock.length / stretches)]
-        return np.concatenate([system.initial(parameters)[:n], clock_states])
+        return np.concatenate(
+            [system.initial(parameters)[:n], np.ones((guards, count)), clock_states]
+        )
 
     features = system.features
     features = Features(
@@ -173,8 +186,8 @@ def in_stretches(clock: Clock) -> System:
     return replace(
         system.starting_at(initial),
         separated=False,
-        states=(*system.states[:n], "t", "T"),
-        n_differential=n + CLOCK_STATES,
+        states=(*system.states[:n], *(f"G{k}" for k in range(guards)), "t", "T"),
+        n_differential=now + CLOCK_STATES,
         n_lifted=0,
         n_sides=0,
         held=None,
@@ -193,7 +206,13 @@ def in_stretches(clock: Clock) -> System:
         clock=clock,
         specification=specification
         and StretchSpecification(
-            specification, order, clock.cuts, clock.horizon, clock.markers, clock.last_marks
+            specification,
+            order,
+            clock.cuts,
+            clock.horizon,
+            clock.markers,
+            clock.last_marks,
+            clock.forced,
         ),
     )
 
@@ -208,6 +227,7 @@ class StretchSpecification:
     horizon: tuple[float, float]
     markers: tuple[Marker, ...] = ()
     last_marks: OfPoints | None = None
+    forced: ForcedOrder | None = None
 
     @property
     def namespace(self) -> dict[str, UserFunction]:
@@ -227,6 +247,13 @@ def _called(
 ) -> Answer:
     cuts, markers = specification.cuts, specification.markers
     timed = timed_events(system, cuts, markers)
-    last_marks = specification.last_marks
-    clock = Clock(timed, specification.order, specification.horizon, cuts, markers, last_marks)
+    clock = Clock(
+        timed,
+        specification.order,
+        specification.horizon,
+        cuts,
+        markers,
+        specification.last_marks,
+        specification.forced,
+    )
     return function(in_stretches(clock), *arguments)

@@ -11,13 +11,16 @@ import numpy as np
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import Timeline
 from rankone.support.arrays import Array
+from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import TimelineEvaluator
+from rankone.trajectories.event_trajectory import EventTrajectory
 from rankone.trajectories.stretch_integrator import StretchTrajectories
 from rankone.verification.reference import Reference
 
 _TIMES = 41  # Evenly spaced times of the horizon at which values are compared
 _SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
+_BEYOND = 0.02  # How far beyond where an order holds its errors count, in horizons
 _BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
 
 
@@ -53,7 +56,9 @@ def clock_errors(
     columns = np.ascontiguousarray(reference.points.T)
     borders = evaluator.borders(columns)
     for k, (point, (batch, at)) in enumerate(zip(reference.points, _each(reference), strict=True)):
-        times = _compared(clock, batch, at, rtol)
+        times = _compared(
+            batch.trajectories[at], clock.system, clock.horizon, batch.borders[at], rtol
+        )
         exact = batch.at(at, times)
         solution = evaluator.curves(times[:, None], point[:, None], rows)[:, :, 0]
         missing = np.isnan(exact)
@@ -97,14 +102,27 @@ def _each(reference: Reference) -> Iterator[tuple[StretchTrajectories, int]]:
             yield batch, k
 
 
-def _compared(clock: Clock, batch: StretchTrajectories, k: int, rtol: float) -> Array:
-    """The clock times at which a trajectory is compared."""
-    start, end = clock.horizon
-    out = rtol * clock.length
-    borders, events = batch.borders[k], clock.system.events
+def compared_times(
+    trajectory: EventTrajectory, system: System, horizon: tuple[float, float], rtol: float
+) -> Array:
+    """The clock times at which a trajectory over a horizon is compared."""
+    borders = np.array([horizon[0], *(each.time for each in trajectory.occurrences), horizon[1]])
+    return _compared(trajectory, system, horizon, borders, rtol)
+
+
+def _compared(
+    trajectory: EventTrajectory,
+    system: System,
+    horizon: tuple[float, float],
+    borders: Array,
+    rtol: float,
+) -> Array:
+    """The clock times at which a trajectory with stretches between borders is compared."""
+    start, end = horizon
+    out = rtol * (end - start)
     times = [np.linspace(start, end, _TIMES), borders[0] + (end - borders[0]) * _SHARES]
     times += [a + (b - a) * _SHARES for a, b in itertools.pairwise(borders)]
-    resets = np.array([o.time for o in batch.trajectories[k].occurrences if events[o.event].jumps])
+    resets = np.array([o.time for o in trajectory.occurrences if system.events[o.event].jumps])
     times += [resets - _BESIDE * out, resets + _BESIDE * out]
     all_times = np.unique(np.concatenate(times))
     all_times = all_times[(all_times >= start) & (all_times <= end)]
@@ -112,3 +130,25 @@ def _compared(clock: Clock, batch: StretchTrajectories, k: int, rtol: float) -> 
         away = np.abs(all_times[:, None] - resets).min(axis=1) >= out
         all_times = all_times[away]
     return np.asarray(all_times)
+
+
+def forced_errors(
+    reference: Reference, clock: Clock, slabs: Sequence[SlabTrain]
+) -> tuple[Array, Array]:
+    """Errors of slabs of a forced order, and the largest values, (rows, m) each.
+
+    Rows are states, guards, clock and length at equal shares of stretches. What is far beyond where
+    the order holds does not count.
+    """
+    n = clock.n_states + clock.n_guards
+    begins = np.arange(clock.order.stretches)[:, None]
+    pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
+    exact = np.swapaxes(reference(pseudo), 1, 2)
+    evaluator = TrainEvaluator(slabs)
+    columns = np.ascontiguousarray(reference.points.T)
+    ours = evaluator.curves(pseudo[:, None], columns, slice(0, n + 2))
+    beyond = _BEYOND * clock.length
+    lengths, now = exact[n + 1], exact[n]
+    counts = (now <= clock.horizon[1] + beyond) & (lengths >= -beyond).all(axis=0)
+    errors = np.where(counts, np.abs(ours - exact), 0.0).max(axis=1)
+    return errors, np.where(counts, np.abs(exact), 0.0).max(axis=1)

@@ -26,7 +26,7 @@ from rankone.support.costs import Cost, function_cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import following
-from rankone.verification.clock import clock_errors
+from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.coverage import Coverage
 from rankone.verification.cuts import Cuts, system_cuts
 from rankone.verification.points import (
@@ -280,6 +280,8 @@ class ReferenceSet:
         """Errors of slabs over stretches, over clock time, in units of the sizes over it."""
         unknowns = len(self.system.unknowns)
         slabs = [slab.with_first(slab.cores[0][:unknowns]) for slab in slabs]
+        if clock.forced is not None:
+            return self._of_forced(clock, slabs)
         with unlimited():
             errors = clock_errors(self.reference, clock, slabs, self.rtol)
         largest = errors.largest + self._added[: len(errors.largest), None]
@@ -292,6 +294,17 @@ class ReferenceSet:
         measured = self._measured(errors.states / units, errors.off_constraints / units)
         at_shares = float((errors.at_shares / units).max())
         return replace(measured, time_error=errors.time, share_error=at_shares)
+
+    def _of_forced(self, clock: Clock, slabs: Sequence[SlabTrain]) -> Measured:
+        """Errors of slabs of a forced order; those of its guards and times count for each state."""
+        with unlimited():
+            errors, largest = forced_errors(self.reference, clock, slabs)
+        units = largest.max(axis=1, keepdims=True)
+        units = np.where(units > 0.0, units, 1.0)
+        units[-CLOCK_STATES:] = clock.length
+        relative, n = errors / units, clock.n_states
+        of_states = np.maximum(relative[:n], relative[n:].max(axis=0))
+        return self._measured(of_states, np.zeros_like(of_states))
 
     def _measured(self, errors: Array, off: Array) -> Measured:
         """What errors (unknowns, m) in units of the sizes amount to.

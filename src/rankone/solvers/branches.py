@@ -1,0 +1,329 @@
+"""Solves where the order of events changes inside the box: each order is a branch of its own.
+
+A branch is continued over the whole box with its order forced, so that it is smooth. Which one
+holds is decided by the times of the events in which they differ, and by guards. The solution is
+then measured against trajectories that follow their own order.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.events import ForcedOrder
+from rankone.ir.outcome import Measured, Outcome
+from rankone.ir.request import SolveRequest
+from rankone.ir.system import System
+from rankone.ir.timeline import BranchedTimeline, Fork, Timeline
+from rankone.ir.verdict import MeasuredError, Note, Status, UndecidedShare
+from rankone.solution.branches import branch_evaluator
+from rankone.solvers.stretches import sizes_at_start, timed_system
+from rankone.support.arrays import Array, spread
+from rankone.support.budget import limited, seconds_left, work_left
+from rankone.tensors.slab import SlabTrain
+from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.event_order import REMEDY, OrderError, TrajectoryEndError
+from rankone.trajectories.events import integrate_to_events
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.orders import Order, OrderSearch
+from rankone.trajectories.stretches import in_stretches
+from rankone.verification.branches import (
+    BranchErrors,
+    branch_errors,
+    points_near_changes,
+    undecided_share,
+)
+from rankone.verification.coverage import Coverage
+from rankone.verification.points import FEW_PARAMETERS, check_points
+
+MOST_UNDECIDED = 0.01
+"""Largest share of the box that may be undecided."""
+_POINTS = 256  # Trajectories that tell the orders
+_MOST_BRANCHES = 16
+_MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy
+_MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
+_SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
+_MOST_MISSED = 10.0  # Error over the tolerance from which more accurate branches are no remedy
+_ACCURACY = 3e-3  # Tolerance of trajectories over that of the solve
+_LEAST_ACCURACY = 3e-13
+_FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
+_INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
+_PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
+_SAME_TIME = 1e-7  # Difference of lengths, in horizons, of stretches that end at once
+_SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+_SOLVED = (Status.CONVERGED, Status.UNCHECKED)
+_WIDTH = 1.0  # Width of what is undecided, over the tolerance
+
+# Solves a system over stretches
+Solve = Callable[[System, SolveRequest], Outcome]
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """An order, continued over the box, and the points at which it holds."""
+
+    order: Order
+    forced: ForcedOrder
+    places: NDArray[np.intp]
+
+
+def solve_in_branches(
+    solve: Solve, system: System, request: SolveRequest, error: OrderError
+) -> Outcome:
+    """The outcome of branches for the orders of a system.
+
+    ``error`` says that it has several ones; it is raised again where events are put off by delays.
+    An OrderError says where an order cannot be continued.
+    """
+    timed, cuts = timed_system(system, request.domain)
+    put_off = any(e.starts is not None or e.cancels is not None for e in timed.events)
+    if put_off or timed.constraints.names or not request.domain.box:
+        raise error
+    try:
+        search = order_search(timed, request)
+        shares = iter(_SHARES)
+        share = next(shares)
+        for _ in range(_MOST_SOLVES):
+            outcome, further = _BranchSolve(search, request, cuts, share).outcome(solve)
+            if len(further):
+                search = with_points(search, further)
+                continue
+            if outcome.status in _SOLVED or not outcome.error < _MOST_MISSED * request.rtol:
+                return outcome
+            share = next(shares, 0.0)
+            if not share:
+                return outcome
+    except TrajectoryEndError:
+        raise error from None
+    return outcome
+
+
+def order_search(timed: System, request: SolveRequest) -> OrderSearch:
+    """Trajectories of their own orders, evenly spread over the box."""
+    domain = request.domain
+    accuracy = max(_ACCURACY * request.rtol, _LEAST_ACCURACY)
+    chosen = span_integrator_for(timed, request.integrator, accuracy=accuracy)
+    shares = spread(_POINTS, len(domain.box), np.random.default_rng(20143))
+    points = Coverage.of_domain(domain).points(_INSIDE + (1.0 - 2.0 * _INSIDE) * shares)
+    absolute = accuracy * _FLOOR * sizes_at_start(timed, points)
+    horizon, tolerances = domain.horizon, Tolerances(accuracy, absolute)
+    empty = OrderSearch(timed, horizon, domain.bounds, points[:0], [], chosen, tolerances)
+    return with_points(empty, points)
+
+
+def with_points(search: OrderSearch, points: Array) -> OrderSearch:
+    """The search with trajectories at further points (m, d)."""
+    events = search.system.events
+    followed = integrate_to_events(
+        search.integrator, search.system, points, search.horizon, search.tolerances, events
+    )
+    for trajectory, point in zip(followed, points, strict=True):
+        search.check_end(trajectory, point)
+    return replace(
+        search,
+        points=np.concatenate([search.points, points]),
+        trajectories=[*search.trajectories, *followed],
+    )
+
+
+@dataclass(frozen=True)
+class _BranchSolve:
+    """A solve of all branches that a search has found, to a share of the tolerance."""
+
+    search: OrderSearch
+    request: SolveRequest
+    cuts: tuple[float, ...]
+    share: float
+
+    def outcome(self, solve: Solve) -> tuple[Outcome, Array]:
+        """The outcome, and points (m, d) at which other orders hold than those of its branches."""
+        branches, forks = self._with_forks(self._branches())
+        outcomes, timelines = list[Outcome](), list[Timeline]()
+        most = _MOST_OF_ONE * work_left()
+        for k, branch in enumerate(branches):
+            share = 1.0 / (len(branches) - k)
+            with limited(min(share * work_left(), most), share * seconds_left()):
+                outcome, timeline = self._solved(solve, branch)
+            if not outcome.slabs or outcome.status not in _SOLVED:
+                raise OrderError(
+                    f"the order {self.search.named(branch.order)} of events, which holds in a part "
+                    f"of the box, is not resolved: {outcome.message}",
+                    remedy=REMEDY,
+                )
+            outcomes.append(outcome)
+            timelines.append(timeline)
+        rtol = self.request.rtol
+        tolerances = tuple((rtol * self.search.sizes).tolist())
+        guards = tuple(len(branch.forced.guards) for branch in branches)
+        branched = BranchedTimeline(
+            tuple(timelines), guards, tuple(forks), _WIDTH * rtol, tolerances, 0.0
+        )
+        return self._checked(outcomes, branched, [branch.order for branch in branches])
+
+    def _branches(self) -> list[_Branch]:
+        """The orders, without those that a longer one goes on from."""
+        branches = list[_Branch]()
+        for order, places in self.search.groups().items():
+            if any(order.begins(other.order) for other in branches):
+                continue
+            if len(branches) == _MOST_BRANCHES:
+                raise OrderError(
+                    f"events come in more than {_MOST_BRANCHES} orders over the box", remedy=REMEDY
+                )
+            branches.append(_Branch(order, self.search.continued(order, places), places))
+        return branches
+
+    def _solved(self, solve: Solve, branch: _Branch) -> tuple[Outcome, Timeline]:
+        """The outcome of one branch over the whole box, and its timeline."""
+        search, request = self.search, self.request
+        clock = branch.order.clock(search.system, search.horizon, branch.forced)
+        stretched = in_stretches(replace(clock, cuts=self.cuts))
+        domain = replace(request.domain, horizon=stretched.horizon)
+        tighter = replace(request, domain=domain, rtol=self.share * request.rtol)
+        return solve(stretched, tighter), Timeline.of(clock)
+
+    def _with_forks(self, branches: Sequence[_Branch]) -> tuple[list[_Branch], list[Fork]]:
+        """The branches with their guards, and where each two of them part."""
+        search, guarded, forks = self.search, [*branches], list[Fork]()
+        lengths = [branch.forced.lengths(search.points) for branch in branches]
+        least = -_PAST * search.length
+        for a, b in itertools.combinations(range(len(branches)), 2):
+            one, other = branches[a].order, branches[b].order
+            step = one.parts_at(other)
+            fork = Fork(a, b, step - 1)
+            if step and not self._at_once(one, other, step, lengths[a], lengths[b]):
+                first, second = (
+                    step <= each.shape[1] and bool((each[:, step - 1] < least).any())
+                    for each in (lengths[a], lengths[b])
+                )
+                forks.append(replace(fork, may_be_past=(first, second)))
+                continue
+            places = [search.places(order.steps[: step + 1]) for order in (one, other)]
+            guard, sign, scale = search.guard(step - 1, *places)
+            forced = guarded[a].forced
+            known = [*forced.guards]
+            if guard not in known:
+                known.append(guard)
+                guarded[a] = replace(guarded[a], forced=replace(forced, guards=tuple(known)))
+            forks.append(replace(fork, guard=known.index(guard), sign=sign, scale=scale))
+        return guarded, forks
+
+    def _at_once(
+        self, one: Order, other: Order, step: int, lengths: Array, other_lengths: Array
+    ) -> bool:
+        """Whether two orders part at one instant, and not at two times of their own."""
+        if step >= min(len(one.steps), len(other.steps)):
+            return False  # one of them ends
+        if one.steps[step][0][0] != other.steps[step][0][0]:
+            return False
+        apart = np.abs(lengths[:, step - 1] - other_lengths[:, step - 1]).max()
+        return bool(apart <= _SAME_TIME * self.search.length)
+
+    def _checked(
+        self, outcomes: Sequence[Outcome], timeline: BranchedTimeline, orders: Sequence[Order]
+    ) -> tuple[Outcome, Array]:
+        """The outcome of all branches, measured; and points (m, d) at which other orders hold."""
+        request, slabs = self.request, one_after_the_other(outcomes, timeline)
+        joined = Outcome(
+            slabs,
+            Status.UNCHECKED,
+            None,
+            tuple(record for outcome in outcomes for record in outcome.history),
+            _sums([outcome.timings for outcome in outcomes]),
+            _sums([outcome.work for outcome in outcomes]),
+            timeline=timeline,
+        )
+        nothing = self.search.points[:0]
+        if not request.check.points:
+            return joined, nothing
+        evaluator = branch_evaluator(slabs, timeline)
+        coverage, box = Coverage.of_domain(request.domain), request.domain.bounds
+        few = len(box) <= FEW_PARAMETERS
+        whole_box = few if request.check.cover is None else request.check.cover == "box"
+        points = check_points(
+            box,
+            request.check.points,
+            every_corner=few or whole_box,
+            scales=request.domain.coordinates,
+        )
+        corners = len(points) - 1 - request.check.points
+        points = np.concatenate([points, points_near_changes(evaluator, coverage)])
+        checked = with_points(replace(self.search, points=nothing, trajectories=[]), points)
+        errors = branch_errors(
+            evaluator, self.search.system, points, checked.trajectories, request.rtol
+        )
+        further = np.array(
+            [
+                decided and not any(order.begins(o) or order == o for o in orders)
+                for order, decided in zip(checked.orders, errors.decided, strict=True)
+            ]
+        )
+        if further.any():
+            return joined, points[further]
+        measured = _measured(errors, request, points, corners, whole_box)
+        undecided = undecided_share(evaluator, coverage)
+        notes: list[Note] = [MeasuredError(measured.error, request.rtol)]
+        status = Status.CONVERGED if measured.error <= request.rtol else Status.TOLERANCE
+        if undecided:
+            notes.append(UndecidedShare(undecided))
+            status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
+        return (
+            replace(
+                joined,
+                status=status,
+                measured=measured,
+                notes=tuple(notes),
+                timeline=replace(timeline, undecided=undecided),
+            ),
+            nothing,
+        )
+
+
+def _measured(
+    errors: BranchErrors, request: SolveRequest, points: Array, corners: int, whole_box: bool
+) -> Measured:
+    """What errors amount to, relative to the sizes of the states."""
+    at_corners = slice(1, 1 + corners)
+    inside = np.delete(errors.largest, at_corners, axis=1).max(axis=1)
+    sizes = np.where(inside > 0.0, inside, 1.0)
+    units = np.repeat(sizes[:, None], len(points), axis=1)
+    largest = errors.largest[:, at_corners].max(axis=1, initial=0.0)
+    units[:, at_corners] = np.maximum(sizes, largest)[:, None]
+    relative = errors.states / units
+    counts = np.ones(len(points), dtype=bool)
+    counts[at_corners] = whole_box
+    counted = request.check.states
+    of_states = relative if counted is None else relative[list(counted)]
+    of_points = of_states[:, counts].max(axis=0)
+    return Measured(
+        interior=tuple(relative[:, counts].max(axis=1).tolist()),
+        corners=tuple(relative[:, at_corners].max(axis=1, initial=0.0).tolist()) if corners else (),
+        points=len(points),
+        method="DOP853",
+        cover="box" if whole_box else "interior",
+        quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
+        worst=tuple(points[counts][np.argmax(of_points)].tolist()),
+        counted=counted,
+        time_error=errors.time,
+    )
+
+
+def one_after_the_other(
+    outcomes: Sequence[Outcome], timeline: BranchedTimeline
+) -> tuple[SlabTrain, ...]:
+    """The slabs of all branches, each behind those of the one before."""
+    offsets = np.cumsum([0, *(branch.stretches for branch in timeline.branches)]).tolist()
+    return tuple(
+        replace(slab, start=slab.start + offset, end=slab.end + offset)
+        for outcome, offset in zip(outcomes, offsets, strict=False)
+        for slab in outcome.slabs
+    )
+
+
+def _sums(by_stage: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Seconds or operations by stage, in all."""
+    return {stage: sum(each[stage] for each in by_stage) for stage in by_stage[0]}

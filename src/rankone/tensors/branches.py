@@ -1,0 +1,234 @@
+"""Evaluation of branches: orders of events that hold in parts of the box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.support.arrays import Array
+from rankone.support.errors import warn
+from rankone.tensors.evaluator import Rows
+from rankone.tensors.timeline import TimelineEvaluator
+
+
+class BranchFork(Protocol):
+    """A fork of two branches; see :class:`rankone.ir.timeline.Fork`."""
+
+    @property
+    def first(self) -> int: ...
+    @property
+    def second(self) -> int: ...
+    @property
+    def stretch(self) -> int: ...
+    @property
+    def guard(self) -> int | None: ...
+    @property
+    def sign(self) -> float: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def may_be_past(self) -> tuple[bool, bool]: ...
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Which branch holds at N points, and by how much it is ahead of each (branches, N).
+
+    Points are ``undecided`` if no branch is ahead of all others.
+    """
+
+    chosen: NDArray[np.intp]
+    ahead: Array
+    undecided: NDArray[np.bool_]
+
+
+class BranchEvaluator:
+    """States at clock times, with the methods of :class:`TimelineEvaluator`.
+
+    Values are NaN, with a warning, where it is undecided which branch holds: where guards are
+    within a ``width`` of their signs, and states of the branches differ by more than
+    ``tolerances`` (n,).
+    """
+
+    def __init__(
+        self,
+        branches: Sequence[TimelineEvaluator],
+        guards: Sequence[int],
+        forks: Sequence[BranchFork],
+        width: float,
+        tolerances: Sequence[float],
+    ) -> None:
+        self.branches, self.guards, self.forks = tuple(branches), tuple(guards), tuple(forks)
+        self.width, self.tolerances = width, np.array(tolerances, dtype=float)
+        self.horizon = branches[0].horizon
+        self.takes_likeliest = False
+
+    def likeliest(self) -> BranchEvaluator:
+        """One that takes the branch that is ahead also where that is undecided, without NaN."""
+        other = copy(self)
+        other.takes_likeliest = True
+        return other
+
+    def decided(self, points: Array) -> Decision:
+        """The branches that hold at points (d, N)."""
+        count, start = len(self.branches), self.horizon[0]
+        length = self.horizon[1] - start
+        borders = [branch.borders_as_solved(points) for branch in self.branches]
+        ahead = np.full((count, count, points.shape[1]), np.inf)
+        for fork in self.forks:
+            a, b = fork.first, fork.second
+            if fork.guard is not None:
+                margin = fork.sign * self._guard(a, fork.guard, points) / fork.scale
+            else:
+                one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
+                margin = _earlier(one, other, fork.may_be_past) / length
+            ahead[a, b], ahead[b, a] = margin, -margin
+        least = ahead.min(axis=1)
+        chosen = least.argmax(axis=0)
+        columns = np.arange(points.shape[1])
+        undecided = ~(least[chosen, columns] > -self.width)
+        for k in np.unique(chosen):
+            here = chosen == k
+            times = borders[k][:, here]
+            back = (np.diff(times, axis=0) < -self.width * length) & (times[:-1] < self.horizon[1])
+            undecided[here] |= back.any(axis=0)
+        return Decision(chosen, ahead[chosen, :, columns].T, undecided)
+
+    def _guard(self, branch: int, guard: int, points: Array) -> Array:
+        """A guard of a branch at points (d, N)."""
+        evaluator = self.branches[branch]
+        row = len(evaluator.slabs[0].cores[0]) - 2 - self.guards[branch] + guard
+        start = np.zeros((1, 1))
+        return np.asarray(evaluator.trains.curves(start, points, np.array([row]))[0, 0])
+
+    def one(self, point: Sequence[float], rows: Rows) -> Array:
+        """States at one point, 1 + d numbers: shape (rows,)."""
+        return self.many(np.array(point, dtype=float)[:, None], rows)[:, 0]
+
+    def many(self, points: Array, rows: Rows) -> Array:
+        """States at paired points (1 + d, N): shape (rows, N)."""
+        return self.curves(points[:1], points[1:], rows)[:, 0]
+
+    def curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        """States at several times for each point of the parameters: shape (rows, T, N).
+
+        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
+        """
+        states, doubtful = self.with_doubts(times, points, rows)
+        _warn_of(doubtful)
+        return states
+
+    def with_doubts(
+        self, times: Array, points: Array, rows: Rows
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """The same, and where it is undecided which branch holds (T, N)."""
+        times = np.broadcast_to(times, (len(times), points.shape[1]))
+
+        def states(k: int, here: NDArray[np.intp]) -> Array:
+            return self.branches[k].curves(times[:, here], points[:, here], rows)
+
+        return self._merged(self.decided(points), times.shape, rows, states)
+
+    def borders(self, points: Array) -> Array:
+        """Clock times (most stretches + 1, N) of the borders of the branch that holds at points.
+
+        NaN behind the last one of a branch, and where none is decided.
+        """
+        decision = self.decided(points)
+        most = max(round(branch.slabs[-1].end) for branch in self.branches)
+        borders = np.full((most + 1, points.shape[1]), math.nan)
+        for k in np.unique(decision.chosen).tolist():
+            here = np.flatnonzero((decision.chosen == k) & ~decision.undecided)
+            if here.size:
+                own = self.branches[k].borders(points[:, here])
+                borders[: len(own), here] = own
+        return borders
+
+    def linearised(
+        self, times: Array, points: Array, rows: Rows, free: Sequence[int]
+    ) -> tuple[Array, Array]:
+        """States (rows, T, N) at times (T, N), and derivatives (rows, T, N, k)."""
+        decision = self.decided(points)
+        count = len(self.branches[0].slabs[0].cores[0][rows])
+        slopes = np.full((count, *times.shape, len(free)), math.nan)
+
+        def states(k: int, here: NDArray[np.intp]) -> Array:
+            at = times[:, here], points[:, here], rows, free
+            here_states, here_slopes = self.branches[k].linearised(*at)
+            mine = decision.chosen[here] == k
+            slopes[:, :, here[mine]] = here_slopes[:, :, mine]
+            return here_states
+
+        merged, doubtful = self._merged(decision, times.shape, rows, states)
+        slopes[:, doubtful] = math.nan
+        _warn_of(doubtful)
+        return merged, slopes
+
+    def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
+        """States on a tensor grid of 1 + d axes: (rows, *sizes of the axes)."""
+        sizes = [axis.size for axis in axes]
+        mesh = np.meshgrid(*axes[1:], indexing="ij")
+        points = np.stack([each.ravel() for each in mesh]) if mesh else np.empty((0, 1))
+        states = self.curves(np.asarray(axes[0])[:, None], points, rows)
+        return states.reshape(len(states), *sizes)
+
+    def _merged(
+        self,
+        decision: Decision,
+        shape: tuple[int, ...],
+        rows: Rows,
+        states: Callable[[int, NDArray[np.intp]], Array],
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """States (rows, T, N) of the branches that hold, and where these are doubtful (T, N).
+
+        ``states`` gives those of a branch at some of the points.
+        """
+        tolerances = self.tolerances[rows][:, None, None]
+        merged = np.full((len(tolerances), *shape), math.nan)
+        doubtful = np.zeros(shape, dtype=bool)
+        for k in np.unique(decision.chosen).tolist():
+            here = np.flatnonzero(decision.chosen == k)
+            merged[:, :, here] = states(k, here)
+        for k in range(len(self.branches)):
+            rival = (decision.ahead[k] < self.width) & (decision.chosen != k)
+            here = np.flatnonzero(rival & ~decision.undecided)
+            if here.size:
+                other, mine = states(k, here), merged[:, :, here]
+                differ = ~(np.abs(other - mine) <= tolerances)
+                differ &= ~(np.isnan(other) & np.isnan(mine))
+                doubtful[:, here] |= differ.any(axis=0)
+        doubtful[:, decision.undecided] = True
+        if self.takes_likeliest:
+            doubtful[:] = False
+        merged[:, doubtful] = math.nan
+        return merged, doubtful
+
+
+def _earlier(one: Array, other: Array, may_be_past: tuple[bool, bool]) -> Array:
+    """By how much the first of two events (N,) is the next one; those in the past are not."""
+    margin = other - one
+    first_past, second_past = (
+        past & (elapsed < 0.0) for past, elapsed in zip(may_be_past, (one, other), strict=True)
+    )
+    if may_be_past[0]:
+        margin = np.where(~first_past & (margin > 0.0), np.minimum(margin, one), margin)
+        margin = np.where(first_past, -np.minimum(np.abs(one), np.abs(other)), margin)
+    if may_be_past[1]:
+        margin = np.where(~second_past & (margin < 0.0), -np.minimum(-margin, other), margin)
+        margin = np.where(second_past, np.minimum(np.abs(one), np.abs(other)), margin)
+    return np.where(first_past & second_past, -np.inf, margin)
+
+
+def _warn_of(doubtful: NDArray[np.bool_]) -> None:
+    """Warn of values that are NaN since they are doubtful."""
+    if doubtful.any():
+        warn(
+            "values are NaN where it is undecided in which order events come",
+            remedy="`solution.timeline` says on which share of the box",
+        )

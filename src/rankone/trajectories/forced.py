@@ -1,0 +1,367 @@
+"""Trajectories that follow an order of events wherever it holds or not.
+
+Each stretch ends with a root of its event that is near to where it is expected, whatever comes
+before it. Where other events would come first it lies in the past, and the stretch is integrated
+backwards. So the trajectories depend smoothly on the parameters over the whole box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.events import Ending, SystemEvent
+from rankone.ir.system import Clock, System
+from rankone.ir.timeline import CLOCK_STATES
+from rankone.support.arrays import Array
+from rankone.support.wording import quote
+from rankone.trajectories.event_order import REMEDY, OrderError, at_point
+from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
+from rankone.trajectories.paths import Path, Paths
+from rankone.trajectories.shares import SeparateRun, share_paths
+
+_LOOKS = 65  # Places at which a root is looked for
+_WIDER = (1.0, 4.0)  # Factors on the distance up to which it is looked for
+_REFINEMENTS = 60  # Most steps towards a root
+_EXACT = 4e-16  # Width of the interval of a root, over its ends, that rounding makes
+_AT_ROOT = 1e-7  # Height at the beginning, over the largest one, where a stretch begins at a root
+_SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of states
+
+
+class ContinuationError(OrderError):
+    """An order of events cannot be continued to all points (m, d) at which it was asked for.
+
+    It ``fails`` (m,) at some of them.
+    """
+
+    fails: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Flow:
+    """States along stretches that go on from their beginnings, forwards and backwards.
+
+    ``starts`` are times (m,), ``points`` (m, d); ``ahead`` and ``behind`` are paths over the share
+    of the way to times ``to_ahead``, ``to_behind`` (m,) from there, of which the second are
+    negative, or zero.
+    """
+
+    starts: Array
+    points: Array
+    ahead: Paths
+    behind: Paths | None
+    to_ahead: Array
+    to_behind: Array
+
+    def __call__(self, elapsed: Array) -> Array:
+        """States (n, m, K) after elapsed times (m, K)."""
+        states = self.ahead(_share(elapsed, self.to_ahead))
+        if self.behind is not None and (elapsed < 0.0).any():
+            before = self.behind(_share(elapsed, self.to_behind))
+            states = np.where(elapsed < 0.0, before, states)
+        return states
+
+    def heights(self, event: SystemEvent, elapsed: Array) -> Array:
+        """What crosses zero at an event, (m, K), after elapsed times (m, K)."""
+        states = self(elapsed)
+        columns = np.repeat(self.points.T, elapsed.shape[1], axis=1)
+        times = (self.starts[:, None] + elapsed).ravel()
+        with np.errstate(all="ignore"):
+            heights = event.when(times, states.reshape(len(states), -1), columns)
+        return np.broadcast_to(heights, times.shape).reshape(elapsed.shape)
+
+
+def _share(elapsed: Array, whole: Array) -> Array:
+    """Elapsed times (m, K) over whole ones (m,), inside of [0, 1]."""
+    shares = elapsed / np.where(whole == 0.0, 1.0, whole)[:, None]
+    return np.clip(shares, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ForcedTrajectories:
+    """Trajectories of a forced order, over the pseudo-time of its stretches.
+
+    Fulfils :class:`DenseTrajectories`. ``borders`` (m, stretches + 1) are clock times, which need
+    not ascend; ``guards`` (g, m) belong to the order.
+    """
+
+    system: System
+    points: Array
+    clock: Clock
+    flows: Sequence[_Flow]
+    borders: Array
+    guards: Array
+    steps: int
+    integrator: str
+    method: str
+    avoided: float = 0.0
+
+    @property
+    def start(self) -> float:
+        return 0.0
+
+    @property
+    def end(self) -> float:
+        return float(len(self.flows))
+
+    @property
+    def has_begun(self) -> bool:
+        return True
+
+    @property
+    def state(self) -> Array:
+        return self(np.array([self.end]))[:, :, 0]
+
+    @property
+    def last(self) -> Array:
+        return self.state
+
+    @property
+    def largest(self) -> Array:
+        return np.asarray(np.abs(self(np.linspace(0.0, self.end, _SAMPLES))).max(axis=2))
+
+    @property
+    def early(self) -> Array:
+        """Largest absolute values after the first steps."""
+        flow, n = self.flows[0], self.clock.n_states
+        count = min(EARLY_STEPS, flow.ahead.breaks.shape[1] - 1)
+        shares = np.where(np.isfinite(flow.ahead.breaks), flow.ahead.breaks, 1.0)[:, 1 : 1 + count]
+        states = np.abs(flow(shares * flow.to_ahead[:, None])[:n]).max(axis=2)
+        return np.concatenate([states, self.largest[n:]])
+
+    def __call__(self, times: Array) -> Array:
+        """States, guards, clock and length of the stretch at pseudo-times (T,)."""
+        n, g = self.clock.n_states, len(self.guards)
+        stretch = np.clip(np.floor(times).astype(int), 0, len(self.flows) - 1)
+        lengths = np.diff(self.borders, axis=1)
+        states = np.empty((n + g + CLOCK_STATES, len(self.points), times.size))
+        states[n : n + g] = self.guards[:, :, None]
+        elapsed = (times - stretch) * lengths[:, stretch]
+        states[n + g], states[n + g + 1] = (
+            self.borders[:, stretch] + elapsed,
+            lengths[:, stretch],
+        )
+        for i in np.unique(stretch):
+            here = stretch == i
+            states[:n, :, here] = self.flows[i](elapsed[:, here])[:n]
+        return states
+
+    def samples(self, count: int) -> list[tuple[float, Array]]:
+        """Pseudo-times with the states (n, m) there."""
+        times = np.linspace(0.0, self.end, max(count, 2))
+        return list(zip(times.tolist(), np.moveaxis(self(times), 2, 0), strict=True))
+
+
+def forced_trajectories(
+    system: System,
+    clock: Clock,
+    integrator: SpanIntegrator,
+    points: Array,
+    tolerances: Tolerances,
+) -> ForcedTrajectories:
+    """Trajectories of the forced order of a clock at points (m, d).
+
+    ``system`` is the one over its stretches.
+
+    Raises
+    ------
+    ContinuationError
+        If they cannot be continued to some of the points.
+    """
+    return _Follower(system, clock, integrator, points, tolerances).trajectories()
+
+
+@dataclass(frozen=True)
+class _Follower:
+    """Follows a forced order, stretch after stretch."""
+
+    system: System
+    clock: Clock
+    integrator: SpanIntegrator
+    points: Array
+    tolerances: Tolerances
+
+    def trajectories(self) -> ForcedTrajectories:
+        clock, forced = self.clock, self.clock.forced
+        assert forced is not None
+        sided = clock.system
+        columns = np.ascontiguousarray(self.points.T)
+        times = np.full(len(self.points), clock.horizon[0])
+        expected = forced.lengths(self.points)
+        states = self._on_sides(sided.initial(columns), 0)
+        guards = np.ones((len(forced.guards), len(self.points)))
+        self._guard(guards, -1, 0, times, states)
+        flows, borders = list[_Flow](), [times]
+        before: tuple[int, ...] = ()
+        for i, met in enumerate(forced.met):
+            event = sided.events[met[0]]
+            if event.at is not None:
+                elapsed = np.broadcast_to(event.at(columns), times.shape) - times
+                flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
+            else:
+                at_root = met[0] in before or not before
+                margin = forced.margins[i]
+                flow, elapsed = self._to_root(event, times, states, expected[:, i], margin, at_root)
+                flows.append(flow)
+            states = flows[-1](elapsed[:, None])[:, :, 0]
+            times = times + elapsed
+            borders.append(times)
+            self._guard(guards, i, 0, times, states)
+            for count, k in enumerate(met, 1):
+                then = sided.events[k].then
+                if then is not None:
+                    after = np.asarray(then(times, states, columns), dtype=float)
+                    states = np.broadcast_to(after, states.shape)
+                self._guard(guards, i, count, times, states)
+            if i + 1 < clock.order.stretches:
+                states = self._on_sides(states, i + 1)
+            before = met
+        if clock.order.ending is Ending.HORIZON:
+            elapsed = clock.horizon[1] - times
+            flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
+            borders.append(np.full_like(times, clock.horizon[1]))
+        steps = sum(flow.ahead.breaks.shape[1] - 1 for flow in flows)
+        at = np.stack(borders, axis=1)
+        flows_to_end = tuple(flows)
+        parts = self.system, self.points, clock, flows_to_end, at, guards
+        return ForcedTrajectories(*parts, steps, "stack", "DOP853")
+
+    def _on_sides(self, states: Array, stretch: int) -> Array:
+        """States (n, m) with the sides of a stretch."""
+        sides = self.clock.order.sides
+        count = self.clock.system.n_sides
+        if not count:
+            return states
+        on_sides = states.copy()
+        on_sides[-count:] = np.array(sides[stretch], dtype=float)[:, None]
+        return on_sides
+
+    def _guard(
+        self, guards: Array, instant: int, applied: int, times: Array, states: Array
+    ) -> None:
+        """Fill in the guards at an instant, after so many events there."""
+        forced = self.clock.forced
+        assert forced is not None
+        for row, guard in zip(guards, forced.guards, strict=True):
+            if (guard.instant, guard.applied) == (instant, applied):
+                system = self.clock.system
+                row[:] = guard_heights(system, guard.event, guard.side, times, states, self.points)
+
+    def _flow(self, times: Array, states: Array, ahead: Array, behind: Array) -> _Flow:
+        """The flow from times (m,) and states, up to elapsed times (m,), and perhaps back."""
+        forwards = Paths.of(self._paths(times, states, ahead))
+        back = Paths.of(self._paths(times, states, behind)) if (behind < 0.0).any() else None
+        return _Flow(times, self.points, forwards, back, ahead, behind)
+
+    def _paths(self, times: Array, states: Array, elapsed: Array) -> Sequence[Path]:
+        spans = Spans(times, states, times + elapsed)
+        run = cast(SeparateRun, self.integrator.run)
+        paths = share_paths(run, self.clock.system, self.points, spans, self.tolerances)
+        ends = np.array([path.end if path.steps else 0.0 for path in paths])
+        self._raise(ends < 1.0 - 1e-9, "leaves where its rates are finite")
+        return paths
+
+    def _to_root(
+        self,
+        event: SystemEvent,
+        times: Array,
+        states: Array,
+        expected: Array,
+        margin: float,
+        at_root: bool,
+    ) -> tuple[_Flow, Array]:
+        """The flow around the expected root of an event, and the elapsed times (m,) of roots."""
+        for factor in _WIDER:
+            low, high = expected - factor * margin, expected + factor * margin
+            flow = self._flow(times, states, np.maximum(high, 0.0), np.minimum(low, 0.0))
+            roots = _nearest_roots(flow, event, low, high, expected, at_root)
+            if np.isfinite(roots).all():
+                return flow, roots
+        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}")
+        raise AssertionError
+
+    def _raise(self, fails: NDArray[np.bool_], what: str) -> None:
+        """Raise a ContinuationError if some trajectories fail."""
+        if not fails.any():
+            return
+        point = self.points[int(np.argmax(fails))]
+        error = ContinuationError(
+            f"an order of events that holds in a part of the box cannot be continued: a trajectory "
+            f"{what}{at_point(self.clock, point)}",
+            remedy=REMEDY,
+        )
+        error.fails = fails
+        raise error
+
+
+def guard_heights(
+    system: System, event: int, side: float | None, times: Array, states: Array, points: Array
+) -> Array:
+    """What ``when`` of an event is at times (m,) and states (n, m), perhaps on a side, (m,)."""
+    if side is not None:
+        states = states.copy()
+        crossings = [k for k, e in enumerate(system.events) if e.switch and e.then is not None]
+        states[len(states) - system.n_sides + crossings.index(event)] = side
+    with np.errstate(all="ignore"):
+        heights = system.events[event].when(times, states, np.ascontiguousarray(points.T))
+    return np.broadcast_to(heights, times.shape)
+
+
+def _nearest_roots(
+    flow: _Flow, event: SystemEvent, low: Array, high: Array, expected: Array, at_root: bool
+) -> Array:
+    """The roots of an event nearest to what is expected, (m,); NaN where there are none.
+
+    Where stretches begin at a root, that one does not count.
+    """
+    shares = np.linspace(0.0, 1.0, _LOOKS)
+    elapsed = low[:, None] + (high - low)[:, None] * shares
+    heights = flow.heights(event, elapsed)
+    deflated = np.zeros(len(low), dtype=bool)
+    if at_root:
+        at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
+        deflated = at_start <= _AT_ROOT * np.abs(heights).max(axis=1)
+        heights = _deflated(heights, elapsed, deflated)
+    signs = np.sign(heights)
+    crossed = signs[:, :-1] * signs[:, 1:] < 0.0
+    crossed |= (signs[:, :-1] == 0.0) & (signs[:, 1:] != 0.0)
+    middle = 0.5 * (elapsed[:, :-1] + elapsed[:, 1:])
+    distance = np.where(crossed, np.abs(middle - expected[:, None]), np.inf)
+    chosen = distance.argmin(axis=1)
+    rows = np.arange(len(low))
+    exists = np.isfinite(distance[rows, chosen])
+
+    def height(at: Array) -> Array:
+        return _deflated(flow.heights(event, at[:, None]), at[:, None], deflated)[:, 0]
+
+    a, b = elapsed[rows, chosen], elapsed[rows, chosen + 1]
+    roots = _refined(height, a, b, heights[rows, chosen], heights[rows, chosen + 1], flow.starts)
+    return np.where(exists, roots, np.nan)
+
+
+def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Array:
+    """Heights (m, K) without the root at the beginning of some stretches (m,)."""
+    divided = heights / np.where(elapsed == 0.0, 1e-300, elapsed)
+    return np.where(deflated[:, None], divided, heights)
+
+
+def _refined(
+    height: Callable[[Array], Array], a: Array, b: Array, at_a: Array, at_b: Array, starts: Array
+) -> Array:
+    """Roots between a and b (m,), where heights have other signs; by the Illinois method."""
+    for _ in range(_REFINEMENTS):
+        width = np.abs(b - a)
+        done = (width <= _EXACT * (np.abs(starts) + np.abs(a))) | (at_b == 0.0)
+        if done.all():
+            break
+        step = np.where(at_b == at_a, 0.5, at_b / np.where(at_b == at_a, 1.0, at_b - at_a))
+        at = np.where(done, b, b - step * (b - a))
+        now = np.where(done, at_b, height(at))
+        turned = np.sign(now) != np.sign(at_b)
+        a, at_a = np.where(turned, b, a), np.where(turned, at_b, 0.5 * at_a)
+        b, at_b = at, now
+    return b

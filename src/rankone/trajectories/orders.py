@@ -1,0 +1,302 @@
+"""Orders of events that hold in parts of a box, each continued to all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
+
+from rankone.ir.events import Ending, EventOrder, ForcedOrder, Guard
+from rankone.ir.system import Clock, System
+from rankone.support.arrays import Array
+from rankone.support.wording import quote
+from rankone.trajectories.event_order import (
+    REMEDY,
+    SAME_INSTANT,
+    OrderError,
+    end_error,
+    instants_of,
+    sides_of,
+)
+from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.forced import (
+    ContinuationError,
+    ForcedTrajectories,
+    forced_trajectories,
+    guard_heights,
+)
+from rankone.trajectories.integrator import SpanIntegrator, Tolerances
+from rankone.trajectories.stretches import in_stretches
+
+_FIRST_CHUNK = 8  # Points to which an order is continued at once, next to those where it holds
+_GROWTH = 0.5  # The same over the points to which it is continued
+_FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths
+_SAFETY = 4.0  # The same over the errors of what was expected before
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a trajectory meets before the end: events in the order in which they happen, and sides.
+
+    The first event at an instant ends the stretch. The ``sides`` of switches are those on each
+    stretch; nothing follows the last event if that is ``terminal``.
+    """
+
+    met: tuple[tuple[int, ...], ...]
+    sides: tuple[tuple[int, ...], ...]
+    terminal: bool
+
+    @classmethod
+    def of(cls, system: System, trajectory: EventTrajectory, length: float) -> Order:
+        """The order of a trajectory over a horizon of some length."""
+        instants = instants_of(trajectory, length)
+        met = tuple(tuple(each.event for each in instant) for instant in instants)
+        terminal = bool(met) and any(system.events[k].terminal for k in met[-1])
+        stretches = len(met) + (not terminal)
+        return cls(met, sides_of(system, trajectory, stretches, length), terminal)
+
+    @property
+    def ending(self) -> Ending:
+        """What ends the last stretch."""
+        return Ending.EVENT if self.terminal else Ending.HORIZON
+
+    @property
+    def steps(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """The sides at the start, and for each instant the events with the sides after them."""
+        after = [*self.sides[1:], ()] if self.terminal else self.sides[1:]
+        return [((), self.sides[0]), *zip(self.met, after, strict=True)]
+
+    def begins(self, other: Order) -> bool:
+        """Whether another order goes on as this one, up to the end of the horizon and further."""
+        return not self.terminal and other.steps[: len(self.steps)] == self.steps
+
+    def parts_at(self, other: Order) -> int:
+        """The first of the steps that is not the same in another order."""
+        pairs = enumerate(zip(self.steps, other.steps, strict=False))
+        shorter = min(len(self.steps), len(other.steps))
+        return next((k for k, (one, two) in pairs if one != two), shorter)
+
+    def clock(self, system: System, horizon: tuple[float, float], forced: ForcedOrder) -> Clock:
+        """The clock of trajectories that are forced to follow this order."""
+        instants = tuple(tuple(sorted(each)) for each in self.met)
+        order = EventOrder(instants, self.ending, sides=self.sides)
+        return Clock(system, order, horizon, forced=forced)
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """Lengths of stretches as functions of the parameters, through scattered points."""
+
+    lower: Array
+    width: Array
+    interpolant: RBFInterpolator | None
+    constant: Array
+
+    @classmethod
+    def through(cls, bounds: Array, points: Array, lengths: Array) -> Lengths:
+        """Through lengths (m, k) at points (m, d) of a box (d, 2)."""
+        lower, width = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
+        constant = lengths.mean(axis=0)
+        if not lengths.shape[1]:
+            return cls(lower, width, None, constant)
+        degree = 1 if len(points) > 2 * (1 + len(bounds)) else 0
+        kernel = "cubic" if degree else "linear"
+        try:
+            unit = (points - lower) / width
+            interpolant = RBFInterpolator(unit, lengths, kernel=kernel, degree=degree)
+        except (np.linalg.LinAlgError, ValueError):
+            interpolant = None
+        return cls(lower, width, interpolant, constant)
+
+    def __call__(self, points: Array) -> Array:
+        """Lengths (m, k) at points (m, d)."""
+        if self.interpolant is None:
+            return np.broadcast_to(self.constant, (len(points), self.constant.size)).copy()
+        return np.asarray(self.interpolant((points - self.lower) / self.width))
+
+
+@dataclass(frozen=True)
+class OrderSearch:
+    """Orders of trajectories at points (m, d) of a box (d, 2), and their continuation."""
+
+    system: System
+    horizon: tuple[float, float]
+    bounds: Array
+    points: Array
+    trajectories: Sequence[EventTrajectory]
+    integrator: SpanIntegrator
+    tolerances: Tolerances
+
+    @property
+    def length(self) -> float:
+        return self.horizon[1] - self.horizon[0]
+
+    @property
+    def sizes(self) -> Array:
+        """The largest values of the states along the trajectories, (n,); one if they vanish."""
+        n = self.system.n_differential - self.system.n_sides
+        largest = [
+            np.abs(path.nodal[:, -1, :n]).max(axis=0, initial=0.0)
+            for each in self.trajectories
+            for path in each.paths
+        ]
+        sizes = np.max(largest, axis=0)
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    @cached_property
+    def orders(self) -> list[Order]:
+        """Those of the trajectories."""
+        return [Order.of(self.system, each, self.length) for each in self.trajectories]
+
+    def check_end(self, trajectory: EventTrajectory, point: Array) -> None:
+        """Raise an OrderError for a trajectory that ends although nothing ends it."""
+        events, occurrences = self.system.events, trajectory.occurrences
+        terminal = bool(occurrences) and events[occurrences[-1].event].terminal
+        early = trajectory.end < self.horizon[1] - SAME_INSTANT * self.length
+        if terminal or not (early or trajectory.stuck):
+            return
+        clock = Clock(self.system, EventOrder((), Ending.HORIZON), self.horizon)
+        raise end_error(clock, point, trajectory.end, trajectory.stuck)
+
+    def named(self, order: Order) -> str:
+        """The events of an order, as messages name them."""
+        names = (quote(self.system.events[met[0]].name) for met in order.met)
+        return ", ".join(names) or "without events"
+
+    def places(self, steps: Sequence[object]) -> NDArray[np.intp]:
+        """The positions of the trajectories that begin with some steps."""
+        begun = [order.steps[: len(steps)] == steps for order in self.orders]
+        return np.flatnonzero(begun)
+
+    def groups(self) -> dict[Order, NDArray[np.intp]]:
+        """The points at which each order holds, those of the longest orders first."""
+        groups: dict[Order, list[int]] = {}
+        for k, order in enumerate(self.orders):
+            groups.setdefault(order, []).append(k)
+        longest = sorted(groups.items(), key=lambda pair: (-len(pair[0].met), -len(pair[1])))
+        return {order: np.array(places) for order, places in longest}
+
+    def lengths(self, order: Order, places: NDArray[np.intp]) -> Array:
+        """Lengths (m, instants) of the stretches of trajectories of an order."""
+        times = np.empty((len(places), 1 + len(order.met)))
+        times[:, 0] = self.horizon[0]
+        for row, k in zip(times, places, strict=True):
+            instants = instants_of(self.trajectories[k], self.length)
+            row[1:] = [instant[0].time for instant in instants]
+        return np.diff(times, axis=1)
+
+    def continued(self, order: Order, places: NDArray[np.intp]) -> ForcedOrder:
+        """An order continued from the points at which it holds to all of them.
+
+        Raises
+        ------
+        ContinuationError
+            If it cannot be.
+        """
+        lengths = self.lengths(order, places)
+        unit = (self.points - self.bounds[:, 0]) / (self.bounds[:, 1] - self.bounds[:, 0])
+        waiting = np.setdiff1d(np.arange(len(self.points)), places)
+        margins = _FIRST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0)
+        while waiting.size:
+            distance = cdist(unit[waiting], unit[places]).min(axis=1)
+            size = max(_FIRST_CHUNK, int(_GROWTH * len(places)))
+            chunk = waiting[np.argsort(distance, kind="stable")[:size]]
+            expected = Lengths.through(self.bounds, self.points[places], lengths)
+            forced = ForcedOrder(order.met, expected, tuple(margins.tolist()))
+            there, chunk = self._reached(order, forced, chunk)
+            reached = np.diff(there.borders, axis=1)[:, : len(order.met)]
+            missed = np.abs(reached - expected(self.points[chunk])).max(axis=0, initial=0.0)
+            lengths, places = np.concatenate([lengths, reached]), np.append(places, chunk)
+            margins = np.maximum(
+                _FIRST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0), _SAFETY * missed
+            )
+            waiting = np.setdiff1d(waiting, chunk)
+        return self._through(order, self.points[places], lengths)
+
+    def _reached(
+        self, order: Order, forced: ForcedOrder, chunk: NDArray[np.intp]
+    ) -> tuple[ForcedTrajectories, NDArray[np.intp]]:
+        """Forced trajectories at those of some points to which the order can be continued now."""
+        while True:
+            try:
+                return self.forced(order, forced, self.points[chunk]), chunk
+            except ContinuationError as error:
+                if error.fails.all():
+                    raise
+                chunk = chunk[~error.fails]
+
+    def _through(self, order: Order, points: Array, lengths: Array) -> ForcedOrder:
+        """The forced order through lengths at points; its margins are errors at half of them."""
+        expected = Lengths.through(self.bounds, points, lengths)
+        half = Lengths.through(self.bounds, points[::2], lengths[::2])
+        missed = np.abs(half(points[1::2]) - lengths[1::2]).max(axis=0, initial=0.0)
+        least = _LAST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0)
+        margins = np.maximum(least, _SAFETY * missed)
+        return ForcedOrder(order.met, expected, tuple(margins.tolist()))
+
+    def forced(self, order: Order, forced: ForcedOrder, points: Array) -> ForcedTrajectories:
+        """Trajectories at points (m, d) that are forced to follow an order."""
+        clock = order.clock(self.system, self.horizon, forced)
+        stretched = in_stretches(clock)
+        return forced_trajectories(stretched, clock, self.integrator, points, self.tolerances)
+
+    def guard(
+        self,
+        instant: int,
+        first: NDArray[np.intp],
+        second: NDArray[np.intp],
+    ) -> tuple[Guard, float, float]:
+        """What tells trajectories of two sets of points apart that part at an instant.
+
+        With its sign at the first ones, and its size. An OrderError if nothing does.
+        """
+        for guard in self._guards(instant):
+            heights = [self._heights(guard, places) for places in (first, second)]
+            if any(each is None for each in heights):
+                continue
+            one, other = heights
+            assert one is not None
+            assert other is not None
+            for sign in (1.0, -1.0):
+                if (sign * one > 0.0).all() and (sign * other < 0.0).all():
+                    size = max(np.abs(one).max(), np.abs(other).max())
+                    return guard, sign, float(size)
+        raise OrderError(
+            "events or switches go on in two ways from one instant, and nothing tells which",
+            remedy=REMEDY,
+        )
+
+    def _guards(self, instant: int) -> list[Guard]:
+        """What may tell trajectories apart at an instant."""
+        guards: list[Guard] = []
+        for k, event in enumerate(self.system.events):
+            if event.at is not None:
+                continue
+            sets_side = event.switch and event.then is not None
+            for applied in (0,) if instant < 0 else (0, 1):
+                sides = (1.0, 0.0) if sets_side else (None,)
+                guards += [Guard(instant, applied, k, side) for side in sides]
+        return guards
+
+    def _heights(self, guard: Guard, places: NDArray[np.intp]) -> Array | None:
+        """A guard at true trajectories, (m,); None if one of them has no such instant."""
+        times, states = [], []
+        for k in places.tolist():
+            trajectory = self.trajectories[k]
+            if guard.instant < 0:
+                times.append(self.horizon[0])
+                states.append(trajectory.paths[0].state)
+                continue
+            instants = instants_of(trajectory, self.length)
+            if guard.instant >= len(instants):
+                return None
+            instant = instants[guard.instant]
+            times.append(instant[0].time)
+            states.append(instant[0].after if guard.applied else instant[0].before)
+        at = np.array(times), np.stack(states, axis=1), self.points[places]
+        return guard_heights(self.system, guard.event, guard.side, *at)

@@ -1,0 +1,128 @@
+"""Errors of branches against trajectories that follow their own order of events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array, spread
+from rankone.tensors.branches import BranchEvaluator
+from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.verification.clock import compared_times
+from rankone.verification.coverage import Coverage
+
+_CANDIDATES = 4096  # Points among which those near to where orders change are chosen
+_NEAR = 48  # How many of them
+_SHARE_POINTS = 2**14  # Points that tell the share of the box that is undecided
+_SHARE_TIMES = 17  # Times at which it is looked for
+_AT_ONCE = 1024  # Points at which branches are evaluated together
+
+
+@dataclass(frozen=True)
+class BranchErrors:
+    """Errors against trajectories, n states and m points.
+
+    ``states`` (n, m) are the largest ones at clock times, and ``largest`` (n, m) the largest states
+    there. ``time`` is the largest error of the time of an event, over the horizon. Points are
+    ``decided`` (m,) where one branch is ahead of all others.
+    """
+
+    states: Array
+    largest: Array
+    time: float
+    decided: NDArray[np.bool_]
+
+
+def branch_errors(
+    evaluator: BranchEvaluator,
+    system: System,
+    points: Array,
+    trajectories: Sequence[EventTrajectory],
+    rtol: float,
+) -> BranchErrors:
+    """The errors of branches at points (m, d) with trajectories of their own.
+
+    Times within ``rtol`` horizons of an event that resets states are left out, and values that are
+    declared to be doubtful. An error is infinite where the branches have no value and the
+    trajectory has one, or the other way round.
+    """
+    n = system.n_differential - system.n_sides
+    errors, largest = np.zeros((2, n, len(points)))
+    decided = _margins(evaluator, points) >= evaluator.width
+    rows = slice(0, n)
+    for k, (point, trajectory) in enumerate(zip(points, trajectories, strict=True)):
+        times = compared_times(trajectory, system, evaluator.horizon, rtol)
+        exact = trajectory(times)[:n]
+        ours, doubtful = evaluator.with_doubts(times[:, None], point[:, None], rows)
+        missing = np.isnan(exact)
+        defects = np.abs(ours[:, :, 0] - exact)
+        both = missing & np.isnan(ours[:, :, 0])
+        defects = np.where(both, 0.0, np.nan_to_num(defects, nan=np.inf))
+        defects[:, doubtful[:, 0]] = 0.0
+        errors[:, k] = defects.max(axis=1, initial=0.0)
+        largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
+    time = _time_error(
+        evaluator, points[decided], [t for t, d in zip(trajectories, decided, strict=True) if d]
+    )
+    return BranchErrors(errors, largest, time, decided)
+
+
+def _time_error(
+    evaluator: BranchEvaluator, points: Array, trajectories: Sequence[EventTrajectory]
+) -> float:
+    """The largest error of the time of an event before the end, over the horizon."""
+    start, end = evaluator.horizon
+    largest = 0.0
+    if not len(points):
+        return largest
+    borders = evaluator.borders(np.ascontiguousarray(points.T))
+    for trajectory, row in zip(trajectories, borders.T, strict=True):
+        times = np.array([each.time for each in trajectory.occurrences])
+        if times.size:
+            row = row[np.isfinite(row)]
+            largest = max(largest, float(np.abs(times[:, None] - row).min(axis=1).max()))
+    return largest / (end - start)
+
+
+def points_near_changes(evaluator: BranchEvaluator, coverage: Coverage) -> Array:
+    """Points (m, d) next to where one order gives way to another."""
+    d = len(coverage.box)
+    points = coverage.points(spread(_CANDIDATES, d, np.random.default_rng(20145)))
+    least = np.concatenate([_margins(evaluator, block) for block in _blocks(points)])
+    order = np.argsort(least, kind="stable")
+    return np.asarray(points[order[:_NEAR]])
+
+
+def undecided_share(evaluator: BranchEvaluator, coverage: Coverage) -> float:
+    """The share of the box in which it is undecided which branch holds, and states differ.
+
+    Times next to events, where values jump in any case, do not count.
+    """
+    d = len(coverage.box)
+    points = coverage.points(spread(_SHARE_POINTS, d, np.random.default_rng(20146)))
+    times = np.linspace(*evaluator.horizon, _SHARE_TIMES)[:, None]
+    count, aside = 0, 2.0 * evaluator.width * (evaluator.horizon[1] - evaluator.horizon[0])
+    for block in _blocks(points):
+        near = block[_margins(evaluator, block) < evaluator.width]
+        if len(near):
+            rows, columns = slice(0, evaluator.tolerances.size), np.ascontiguousarray(near.T)
+            _, doubtful = evaluator.with_doubts(times, columns, rows)
+            for branch in evaluator.branches:
+                for border in branch.borders(columns)[1:-1]:
+                    doubtful &= np.abs(times - border) > aside
+            count += int(doubtful.any(axis=0).sum())
+    return count / len(points)
+
+
+def _blocks(points: Array) -> list[Array]:
+    return np.array_split(points, max(-(-len(points) // _AT_ONCE), 1))
+
+
+def _margins(evaluator: BranchEvaluator, points: Array) -> Array:
+    """By how much the branch that holds at points (m, d) is ahead of all others, (m,)."""
+    decision = evaluator.decided(np.ascontiguousarray(points.T))
+    return np.where(decision.undecided, -np.inf, decision.ahead.min(axis=0))

@@ -1,0 +1,223 @@
+"""Solutions in which the order of events changes inside the box, against closed forms."""
+
+import warnings
+from functools import cache
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.timeline import BranchedTimeline
+
+RTOL = 1e-4
+END = 6.0
+POINT = {"a": 2.0, "b": 2.5, "k": 0.4}
+SWAPPED = {"a": 2.0, "b": 1.7, "k": 0.4}
+
+
+def text(rates, initial, box, end, *events):
+    return ro.Problem.from_strings(rates, initial, box, (0, end), events=[*events])
+
+
+DOSE = {"when": "t - a", "direction": "rising", "then": {"x": "x + 1"}, "name": "dose"}
+WASH = {"when": "t - b", "direction": "rising", "then": {"x": "x/2"}, "name": "wash"}
+WASHED = text(
+    {"x": "-k*x"},
+    {"x": 1},
+    {"a": (1, 3), "b": (1.5, 3.5), "k": (0.3, 0.5)},
+    END,
+    DOSE,
+    WASH,
+)
+
+
+@cache
+def washed():
+    return ro.solve(WASHED, RTOL)
+
+
+def exact(times, a, b, k):
+    """The amount after a dose at a and a wash at b."""
+    dose = np.where(times >= a, np.exp(-k * (times - a)), 0.0) * np.where(
+        (b > a) & (times >= b), 0.5, 1.0
+    )
+    return np.exp(-k * times) * np.where(times >= b, 0.5, 1.0) + dose
+
+
+def points(solution, count, seed):
+    """Random points of the box."""
+    box = np.array(list(solution.parameters.values()))
+    shares = np.random.default_rng(seed).random((len(box), count))
+    return dict(zip(solution.parameters, box[:, :1] + np.ptp(box, axis=1)[:, None] * shares))
+
+
+def values(solution, *at, **named):
+    """Values, without warnings of what is undecided."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        return solution(*at, **named)
+
+
+def test_two_doses_that_swap():
+    solution = washed()
+    assert solution.success
+    assert solution.error <= RTOL
+    assert isinstance(solution.timeline, BranchedTimeline)
+    assert len(solution.timeline.branches) == 2
+    at = points(solution, 2000, 5)
+    times = np.linspace(0.0, END, 25)
+    found = values(solution, times[:, None], at)[0]
+    wanted = exact(times[:, None], **at)
+    beside = np.minimum(abs(times[:, None] - at["a"]), abs(times[:, None] - at["b"])) < RTOL * END
+    decided = ~np.isnan(found)
+    assert decided.mean() > 1.0 - 2.0 * solution.timeline.undecided - 1e-3
+    assert np.abs(found - wanted)[decided & ~beside].max() < 2.0 * RTOL * wanted.max()
+
+
+def test_times_of_events_swap_with_them():
+    solution = washed()
+    assert solution.event_times("dose", **POINT) == pytest.approx([2.0])
+    assert solution.event_times("wash", b=[2.5, 1.7], a=2, k=0.4) == pytest.approx(
+        np.array([[2.5, 1.7]])
+    )
+    assert solution.end(**POINT) == END
+    with pytest.raises(ro.EvaluationError, match="did you mean `dose`"):
+        solution.event_times("does", **POINT)
+
+
+def test_what_is_undecided_is_nan_with_a_warning():
+    solution = washed()
+    with pytest.warns(ro.RankoneWarning, match="undecided in which order"):
+        before, after = solution([1.0, 5.0], a=2.0, b=2.0, k=0.4)[0]
+    assert before == pytest.approx(np.exp(-0.4), rel=RTOL)
+    assert np.isnan(after)
+    assert 0.0 < solution.timeline.undecided < 0.01
+    assert "undecided" in str(solution.timeline)
+    assert "undecided" in solution.message
+
+
+def test_where_branches_agree_nothing_is_undecided():
+    second = {**WASH, "then": {"x": "x + 2"}}
+    box = {"a": (1, 3), "b": (1, 3)}
+    solution = ro.solve(text({"x": "-x/2"}, {"x": 1}, box, 4, DOSE, second), 1e-3)
+    assert solution.success
+    assert solution.timeline.undecided == 0.0
+    wanted = np.exp(-2.0) + 3.0 * np.exp(-1.0)
+    assert solution(4.0, a=2.0, b=2.0)[0] == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "nc"])
+def test_files_keep_branches(tmp_path, suffix):
+    if suffix == "nc":
+        pytest.importorskip("h5netcdf")
+    solution = washed()
+    again = ro.load(solution.save(tmp_path / f"washed.{suffix}"))
+    assert again.timeline == solution.timeline
+    for point in (POINT, SWAPPED):
+        np.testing.assert_array_equal(again([1.0, 5.0], point), solution([1.0, 5.0], point))
+
+
+def test_derivatives_and_smaller_solutions():
+    solution = washed()
+    for point in (POINT, SWAPPED):
+        step = 1e-4
+        for j, name in enumerate(point):
+            up, down = ({**point, name: point[name] + sign * step} for sign in (1, -1))
+            slope = (exact(5.0, **up) - exact(5.0, **down)) / (2 * step)
+            assert solution.gradient(5.0, point)[0, j] == pytest.approx(slope, abs=2e-3)
+    fixed = solution.fix(k=0.4)
+    assert fixed(5.0, a=2.0, b=1.7)[0] == pytest.approx(exact(5.0, **SWAPPED), rel=RTOL)
+    smaller = solution.restrict(a=(1.5, 2.5))
+    assert smaller(5.0, SWAPPED)[0] == pytest.approx(exact(5.0, **SWAPPED), rel=RTOL)
+
+
+@pytest.mark.slow
+def test_statistics_go_across_branches():
+    solution = washed()
+    at = points(solution, 200_000, 7)
+    sample = exact(5.0, **at)
+    assert solution.mean(5.0)[0] == pytest.approx(sample.mean(), rel=3e-3)
+    assert solution.std(5.0)[0] == pytest.approx(sample.std(), rel=1e-2)
+    assert np.isfinite(solution.sobol(5.0).first).all()
+
+
+@pytest.mark.slow
+def test_fits_go_across_branches():
+    times = np.linspace(0.5, END, 12)
+    fit = washed().fit(times, exact(times, **SWAPPED), observe=["x"], sigma=1e-2)
+    assert fit.x["a"] == pytest.approx(2.0, abs=0.05)
+    assert fit.x["k"] == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda s: s.output({"q": "x**2"}),
+        lambda s: s.at(2.0),
+        lambda s: s.diff("a"),
+        lambda s: s.in_clock_time(),
+        lambda s: s.to_canonical(),
+    ],
+)
+def test_what_takes_one_order_alone_says_so(use):
+    with pytest.raises(ro.EvaluationError, match="order of events changes inside the box"):
+        use(washed())
+
+
+@pytest.mark.parametrize("suffix", ["py", "c", "js", "html", "fmu"])
+def test_models_of_one_order_say_so(tmp_path, suffix):
+    with pytest.raises(ro.ExportError, match="order of events changes inside the box"):
+        washed().export(tmp_path / f"model.{suffix}")
+
+
+def swings(times, start, mu):
+    """Positions of x'' = -x - mu sign(x') from rest at ``start``: half swings of length pi."""
+    positions = np.empty_like(times)
+    for i, time in enumerate(times):
+        x, rest = start, time
+        while abs(x) > mu and rest > np.pi:
+            x, rest = 2.0 * mu * np.sign(x) - x, rest - np.pi
+        middle = mu * np.sign(x)
+        positions[i] = x if abs(x) <= mu else middle + (x - middle) * np.cos(rest)
+    return positions
+
+
+def test_a_mass_that_sticks_at_a_turning_point_or_slips_on():
+    rates = {"x": "v", "v": "-x - mu*sign(v)"}
+    box = {"start": (1.5, 2.5), "mu": (0.3, 0.4)}
+    solution = ro.solve(text(rates, {"x": "start", "v": 0}, box, 9), RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 2
+    at, times = points(solution, 60, 3), np.linspace(0.0, 9.0, 30)
+    found = values(solution, times[:, None], at)[0]
+    wanted = np.array([swings(times, *pair) for pair in zip(*at.values(), strict=True)]).T
+    assert np.isnan(found).mean() < 0.02
+    assert np.nanmax(np.abs(found - wanted)) < 2.0 * RTOL * 2.5
+
+
+@pytest.mark.slow
+def test_a_force_that_saturates_at_the_start_or_not():
+    rates = {"x": "v", "v": "Max(-1, Min(1, -2*x - 3*v))"}
+    solution = ro.solve(text(rates, {"x": "a", "v": 0}, {"a": (0.2, 1.5)}, 6), RTOL)
+    assert solution.success
+    for start in (0.3, 0.49, 0.52, 1.3):
+        run = _saturated(start)
+        assert solution(6.0, a=start)[0] == pytest.approx(run, abs=2.0 * RTOL * 1.5)
+
+
+def _saturated(start):
+    """The position at the end, in closed form on either side of the limit."""
+    x, v, time = start, 0.0, 0.0
+    if 2.0 * start > 1.0:  # -1 until 2 x + 3 v = 1
+        time = (-3.0 + np.sqrt(9.0 + 4.0 * (2.0 * start - 1.0))) / 2.0
+        x, v = start - time**2 / 2.0, -time
+    rest = 6.0 - time
+    return (2.0 * x + v) * np.exp(-rest) - (x + v) * np.exp(-2.0 * rest)
+
+
+def test_an_order_that_grazes_is_refused_with_its_event():
+    """Some oscillations reach the level, and others just miss it."""
+    kick = {"when": "x - 1", "direction": "rising", "then": {"v": "-v"}, "name": "kick"}
+    grazing = text({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, {"a": (0.7, 1.4)}, 4, kick)
+    with pytest.raises(ro.ConvergenceError, match=r"cannot be continued: .* `kick` at a = "):
+        ro.solve(grazing, RTOL)
