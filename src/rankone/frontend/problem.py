@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -12,91 +10,36 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 import sympy as sp
 
-from rankone.discretization.coordinates import Coordinates, name_of
-from rankone.expressions.admissible import closed
-from rankone.expressions.unknowns import rate_of
-from rankone.frontend.algebraic import Reduction, has_constraints, reduced
+from rankone.discretization.coordinates import name_of
+from rankone.frontend.algebraic import Reduction
 from rankone.frontend.box import (
-    check_correlation,
-    check_parameters,
     check_time,
-    check_tolerances,
-    check_units,
 )
 from rankone.frontend.changes import changes_of, with_constants, with_parameters
-from rankone.frontend.consistency import (
-    check_consistent,
-    check_impulses,
-    consistent_events,
-    consistent_initial,
-    consistent_jumps,
-)
-from rankone.frontend.content import ProblemContent
-from rankone.frontend.equations import (
-    Symbols,
-    algebraic_unknowns,
-    check_equations,
-    check_initial,
-    check_lengths,
-    check_names,
-    check_symbols,
-    check_unknowns,
-    listed_equations,
-    state_expressions,
-    state_of,
-)
+from rankone.frontend.checked import CheckedProblem
 from rankone.frontend.events import (
     Event,
-    check_events,
-    impulse_events,
-    moving_jumps,
-    without_rates,
 )
-from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
-from rankone.frontend.jumps import (
-    check_jumps,
-    moving_impulses,
-)
-from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.mass import MassForm
 from rankone.frontend.matrices import MatrixSystem
-from rankone.frontend.mistakes import check_symbols_as_unknowns
 from rankone.frontend.numeric import NumericEquations
-from rankone.frontend.run_time import coupled_by, with_decisive
-from rankone.frontend.saving import toml_text
-from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
+from rankone.frontend.saving import save_problem
+from rankone.frontend.shorthand import Shorthand
 from rankone.frontend.steady_start import (
     SettledStart,
     SteadyState,
-    check_autonomous,
-    conditioned,
 )
 from rankone.frontend.text import problem_arguments
-from rankone.frontend.toml_tables import text_arguments
-from rankone.frontend.trajectory import Trajectory
-from rankone.ir.functions import check_distinct
+from rankone.frontend.trajectory import Trajectory, trajectory_of
 from rankone.support.errors import (
-    EvaluationError,
-    ProblemError,
-    RankoneWarning,
     bounded_depth,
-    warn,
 )
-from rankone.support.files import as_path, write_files
-from rankone.support.options import checked_number
-from rankone.support.wording import (
-    is_line,
-    quote,
-    shown,
-)
-
-_IN_PYTHON = "keep it in a Python file with a variable `problem`"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Problem(ProblemContent):
+class Problem(CheckedProblem):
     """A parametric initial value problem.
 
     Parameters
@@ -232,161 +175,6 @@ class Problem(ProblemContent):
         object.__setattr__(self, "compiled", [])
         with bounded_depth():
             self._check()
-
-    def _check(self) -> None:
-        """Validate what was given, and set what follows from it."""
-        if self.name is not None and not is_line(self.name):
-            message = f"the name is {shown(self.name)}, not text in one line"
-            raise ProblemError(message, term=self.name, remedy="give a title")
-        time = check_time(self.time)
-        box, distributions = check_parameters(self.parameters, time[0], self.tail)
-        shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time[0])
-        check_apart(shorthand, box, self.initial)
-        equations = listed_equations(self.written["equations"])
-        declared = [*box, *shorthand.symbols]
-        check_symbols_as_unknowns(equations, declared, self.initial, time[0])
-        arguments = {**self.written, "equations": equations}
-        shorthand = with_decisive(shorthand, arguments)
-        residuals = check_equations(equations, time[0], shorthand)
-        if coupled := coupled_by(residuals):
-            shorthand = with_decisive(shorthand, arguments, coupled)
-            residuals = check_equations(equations, time[0], shorthand)
-        residuals = [closed(residual) for residual in residuals]
-        unknowns = check_unknowns(residuals, self.initial, time[0])
-        states = state_expressions(residuals, unknowns, time[0])
-        named_states = [(name_of(state), state) for state in states]
-        check_names(named_states, box, time[0], shorthand.owners)
-        constrained = has_constraints(residuals, unknowns, time[0])
-        highest = {rate_of(state, time[0]) for state in states} - {*states}
-        rates = () if constrained else tuple(sorted(highest, key=sp.default_sort_key))
-        symbols = Symbols(time, tuple(box), unknowns, states, shorthand, rates)
-        check_symbols(residuals, symbols)
-        rest = self.initial if isinstance(self.initial, SteadyState) else None
-        free = algebraic_unknowns(residuals) if rest is None else states
-        initial = check_initial(self.initial, symbols, free)
-        initial = {state: closed(start) for state, start in initial.items()}
-        if rest is not None:
-            initial = {state: initial.get(state, sp.S.Zero) for state in states}
-        known, moving = moving_jumps(self.jumps, symbols)
-        jumps = {
-            at: {state: closed(after) for state, after in reset.items()}
-            for at, reset in check_jumps(known, symbols).items()
-        }
-        after_jumps = [after for reset in jumps.values() for after in reset.values()]
-        events = check_events([*self.events, *moving] if moving else self.events, symbols)
-        of_events = [expression for event in events for expression in event.expressions]
-        check_lengths([*initial.values(), *after_jumps, *of_events], 0)
-        expressions = [*residuals, *initial.values(), *after_jumps, *of_events]
-        check_distinct(expressions)
-        used = sp.Tuple(*expressions).free_symbols
-        for symbol in box:
-            if symbol not in used:
-                warn(
-                    f"parameter {quote(symbol)} appears nowhere in the problem",
-                    remedy="remove it from `parameters`",
-                )
-        checked = {
-            "equations": equations,
-            "time": time,
-            "parameters": MappingProxyType(box),
-            "distributions": MappingProxyType(distributions),
-            "correlation": MappingProxyType(check_correlation(self.correlation, box)),
-            "initial": MappingProxyType(initial),
-            "jumps": MappingProxyType(jumps),
-            "events": events,
-            "constants": MappingProxyType(dict(shorthand.constants)),
-            "definitions": MappingProxyType(dict(shorthand.definitions)),
-            "shorthand": shorthand,
-            "units": MappingProxyType(check_units(self.units, time[0], declared, states)),
-            "atol": MappingProxyType(check_tolerances(self.atol, states, time[0])),
-            "unknowns": unknowns,
-            "residuals": tuple(residuals),
-        }
-        for name, attribute in checked.items():
-            object.__setattr__(self, name, attribute)
-        if rest is not None:
-            object.__setattr__(self, "rest", self._under_conditions(rest, symbols, constrained))
-        if constrained:
-            self._reduce(states)
-            return
-        object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
-        self._take_out_impulses(symbols, len(moving))
-        self._take_out_rates()
-
-    def _under_conditions(self, rest: SteadyState, symbols: Symbols, constrained: bool) -> Problem:
-        """The problem before the start, which comes to rest."""
-        if constrained:
-            raise ProblemError(
-                "the start is a steady state, and there are algebraic equations",
-                term=rest,
-                remedy="solve them for the unknowns that are not differentiated, and give these as "
-                "definitions",
-            )
-        arguments = conditioned(self.written, rest, symbols)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RankoneWarning)
-            try:
-                before = type(self)(**arguments)
-            except ProblemError as error:
-                message = f"under the conditions of the start, {error.message}"
-                raise ProblemError(message, term=error.term, remedy=error.remedy) from None
-        check_autonomous(before.residuals, self.time[0])
-        return before
-
-    @property
-    def start_states(self) -> set[sp.Expr]:
-        """The states whose values were given, and do not follow."""
-        symbols = Symbols(self.time, (), self.unknowns, [*self.initial])
-        return {state_of(key, symbols) for key in self.written["initial"]}
-
-    def _take_out_rates(self) -> None:
-        """Put what equations say of highest derivatives in their place, where events cross zero."""
-        leading = set(self.mass.leading)
-        if any(event.when.atoms(sp.Derivative) & leading for event in self.events):
-            rates = dict(zip(self.mass.leading, self.mass.solved()[0], strict=True))
-            object.__setattr__(self, "events", without_rates(self.events, rates))
-
-    def _reduce(self, states: Sequence[sp.Expr]) -> None:
-        """Reduce algebraic equations, and complete initial values and resets by them."""
-        check_impulses(self.residuals, self.time[0])
-        reduction = reduced(self.residuals, self.unknowns, self.coordinates, self.initial)
-        initial = consistent_initial(self.initial, states, reduction, self.time)
-        check_consistent(initial, reduction, self.coordinates)
-        jumps = consistent_jumps(self.jumps or {}, reduction, self.time[0])
-        completed = {
-            "reduction": reduction,
-            "mass": reduction.mass,
-            "initial": MappingProxyType(initial),
-            "jumps": MappingProxyType(jumps),
-            "events": consistent_events(self.events, reduction),
-        }
-        for name, attribute in completed.items():
-            object.__setattr__(self, name, attribute)
-
-    def _take_out_impulses(self, symbols: Symbols, first: int) -> None:
-        """Make events of the impulses at times of parameters, numbered from ``first`` on."""
-        if not any(residual.has(sp.DiracDelta) for residual in self.residuals):
-            return
-        time = self.time[0]
-        solved, origins = self.mass.solved()
-        highest = dict(zip(self.mass.leading, zip(solved, origins, strict=True), strict=True))
-        pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in symbols.states]
-        rates, numbers = [rate for rate, _ in pairs], [number for _, number in pairs]
-        found, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
-        if not found:
-            return
-        gone = dict.fromkeys(found, sp.S.Zero)
-        residuals = tuple(residual.xreplace(gone) for residual in self.residuals)
-        changed = {
-            "equations": tuple(equation.xreplace(gone) for equation in self.equations),
-            "residuals": residuals,
-            "events": check_events(
-                [*self.events, *impulse_events(impulses, symbols, first)], symbols
-            ),
-            "mass": check_mass(residuals, self.unknowns, self.coordinates),
-        }
-        for name, attribute in changed.items():
-            object.__setattr__(self, name, attribute)
 
     @classmethod
     def from_strings(
@@ -575,26 +363,8 @@ class Problem(ProblemContent):
         >>> trajectory[u].round(6)
         array([0.367879, 0.135335])
         """
-        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
-        coordinates = self.coordinates
-        axes = Coordinates([c.name for c in coordinates], [(c.lower, c.upper) for c in coordinates])
-        times, *values = axes.arrays(axes.gather(at, named))
-        for coordinate, value in zip(coordinates[1:], values, strict=True):
-            if value.size != 1:
-                raise EvaluationError(
-                    f"`{coordinate.name}` has {value.size} values; a trajectory has one for each "
-                    "parameter",
-                    term=coordinate.name,
-                    remedy="call it for each",
-                )
-        point = np.array([value.item() for value in values])
-        ascending, places = np.unique(times, return_inverse=True)
-        integration = Integration(self._numeric, point, ascending, rtol)
-        states = integration.values[:, places.reshape(times.shape)]
-        names = [name_of(state) for state in self.initial]
-        by_name = dict(zip(names, states, strict=True))
-        unknowns = np.stack([by_name[name_of(unknown)] for unknown in self.unknowns])
-        return Trajectory(times, unknowns, by_name, integration.events)
+        states = map(name_of, self.unknowns)
+        return trajectory_of(self._numeric, self.coordinates, list(states), rtol, (at, named))
 
     @cached_property
     def _numeric(self) -> NumericEquations:
@@ -702,22 +472,8 @@ class Problem(ProblemContent):
             something that is not text: tables, functions of the user, names that are no
             identifiers, or a time of another name than ``t``.
         """
-        place = as_path(path, ProblemError)
-        if place.suffix != ".toml":
-            message = f"`{place}` is no .toml file"
-            raise ProblemError(message, term=path, remedy="give a name that ends in .toml")
-        if self.time[0].name != "t":
-            message = f"the time is called {quote(self.time[0])}, which is `t` in files"
-            raise ProblemError(message, term=self.time[0], remedy="call it t")
-        written = {**self.written, "equations": listed_equations(self.written["equations"])}
-        parameters = {symbol.name: ends for symbol, ends in self.written_parameters().items()}
-        text = toml_text(written, parameters, self.unknowns)
-        again = type(self).from_strings(**text_arguments(tomllib.loads(text), str(place)))
-        if self.content(plain=True) != again.content(plain=True):
-            message = "the problem does not read back from text as it is"
-            raise ProblemError(message, term=self.name, remedy=_IN_PYTHON)
-        write_files({place: lambda stream: stream.write(text.encode())}, overwrite, ProblemError)
-        return place
+        kind = type(self)
+        return save_problem(self, path, lambda a: kind.from_strings(**a), overwrite=overwrite)
 
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuilt, (type(self), {**self.written, "parameters": self.written_parameters()})

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import sympy as sp
@@ -13,14 +16,48 @@ from sympy.core.function import AppliedUndef
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import exact, plain_text
 from rankone.expressions.parsing import parse_expression
+from rankone.frontend.content import ProblemContent
+from rankone.frontend.equations import listed_equations
 from rankone.frontend.events import Event
 from rankone.frontend.jumps import instants_of
 from rankone.frontend.steady_start import SteadyState
+from rankone.frontend.toml_tables import text_arguments
 from rankone.support.errors import ProblemError
+from rankone.support.files import as_path, write_files
 from rankone.support.wording import quote
 
+_IN_PYTHON = "keep it in a Python file with a variable `problem`"
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 Lines = Iterator[str]
+
+
+def save_problem(
+    problem: ProblemContent,
+    path: str | PathLike[str],
+    read: Callable[[dict[str, Any]], ProblemContent],
+    *,
+    overwrite: bool,
+) -> Path:
+    """Write a problem to a TOML file; ``read`` makes one of the arguments that are read back.
+
+    See :meth:`rankone.Problem.save`.
+    """
+    place, time = as_path(path, ProblemError), problem.time[0]
+    if place.suffix != ".toml":
+        message = f"`{place}` is no .toml file"
+        raise ProblemError(message, term=path, remedy="give a name that ends in .toml")
+    if time.name != "t":
+        message = f"the time is called {quote(time)}, which is `t` in files"
+        raise ProblemError(message, term=time, remedy="call it t")
+    written = {**problem.written, "equations": listed_equations(problem.written["equations"])}
+    parameters = {symbol.name: ends for symbol, ends in problem.written_parameters().items()}
+    text = toml_text(written, parameters, problem.unknowns)
+    again = read(text_arguments(tomllib.loads(text), str(place)))
+    if problem.content(plain=True) != again.content(plain=True):
+        message = "the problem does not read back from text as it is"
+        raise ProblemError(message, term=problem.name, remedy=_IN_PYTHON)
+    write_files({place: lambda stream: stream.write(text.encode())}, overwrite, ProblemError)
+    return place
 
 
 def toml_text(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.discretization.coordinates import name_of
+from rankone.discretization.coordinates import Coordinates, name_of
+from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
+from rankone.frontend.numeric import NumericEquations
+from rankone.ir.forms import Coordinate
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
+from rankone.support.options import checked_number
 from rankone.support.wording import count, did_you_mean, listing
 
 
@@ -57,3 +61,35 @@ class Trajectory:
         text = f"Trajectory of {listing(self.states)} at {count(self.t.size, 'time')}"
         counts = [f"{len(times)} of {name}" for name, times in self.events.items()]
         return f"{text}, with events: {', '.join(counts)}" if counts else text
+
+
+def trajectory_of(
+    equations: NumericEquations,
+    coordinates: Sequence[Coordinate],
+    unknowns: Sequence[str],
+    rtol: object,
+    given: tuple[tuple[object, ...], Mapping[str, object]],
+) -> Trajectory:
+    """The trajectory of equations at times and values ``given`` as the arguments of a call.
+
+    See :meth:`rankone.Problem.trajectory`.
+    """
+    tolerance = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+    axes = Coordinates([c.name for c in coordinates], [(c.lower, c.upper) for c in coordinates])
+    at, named = given
+    times, *values = axes.arrays(axes.gather(at, dict(named)))
+    for coordinate, value in zip(coordinates[1:], values, strict=True):
+        if value.size != 1:
+            raise EvaluationError(
+                f"`{coordinate.name}` has {value.size} values; a trajectory has one for each "
+                "parameter",
+                term=coordinate.name,
+                remedy="call it for each",
+            )
+    point = np.array([value.item() for value in values])
+    ascending, places = np.unique(times, return_inverse=True)
+    integration = Integration(equations, point, ascending, tolerance)
+    states = integration.values[:, places.reshape(times.shape)]
+    by_name = dict(zip(map(name_of, equations.states), states, strict=True))
+    rows = np.stack([by_name[unknown] for unknown in unknowns])
+    return Trajectory(times, rows, by_name, integration.events)

@@ -22,74 +22,62 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
-import sympy as sp
 from threadpoolctl import ThreadpoolController
 
 from rankone.agreement.comparison import LOST_SHARE
 from rankone.agreement.problems import DisagreementError, check_problem
-from rankone.codegen.header import equation_texts, general_equation_texts
-from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.module import general_source, generated_module
 from rankone.codegen.text import with_constants
 from rankone.frontend.markers import with_markers
 from rankone.frontend.problem import Problem
-from rankone.interface.held import held_form, held_system
-from rankone.interface.lifted import LiftedProblem, lifted_problem
+from rankone.interface.lifted import LiftedProblem
 from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.resting import check_rest, check_totals
 from rankone.interface.solution import Solution
-from rankone.interface.stretched import StretchedProblem, known_times
-from rankone.ir.forms import MOST_KERNEL_STATES, GeneralTerm, QuadraticSystem, SeparatedForm
-from rankone.ir.measures import with_measure
-from rankone.ir.metadata import SolutionMetadata
+from rankone.interface.stages import CompiledStages
+from rankone.interface.stretched import StretchedProblem
+from rankone.ir.forms import GeneralTerm
 from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.system import System
 from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
 from rankone.solvers.engine import Engine, solve_with
-from rankone.solvers.registry import AUTO, ENGINES, engines_for
-from rankone.support import __version__
+from rankone.solvers.registry import engines_for
 from rankone.support.budget import preparing
 from rankone.support.errors import (
     ConvergenceError,
     OptionError,
     ProblemError,
     RankoneError,
-    SeparationError,
     bounded_depth,
     check_kind,
 )
 from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress, timed
-from rankone.support.wording import count, number, quote
+from rankone.support.wording import quote
 from rankone.symbolic import (
-    FirstOrderSystem,
-    WeakForm,
     check_moved,
     check_stages,
     check_start,
     symbolic_forms,
 )
-from rankone.symbolic.features import SymbolicFeatures, features_of, switching_term
+from rankone.symbolic.features import switching_term
 from rankone.symbolic.well_posed import check_gaps
 
 logger = logging.getLogger("rankone")
 # Error of separated terms, over the largest rate, up to which the separated form is used
 _SEPARATION_TOLERANCE = 1e-10
 
-_ANY_SYSTEM = (AUTO, "cross")  # Methods that need no separated terms
-
 
 @dataclass(frozen=True, eq=False)
-class CompiledProblem:
+class CompiledProblem(CompiledStages):
     """A problem with everything that was derived from it before numbers come in.
 
     Made by :func:`rankone.compile`.
@@ -110,172 +98,6 @@ class CompiledProblem:
     timings : dict of str to float
         Seconds by stage.
     """
-
-    problem: Problem
-    first_order: FirstOrderSystem
-    weak_form: WeakForm
-    separated: SeparatedForm
-    quadratic: QuadraticSystem | None
-    source: str
-    timings: dict[str, float]
-
-    @cached_property
-    def system(self) -> System:
-        """The generated module; run again from its source after unpickling."""
-        name = self.problem.name or "system"
-        return ModuleSpecification(self.source, name, self.user_functions).load()
-
-    @cached_property
-    def lifted(self) -> LiftedProblem | None:
-        """Functions of the unknowns as further unknowns, for the methods that need separated terms.
-
-        None where all terms separate, or where something cannot be lifted. Printed, it gives for
-        each further unknown its meaning, its equation and its initial value.
-        """
-        return self._lifting if isinstance(self._lifting, LiftedProblem) else None
-
-    @cached_property
-    def _lifting(self) -> LiftedProblem | sp.Expr | None:
-        """The lifted form, what cannot be lifted, or None where there is nothing to lift."""
-        if self.quadratic is not None or self.first_order.events:
-            return None
-        return lifted_problem(self.first_order, self.system, self.problem.name or "")
-
-    @cached_property
-    def _stretched(self) -> StretchedProblem | None:
-        """The form over stretches, where all events are at known times."""
-        if self.quadratic is not None or not known_times(self.first_order, self.system):
-            return None
-        name = self.problem.name or ""
-        return StretchedProblem(self.first_order, self.system, self.separated, self.source, name)
-
-    @cached_property
-    def _held_form(self) -> FirstOrderSystem | None:
-        """The equations with the sides of switches as states, if there are switches to hold."""
-        return held_form(self.first_order)
-
-    @cached_property
-    def _held(self) -> System | None:
-        """The generated module of the same."""
-        return held_system(self._held_form, self.system, self.problem.name or "system")
-
-    @property
-    def held_source(self) -> str | None:
-        """Text of that module; None where no switches are held."""
-        specification = None if self._held is None else self._held.specification
-        return getattr(specification, "source", None)
-
-    @cached_property
-    def features(self) -> SymbolicFeatures:
-        """All that is not smooth in the equations, or so narrow that samples may miss it.
-
-        Printed, it lists the times, values of parameters and surfaces at which that is, with the
-        names of switches whose crossings end stretches.
-        """
-        first_order = self.first_order
-        jumps = (value for jump in first_order.jumps for value in jump.values)
-        further = [*first_order.initial, *jumps, *first_order.event_expressions]
-        features = features_of(first_order.coordinates, first_order.rhs, further)
-        held = self._held_form
-        return features if held is None else replace(features, switches=held.switches)
-
-    def form_for(self, method: str) -> CompiledProblem | LiftedProblem | StretchedProblem:
-        """What a method takes: an object with ``separated``, ``source`` and ``system``.
-
-        Raises
-        ------
-        OptionError
-            If the method needs separated terms, and there are events of the states or too many
-            states.
-        SeparationError
-            If it needs them, and there is no lifted form.
-        """
-        if method in _ANY_SYSTEM or self._has_operators:
-            return self
-        if self.quadratic is not None:
-            raise OptionError(
-                f"method={method!r} takes at most {MOST_KERNEL_STATES} states, and there are "
-                f"{len(self.quadratic.states)}",
-                remedy="leave method= out, or take cross",
-            )
-        if self.lifted is not None:
-            return self.lifted
-        if self._stretched is not None:
-            return self._stretched
-        if self.first_order.events:
-            guessed = self.first_order.constraints.guessed
-            which = "events at known times only"
-            if guessed or self.first_order.rest is not None:
-                which = "no events beside guessed unknowns and steady states at the start"
-            raise OptionError(
-                f"method={method!r} takes {which}", remedy="leave method= out, or take cross"
-            )
-        raise SeparationError(
-            str(self.methods[method]),
-            equation=self.separated.general[0].origin,
-            term=self._lifting,
-            remedy=_without_lifting(self._lifting),
-        )
-
-    @property
-    def _has_operators(self) -> bool:
-        """Whether there are kernels, which methods other than cross need."""
-        return self.quadratic is not None and self.quadratic.has_kernels
-
-    @property
-    def user_functions(self) -> Mapping[str, Callable[..., object]]:
-        """The functions of the user that the source calls, by the names it calls them by."""
-        return self.first_order.user_functions
-
-    @property
-    def methods(self) -> dict[str, str | None]:
-        """For each method None if it applies, else the reason why not.
-
-        With events at known times the order of events, found by :meth:`solve`, tells whether
-        equations that depend on time separate over the stretches between them.
-        """
-        reason = None
-        applies = self._has_operators or self.lifted is not None
-        if applies or self._stretched is not None:
-            pass
-        elif self.quadratic is not None:
-            reason = f"there are more than {MOST_KERNEL_STATES} states"
-        elif self.first_order.events:
-            reason = "events of the states are followed by trajectories, which cross samples"
-        else:
-            reason = (
-                f"{self.separated.general[0].reason}; {quote(self._lifting)} has no lifted form"
-            )
-        return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
-
-    @property
-    def automatic(self) -> tuple[str, ...]:
-        """The methods that ``method="auto"`` tries one after the other."""
-        parameters = len(self.problem.parameters)
-        tried = engines_for(AUTO, parameters=parameters, separated=self._has_operators)
-        return tuple(engine.name for engine in tried)
-
-    def __getstate__(self) -> dict[str, object]:
-        rebuilt = ("system", "_lifting", "_stretched", "_held", "_held_form", "features")
-        return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
-
-    def __repr__(self) -> str:
-        clock, *parameters = self.separated.coordinates
-        names = ", ".join(state.name for state in self.separated.states)
-        distributions = self.problem.distributions
-        box = ", ".join(
-            with_measure(f"{c.name} in [{c.lower:g}, {c.upper:g}]", distributions.get(c.name))
-            for c in (clock, *parameters)
-        )
-        general = count(len(self.separated.general), "general term")
-        general = f"{general}, " if self.separated.general else ""
-        return (
-            f"CompiledProblem of {names} over {box}\n"
-            f"{len(self.separated.terms)} separated terms, "
-            f"{general}"
-            f"{self.source.count(chr(10))} lines generated, "
-            f"compiled in {sum(self.timings.values()):.2f} s"
-        )
 
     def solve(
         self,
@@ -415,7 +237,7 @@ class CompiledProblem:
         self,
         request: SolveRequest,
         engines: Sequence[Engine],
-        form: CompiledProblem | LiftedProblem | StretchedProblem,
+        form: CompiledStages | LiftedProblem | StretchedProblem,
         progress: bool | Report,
     ) -> Solution:
         """Solve in one of the forms; a BlowUpError where a trajectory blows up."""
@@ -489,53 +311,6 @@ class CompiledProblem:
         from rankone.export import export_solver
 
         return export_solver(self, path, method=method, overwrite=overwrite)
-
-    def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
-        """What a solution of the problem says was asked."""
-        form, named = self.separated, self.problem.shorthand.named.values()
-        clock, *parameters = form.coordinates
-        return SolutionMetadata(
-            states=tuple(state.name for state in form.states),
-            roles=tuple(state.role for state in form.states),
-            parameters=tuple(c.name for c in parameters),
-            box=tuple((c.lower, c.upper) for c in parameters),
-            time=clock.name,
-            horizon=(clock.lower, clock.upper),
-            rtol=rtol,
-            method=method,
-            equations=tuple(
-                general_equation_texts(self.first_order)
-                if self.quadratic is None
-                else equation_texts(self.quadratic, self.first_order.rest)
-            )
-            + tuple(f"{constant} = {number(float(constant))}" for constant in named),
-            version=__version__,
-            source=self.source,
-            units=tuple((self.problem.units or {}).items()),
-            distributions=tuple(self.problem.distributions.items()),
-            correlations=tuple(
-                (*pair, rho) for pair, rho in (self.problem.correlation or {}).items()
-            ),
-            name=self.problem.name or "",
-            constants=tuple(
-                (symbol.name, float(number))
-                for symbol, number in (self.problem.constants or {}).items()
-            ),
-            definitions=tuple(self.problem.shorthand.texts),
-            atol=tuple((self.problem.atol or {}).items()),
-        )
-
-
-def _without_lifting(expression: sp.Expr | LiftedProblem | None) -> str:
-    """What to do about an expression that has no lifted form."""
-    remedy = "method='cross', the default, takes it as it is"
-    if not isinstance(expression, sp.Abs | sp.sign):
-        return remedy
-    (argument,) = expression.args
-    plain = argument if isinstance(expression, sp.Abs) else sp.S.One
-    return (
-        f"{remedy}; where {quote(argument)} keeps its sign, write {quote(plain)} or {quote(-plain)}"
-    )
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:
