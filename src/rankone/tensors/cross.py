@@ -263,7 +263,7 @@ class GrowingBasis:
     """An orthonormal basis (length, rank) of columns, which grows where it misses columns."""
 
     def __init__(self, length: int) -> None:
-        self.vectors = np.zeros((length, 0))
+        self.length, self.vectors = length, np.zeros((length, 0))
 
     def coefficients(self, columns: Array, tolerance: float) -> Array:
         """Coefficients (rank, m) of columns (length, m), each missed by a tolerance at most."""

@@ -110,7 +110,8 @@ class Reference:
         """States at the times (T,): shape (n, m, T)."""
         size = times.size * self.floor.size * len(self.points)
         charge(len(self.batches) * _DENSE_COST(size))
-        return np.concatenate([batch(times) for batch in self.batches], axis=1)
+        states = [batch(times) for batch in self.batches]
+        return states[0] if len(states) == 1 else np.concatenate(states, axis=1)
 
     def joined(self, second: Reference) -> Reference:
         """The trajectories of both, up to where the first of them blows up."""

@@ -61,6 +61,9 @@ MAX_STIFF_STACK = 300
 # Most trajectories integrated together with functions of the user, which may be slow
 MAX_USER_STACK = 64
 STACK_STATES = 15_000  # States of a stack that fits the cache
+HELD_NUMBERS = 2**24  # Numbers of sampled trajectories that are held before they are compressed
+# States above which the error is a mean over the states, and not a sum
+MANY_STATES = 64
 
 LINE_PLACES = 65  # Places on a line through the box where trajectories are compared
 # Places between two neighbours on a line at a closer look: fewer need one look more for a jump, and

@@ -36,12 +36,12 @@ class Trajectories:
     """Trajectories at parameter points, in units of the states' sizes.
 
     A trajectory is a vector (state, time node), scaled so that its norm is the root mean square
-    over the nodes; what the basis misses of it is below the tolerance. ``allowed_error`` is that
-    of the integration, in units of sizes, and ``tightness`` the first tolerance of the integration
-    and of the basis over it: some trajectories of the reference are integrated together with the
-    first ones, and their error then sets it. ``report`` is called after each batch with the part
-    of a call that is done. ``highest_modes`` (slabs,) are those in time, the largest of all
-    trajectories, and ``work`` counts the operations.
+    over the nodes, and of many states over the states as well; what the basis misses of it is below
+    the tolerance. ``allowed_error`` is that of the integration, in units of sizes, and
+    ``tightness`` the first tolerance of the integration and of the basis over it: some trajectories
+    of the reference are integrated together with the first ones, and their error then sets it.
+    ``report`` is called after each batch with the part of a call that is done. ``highest_modes``
+    (slabs,) are those in time, the largest of all trajectories, and ``work`` counts the operations.
     ``choice`` is that of the integrator.
     """
 
@@ -64,24 +64,37 @@ class Trajectories:
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work = 0, 0.0
         self.choice = choice or sampling_choice(reference_set)
-        self.units = reference_set.states * np.sqrt(grid.times.size)
+        self.scale = _norm_of_ones(grid.times.size, reference_set.states.size)
+        self.units = reference_set.states * self.scale
         self.basis = GrowingBasis(self.units.size * grid.times.size)
         self.highest_modes = np.zeros(grid.slabs)
 
     def __call__(self, points: Array) -> Array:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
         if len(points) and np.array_equal(points, self.reference_set.lines):
-            columns = self._on_lines()
-        else:
-            if self.count + len(points) > self.most:
-                raise TooManyTrajectories
-            columns = self._integrated(points) if self.calibrated else self._calibrated(points)
-            self.count += len(points)
+            return self._coefficients(self._on_lines())
+        if self.count + len(points) > self.most:
+            raise TooManyTrajectories
+        blocks = []
+        for group in self._groups(points):
+            columns = self._integrated(group) if self.calibrated else self._calibrated(group)
+            self.count += len(group)
+            blocks.append(self._coefficients(columns))
+        rank = len(blocks[-1])
+        return np.concatenate([_with_rows(block, rank) for block in blocks], axis=1)
+
+    def _coefficients(self, columns: Array) -> Array:
+        """Coefficients of columns (n T, m), for which the basis grows: shape (rank, m)."""
         highest_modes = self.grid.highest_modes(self._in_sizes(columns))
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
         lost = max(min(self.tightness, 1.0) * self.allowed_error, constants.TIGHTEST_TOLERANCE)
         return self.basis.coefficients(columns, lost)
+
+    def _groups(self, points: Array) -> list[Array]:
+        """Points whose columns are held at a time: few of many states, whole chunks of others."""
+        size = max(constants.HELD_NUMBERS // self.basis.length, self._chunk_size())
+        return np.array_split(points, max(-(-len(points) // size), 1))
 
     @property
     def sizes(self) -> Array:
@@ -133,7 +146,7 @@ class Trajectories:
 
     def _in_sizes(self, columns: Array) -> Array:
         """Trajectories (n T, m) in units of the sizes: shape (n, T, m)."""
-        scaled = columns * np.sqrt(self.grid.times.size)
+        scaled = columns * self.scale
         return np.asarray(scaled.reshape(self.units.size, -1, columns.shape[1]))
 
     def _integrated(self, points: Array) -> Array:
@@ -178,6 +191,19 @@ class Trajectories:
         return min(max(constants.STACK_STATES // int(self.units.size), constants.MIN_STACK), most)
 
 
+def _norm_of_ones(times: int, states: int) -> float:
+    """The norm of a trajectory of ones before it is scaled.
+
+    An error that all of many states share is not taken for a larger one.
+    """
+    return float(np.sqrt(times * max(states / constants.MANY_STATES, 1.0)))
+
+
+def _with_rows(block: Array, rank: int) -> Array:
+    """Coefficients with zeros for the vectors by which the basis has grown since."""
+    return np.pad(block, ((0, rank - len(block)), (0, 0)))
+
+
 def sampling_choice(reference_set: ReferenceSet) -> SamplingChoice:
     """The choice of the integrator, after that of the reference."""
     reference = reference_set.reference
@@ -206,6 +232,6 @@ def _integrated(
         floor = tolerances.absolute
         ends = first_to_end(system, sampled.end, sampled.state, points, floor)
         raise TrajectoryEnds(sampled.end, points[ends])
-    units = sizes * np.sqrt(times.size)
+    units = sizes * _norm_of_ones(times.size, sizes.size)
     scaled = sampled.states.transpose(1, 0, 2) / units[:, None, None]
     return np.asarray(scaled.reshape(-1, len(points))), sampled.integrator
