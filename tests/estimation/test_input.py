@@ -90,8 +90,8 @@ def test_several_outputs():
         drug().fit(DOSE_TIMES, data)
     with pytest.raises(OptionError, match="there are no times of `p`"):
         drug().fit({"c": DOSE_TIMES}, {"c": data, "p": data})
-    with pytest.raises(OptionError, match="sigma is given for `c`, observed are"):
-        drug().fit(DOSE_TIMES, {"c": data, "p": data}, sigma={"c": 1})
+    with pytest.raises(OptionError, match="sigma is given for `q`, observed are"):
+        drug().fit(DOSE_TIMES, {"c": data, "p": data}, sigma={"q": 1})
 
 
 def test_of_a_fit():

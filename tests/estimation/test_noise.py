@@ -6,7 +6,7 @@ import scipy.optimize
 import scipy.stats
 
 from rankone.support.errors import OptionError
-from tests.estimation.experiments import bateman, oral
+from tests.estimation.experiments import HOURS, bateman, oral
 from tests.estimation.systems import decay, line
 
 TIMES = np.linspace(0.05, 2.0, 25)
@@ -17,8 +17,8 @@ def closed(k, a):
     return a * np.exp(-k * TIMES)
 
 
-def draws(seed=1):
-    return np.random.default_rng(seed).standard_normal(TIMES.size)
+def draws(seed=1, size=TIMES.size):
+    return np.random.default_rng(seed).standard_normal(size)
 
 
 NORMAL = scipy.stats.norm.logpdf
@@ -220,6 +220,39 @@ def test_degrees_of_freedom_with_priors():
         fit = line().fit(times, data, sigma=0.1, prior=prior)
         whole = design.T @ design + np.diag([width**-2, 0.0])
         assert fit.dof == pytest.approx(9 - np.trace(np.linalg.solve(whole, design.T @ design)))
+
+
+def test_noise_that_is_told_of_some_observables():
+    data = {"x": closed(**TRUE) + 0.05 * draws(), "y": 2.0 * closed(**TRUE) + 0.2 * draws(2)}
+    observe = {"x": "u", "y": "2*u"}
+    given = decay().fit(TIMES, data, observe=observe, sigma={"x": 0.05})
+    assert list(given.x) == ["k", "a", "sigma_y"]
+    kinds = decay().fit(TIMES, data, observe=observe, noise={"y": "student"})
+    assert list(kinds.x) == ["k", "a", "sigma_x", "sigma_y"]
+    both = decay().fit(TIMES, data, observe=observe, noise={"y": "student"}, sigma={"x": 0.05})
+    assert list(both.x) == ["k", "a", "sigma_y"]
+    assert [noise.distribution for noise in both.observations.noises] == ["normal", "student"]
+    for wrong in ({"sigma": {"z": 1}}, {"noise": {"z": "constant"}}, {"weights": {"x": 1}}):
+        with pytest.raises(OptionError, match="observed are `x` and `y`"):
+            decay().fit(TIMES, data, observe=observe, **wrong)
+
+
+def test_conditions_that_were_forgotten():
+    """What differs between two doses is not fixed, and the message says where to do it."""
+    table = {
+        "t": [*HOURS, *HOURS],
+        "C": [*bateman(HOURS, 100), *bateman(HOURS, 150)],
+        "condition": ["low"] * 16 + ["high"] * 16,
+    }
+    fit = oral().fit(table, noise="proportional", fixed={"dose": 100})
+    assert any(
+        check.startswith("the measurements of `C` in `high` are above the curve on average")
+        and "fix what differs there" in check
+        for check in fit.checks
+    )
+    fixed = {"low": {"dose": 100}, "high": {"dose": 150}}
+    table["C"] = np.array(table["C"]) * (1.0 + 0.1 * draws(3, 32))
+    assert not oral().fit(table, noise="proportional", fixed=fixed).checks
 
 
 def test_residuals_are_looked_at():

@@ -28,17 +28,33 @@ def residual_checks(
     """Sentences about standardised residuals (m,) and predictions (m,) of each trial."""
     names = dict.fromkeys(name for trial in trials for name in trial.observations.names)
     for name in names:
-        series, heavy = [], False
+        series, owners, heavy = [], [], False
         for trial, r, p in zip(trials, standardised, predicted, strict=True):
             if name in trial.observations.names:
                 index = trial.observations.names.index(name)
                 here = trial.observations.of(index)
                 heavy |= trial.observations.noises[index].distribution == "student"
+                owners.append(trial.name)
                 order = np.argsort(trial.observations.times[here], kind="stable")
                 series.append(
                     (r[here][order], p[here][order], trial.observations.times[here][order])
                 )
         yield from _of_observable(name, series, heavy)
+        yield from _aside(name, owners, [r for r, _, _ in series])
+
+
+def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterator[str]:
+    """Experiments whose measurements are on one side of their curves."""
+    if len(series) < 2 or not max(np.abs(r).max(initial=0.0) for r in series) > _NEGLIGIBLE:
+        return
+    for owner, r in zip(owners, series, strict=True):
+        whole = float(np.sum(r)) / math.sqrt(r.size)
+        if 2.0 * float(scipy.stats.norm.sf(abs(whole))) * len(series) < _UNLIKELY:
+            yield with_remedy(
+                f"the measurements of {quote(name)} in {quote(owner)} are "
+                f"{'above' if whole > 0.0 else 'below'} the curve on average",
+                "fix what differs there, such as a dose",
+            )
 
 
 def _of_observable(

@@ -287,21 +287,23 @@ def _noises(
     spreads = _by_observable(solution, "sigma", sigma, sizes)
     texts = {name: entry for name, entry in spreads.items() if _is_expression(entry)}
     numbers: Any = sigma if weights is None else weights
-    if isinstance(numbers, Mapping):
-        numbers = _by_observable(solution, option, numbers, sizes)
-    if texts:
-        numbers = {name: 1.0 if name in texts else entry for name, entry in spreads.items()}
+    if isinstance(weights, Mapping):
+        numbers = _by_observable(solution, option, weights, sizes)
+    elif texts or isinstance(sigma, Mapping):
+        plain = {name: entry for name, entry in spreads.items() if name not in texts}
+        numbers = {name: plain.get(name, 1.0) for name in sizes}
     rows = _spread(numbers, option, sizes, table_shape)
     noises = []
     ends = np.cumsum(list(sizes.values()))[:-1]
     for name, row, here in zip(sizes, rows, np.split(present, ends), strict=True):
         kind = kinds.get(name)
+        own = name in spreads if isinstance(sigma, Mapping) else sigma is not None
         if name in texts:
             made = _expressed(solution, name, texts[name], kind, row)
-        elif kind is not None:
-            made = noise_of(kind, name, row, given=sigma is not None)
-        else:
+        elif kind is None and (own or (sigma is None and noise is None)):
             made = Noise("normal", 1.0 / np.sqrt(row) if option == "weights" else row)
+        else:
+            made = noise_of(kind or "constant", name, row, given=own)
         noises.append(made.selected(here))
     return tuple(noises)
 
@@ -313,10 +315,13 @@ def _is_expression(entry: object) -> bool:
 def _by_observable(
     solution: SolutionCore, option: str, given: object, sizes: Mapping[str, int]
 ) -> dict[str, Any]:
-    """What is given for each observable: for all of them, or by name; nothing for arrays."""
+    """What is given for each observable: for all of them, or by name; nothing for arrays.
+
+    Weights have to be given for all, since only their ratios count.
+    """
     if isinstance(given, Mapping):
         named = {label(solution, key): entry for key, entry in given.items()}
-        if sorted(named) != sorted(sizes):
+        if not set(named) <= set(sizes) or (option == "weights" and len(named) < len(sizes)):
             raise OptionError(
                 f"{option} is given for {listing(named)}, observed are {listing(sizes)}",
                 term=given,

@@ -79,8 +79,8 @@ def fit(
     sigma : float, array_like, expression or mapping, optional
         Standard deviation of the noise: one number, one for each output, or one for each
         datum; or an expression, ``"a + b*x"``, whose new names are levels that are estimated.
-        Without sigma and noise it is estimated: one for each output. ``sigma="s"`` estimates one
-        that all outputs share.
+        Without sigma and noise it is estimated: one for each output. So is that of outputs that
+        a mapping leaves out. ``sigma="s"`` estimates one that all outputs share.
     noise : {"constant", "proportional", "combined", "log-normal", "student"} or mapping, optional
         The kind of noise, for all outputs or for each. Each output has levels of its own, which
         are estimated unless sigma gives them: ``sigma_x`` the standard deviation, ``relative_x``
