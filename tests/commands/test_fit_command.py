@@ -125,3 +125,18 @@ def test_conditions(tmp_path, capsys):
     assert "noise='gaussian' is unknown" in capsys.readouterr().err
     assert main(["fit", file, data, "--bounds", "k=1"]) == 2
     assert "the bounds of `k` are (1.0,), not a pair" in capsys.readouterr().err
+
+
+def test_priors(saved, tmp_path, capsys):
+    """With data that say little, the estimate is close to the prior."""
+    data = table(tmp_path / "d.csv", "t,u", TIMES, 2 * np.exp(-1.3 * TIMES))
+    options = ["fit", saved, data, "--sigma", "0.5", "--prior"]
+    assert main([*options, "k=norm(loc=1, scale=0.01)", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["x"]["k"] == pytest.approx(1.0, abs=0.005)
+    for prior, message in (
+        ("k", "--prior: 'k' cannot be read"),
+        ("k=nrm(1, 2)", "no continuous distribution `nrm` (did you mean `norm`?)"),
+        ("q=norm(1, 2)", "there is no parameter `q`"),
+    ):
+        assert main([*options, prior]) == 2
+        assert message in capsys.readouterr().err

@@ -27,6 +27,7 @@ from rankone.support.wording import listing, quote
 if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
     from rankone.estimation.posterior import Posterior
+    from rankone.statistics.distributions import Distribution
 
 T = TypeVar("T")
 
@@ -91,7 +92,6 @@ def register(commands: Commands) -> None:
 def _fit(arguments: argparse.Namespace) -> int:
     from rankone.estimation.posterior import posterior_of
     from rankone.export.program import box_of, pairs_of
-    from rankone.statistics.distributions import from_text
 
     solution = solution_of(arguments, effort=arguments.effort)
     table = _read(arguments.data)
@@ -103,7 +103,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         fixed=pairs_of("--fixed", arguments.fixed, float),
         start=pairs_of("--start", arguments.start, float) or None,
         bounds={k: tuple(ends) for k, ends in box_of(arguments.bounds, "--bounds").items()},
-        prior=pairs_of("--prior", arguments.prior, from_text),
+        prior=_priors(arguments.prior),
         level=arguments.level,
         effort=arguments.effort,
     )
@@ -128,6 +128,19 @@ def _observe(texts: Sequence[str] | None) -> dict[str, str] | None:
     if len({*names}) < len(names):
         raise OptionError(f"--observe names an unknown twice: {listing(names)}", term=names)
     return {name: (right or name).strip() for name, (_, _, right) in zip(names, pairs, strict=True)}
+
+
+def _priors(texts: Sequence[str] | None) -> dict[str, Distribution]:
+    """Distributions by parameter: ``k=norm(loc=1, scale=0.1)``."""
+    from rankone.statistics.distributions import from_text
+
+    priors = {}
+    for text in texts or ():
+        name, _, right = text.partition("=")
+        if not name or not right:
+            raise OptionError(f"--prior: {text!r} cannot be read", remedy="write k='norm(1, 0.1)'")
+        priors[name.strip()] = from_text(right.strip())
+    return priors
 
 
 def _one_or_named(option: str, texts: Sequence[str] | None, read: Callable[[str], T]) -> Any:

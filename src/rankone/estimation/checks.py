@@ -44,17 +44,18 @@ def residual_checks(
 
 
 def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterator[str]:
-    """Experiments whose measurements are on one side of their curves."""
-    if len(series) < 2 or not max(np.abs(r).max(initial=0.0) for r in series) > _NEGLIGIBLE:
+    """Experiments on different sides of the curve (Kruskal & Wallis 1952)."""
+    together = np.concatenate(series)
+    if len(series) < 2 or together.size < _LEAST or not np.abs(together).max() > _NEGLIGIBLE:
         return
-    for owner, r in zip(owners, series, strict=True):
-        whole = float(np.sum(r)) / math.sqrt(r.size)
-        if 2.0 * float(scipy.stats.norm.sf(abs(whole))) * len(series) < _UNLIKELY:
-            yield with_remedy(
-                f"the measurements of {quote(name)} in {quote(owner)} are "
-                f"{'above' if whole > 0.0 else 'below'} the curve on average",
-                "fix what differs there, such as a dose",
-            )
+    if scipy.stats.kruskal(*series).pvalue < _UNLIKELY:
+        means = [float(r.mean()) for r in series]
+        low, high = owners[int(np.argmin(means))], owners[int(np.argmax(means))]
+        yield with_remedy(
+            f"the curve of {quote(name)} is too high for {quote(low)} and too low for "
+            f"{quote(high)}",
+            "fix what differs between them, such as a dose",
+        )
 
 
 def _of_observable(
