@@ -125,14 +125,16 @@ console.log(JSON.stringify(told));
 def test_the_button_of_a_page(tmp_path):
     page_file = oral().explore(tmp_path / "page.html")
     table = tmp_path / "measured.csv"
-    table.write_text(csv_of(measured()))
-    fit = oral().fit(measured())
+    labels = {"condition": ["first"] * 5 + ["second"] * 5}
+    table.write_text(csv_of(measured() | labels))
+    fit = oral().fit(measured() | labels)
     try:
         with browser() as chromium, chromium.open(page_file) as page:
             assert page.locator("#fit").is_hidden()
             page.locator("#file").set_input_files(table)
             page.locator("#fit").wait_for()
             assert "20 measurements of measured.csv" in page.locator("#notice").inner_text()
+            assert "differ in condition count as the same" in page.locator("#notice").inner_text()
             page.locator("#fit").click()
             settle(page)
             shown = page.evaluate("rankone.values()")["parameters"]

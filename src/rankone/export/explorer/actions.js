@@ -107,10 +107,13 @@ export async function loadFile() {
   if (!file) return;
   $("file").value = "";
   try {
-    const { count, held } = load(await file.text());
+    const { count, held, pooled } = load(await file.text());
     const names = [...held.keys()].map((j) => data.parameters[j].text);
     const fixed = names.length ? ` It fixes ${names.join(", ")}.` : "";
-    say(`${count} measurements of ${file.name} are drawn as rings.${fixed}`);
+    const together = pooled.length
+      ? ` A page fits one experiment: rows that differ in ${pooled.join(" and ")} count as the same.`
+      : "";
+    say(`${count} measurements of ${file.name} are drawn as rings.${fixed}${together}`, together);
   } catch (error) {
     say(`${file.name} cannot be used: ${error.message}.`, true);
   }

@@ -10,8 +10,9 @@
  *
  * @param {string} text
  * @param {object} data what the page has
- * @returns {{series: object[], held: Map<number, number>, weighted: boolean, count: number}}
- *   for each measured unknown its `row`, `times`, `values` and `sigma`
+ * @returns {{series: object[], held: Map<number, number>, weighted: boolean, count: number,
+ *   pooled: string[]}} for each measured unknown its `row`, `times`, `values` and `sigma`; columns
+ *   whose labels tell experiments apart, which a page does not
  */
 export function readMeasurements(text, { unknowns, parameters, time }) {
   const lines = text.replace(/^\uFEFF/, "").split(/\r?\n/);
@@ -59,7 +60,10 @@ export function readMeasurements(text, { unknowns, parameters, time }) {
   const count = measured.reduce((sum, { values }) => sum + values.length, 0);
   if (!weighted) measured.forEach((one) => one.sigma.fill(1));
   measured.forEach((one) => (one.weighted = weighted));
-  return { series: measured, held: heldBy(parameters, body, column, numberAt), weighted, count };
+  const pooled = ["condition", "subject"].filter(
+    (name) => column(name) >= 0 && new Set(body.map(([, cells]) => cells[column(name)])).size > 1,
+  );
+  return { series: measured, held: heldBy(parameters, body, column, numberAt), weighted, count, pooled };
 }
 
 /** The parameters with a column, by position: it has one value, which is inside of the range. */
