@@ -1,4 +1,7 @@
-"""Algebraic rules that are linear in what they determine, solved as assignment rules."""
+"""Algebraic rules: those that are linear in what they determine become assignment rules.
+
+Others stay equations, and Newton's method finds what they determine.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ def solved(
     reactions: Reactions,
     quantities: Mapping[str, Quantity],
     reset: frozenset[str],
-) -> Expressions:
-    """Assignment rules for the quantities that algebraic rules determine.
+) -> tuple[Expressions, Expressions]:
+    """Assignment rules for what algebraic rules determine, or for each what vanishes.
 
     These are what may change but has no rule and is neither changed by reactions nor ``reset`` by
-    events. A ProblemError names the rules if they determine too little or are not linear.
+    events. A ProblemError names the rules if they determine too little.
     """
     if not rules.algebraic:
-        return {}
+        return {}, {}
     tables = (rules.assigned, reactions.laws)
     definitions = {sp.Symbol(name): e for table in tables for name, e in table.items()}
     full = expanded(ordered(definitions))
@@ -51,13 +54,10 @@ def solved(
         matrix, right = sp.linear_eq_to_matrix(residuals, present)
         values = matrix.LUsolve(right)
     except NonlinearError:
-        raise ProblemError(
-            f"{labels}: not linear in {listing(map(str, present))}",
-            term=labels,
-            remedy="write assignment rules",
-        ) from None
+        pairs = zip(present, rules.algebraic.values(), strict=True)
+        return {}, {symbol.name: residual for symbol, residual in pairs}
     except (NonInvertibleMatrixError, ZeroDivisionError):
         raise ProblemError(
             f"{labels}: they do not determine {listing(map(str, present))}", term=labels
         ) from None
-    return {symbol.name: value for symbol, value in zip(present, values, strict=True)}
+    return {symbol.name: value for symbol, value in zip(present, values, strict=True)}, {}

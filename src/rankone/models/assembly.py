@@ -28,6 +28,8 @@ class Assembly:
         The time, and a stand-in for the time at which it starts.
     rates : dict of Symbol to Expr
         For each state its rate.
+    constraints : dict of Symbol to Expr
+        For each state that an algebraic rule determines what vanishes.
     definitions : dict of Symbol to Expr
         What is determined at any time by states, numbers and time; each behind those that it
         refers to.
@@ -52,7 +54,11 @@ class Assembly:
             for name, quantity in elements.quantities.items()
             if name not in elements.rules.assigned and name not in elements.rules.starts
         }
-        self.rates = {symbol: self._rate(name) for name, symbol in self._states.items()}
+        algebraic = elements.rules.algebraic
+        self.rates = {
+            s: self._rate(name) for name, s in self._states.items() if name not in algebraic
+        }
+        self.constraints = {self._implicit(name): e for name, e in algebraic.items()}
         self.definitions = self._all_definitions()
         self.initial = {symbol: self._initial(name) for name, symbol in self._states.items()}
 
@@ -100,7 +106,7 @@ class Assembly:
                     term=name,
                     remedy="leave one of them out",
                 )
-        return {*rules.rates, *changes, *reset} or self._unchanged()
+        return {*rules.rates, *changes, *reset, *rules.algebraic} or self._unchanged()
 
     def _unchanged(self) -> set[str]:
         """What is followed if nothing changes: what may do so, or else everything."""
@@ -124,6 +130,20 @@ class Assembly:
         if self._by_amount(quantity):
             return sp.Symbol(unused(f"{name}_amount", self.elements.taken))
         return sp.Symbol(name)
+
+    def _implicit(self, name: str) -> sp.Symbol:
+        """The state that an algebraic rule determines."""
+        symbol, quantity = self._states[name], self.elements.quantities[name]
+        sized = {each.compartment for each in self.elements.quantities.values()
+                 if isinstance(each, Species)}  # fmt: skip
+        if symbol.name != name or name in sized:
+            raise ProblemError(
+                f"{quantity.label} is determined by an algebraic rule that is not linear in it, "
+                "and a compartment changes",
+                term=name,
+                remedy="write an assignment rule",
+            )
+        return symbol
 
     def _by_amount(self, quantity: Quantity) -> bool:
         """Whether this is a concentration in a compartment that changes."""
@@ -222,7 +242,7 @@ class Assembly:
         definitions = {sp.Symbol(name): e for table in tables for name, e in table.items()}
         for name, quantity in elements.quantities.items():
             symbol = sp.Symbol(name)
-            if name in elements.rules.assigned or symbol in self.rates or symbol in self.numbers:
+            if name in elements.rules.assigned or symbol in self._followed:
                 continue
             if isinstance(quantity, Species) and self._by_amount(quantity):
                 definitions[symbol] = self._amount(name) / sp.Symbol(quantity.compartment)
@@ -230,6 +250,11 @@ class Assembly:
                 definitions[symbol] = self._at_start(symbol)
         self.definitions = definitions
         return ordered(self._with_rates(definitions))
+
+    @property
+    def _followed(self) -> set[sp.Symbol]:
+        """States and numbers, which need no definition."""
+        return {*self.rates, *self.constraints, *self.numbers}
 
     def _amount(self, name: str) -> sp.Expr:
         """The amount of a species in a compartment that changes."""
@@ -244,7 +269,7 @@ class Assembly:
     def _with_rates(self, definitions: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
         """Definitions with those of the rates of change that formulas ask for."""
         happenings = self.elements.happenings
-        formulas = [*definitions.values(), *self.rates.values()]
+        formulas = [*definitions.values(), *self.rates.values(), *self.constraints.values()]
         formulas += [e for each in happenings for e in (*each.then.values(), each.trigger)]
         formulas += [e for each in happenings for e in (each.delay, each.priority) if e is not None]
         waiting = set().union(*(formula.free_symbols for formula in formulas))
@@ -262,6 +287,13 @@ class Assembly:
             return sp.S.Zero
         if symbol in self.rates:
             return self.rates[symbol]
+        if symbol in self.constraints:
+            raise ProblemError(
+                f"a formula asks for the rate of change of {quote(symbol)}, which an algebraic "
+                "rule determines that is not linear in it",
+                term=symbol,
+                remedy="write an assignment rule",
+            )
         if symbol in self._rate_names:
             expression = self._change(sp.Symbol(self._rate_names[symbol]))
         else:

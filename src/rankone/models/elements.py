@@ -27,7 +27,7 @@ class Elements:
     vocabulary : Vocabulary
         What the formulas may name.
     rules : Rules
-        Rules and initial assignments.
+        Rules and initial assignments; algebraic ones by the ids that they determine.
     reactions : Reactions
         Rates of reactions, and what they change.
     happenings : tuple of Happening
@@ -59,6 +59,6 @@ def elements_of(model: Any) -> Elements:
     reactions = reactions_of(model, vocabulary, quantities, taken)
     happenings = happenings_of(model, vocabulary)
     reset = frozenset(name for happening in happenings for name in happening.then)
-    solutions = solved(rules, reactions, quantities, reset)
-    rules = replace(rules, assigned={**rules.assigned, **solutions}, algebraic={})
+    solutions, implicit = solved(rules, reactions, quantities, reset)
+    rules = replace(rules, assigned={**rules.assigned, **solutions}, algebraic=implicit)
     return Elements(quantities, vocabulary, rules, reactions, happenings, taken)

@@ -46,6 +46,8 @@ class Model:
         Nominal values as exact numbers; None where the file has none.
     happenings : tuple of Happening
         The events of the file, in terms of states.
+    constraints : mapping of Symbol to Expr
+        For each state that an algebraic rule determines what vanishes.
     units : mapping of str to str
         Units by name, as far as the file has them.
     start : Symbol
@@ -59,6 +61,7 @@ class Model:
     definitions: Definitions
     numbers: Mapping[sp.Symbol, sp.Rational | None]
     happenings: tuple[Happening, ...] = ()
+    constraints: Definitions = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     start: sp.Symbol = field(default_factory=lambda: sp.Dummy("start"))
 
@@ -82,7 +85,11 @@ class Model:
 
     @cached_property
     def _functions(self) -> dict[sp.Symbol, sp.Expr]:
-        return {symbol: sp.Function(symbol.name)(self.time) for symbol in self.rates}
+        return {symbol: sp.Function(symbol.name)(self.time) for symbol in self._states}
+
+    @cached_property
+    def _states(self) -> tuple[sp.Symbol, ...]:
+        return (*self.rates, *self.constraints)
 
     def expression(self, name: object) -> sp.Expr:
         """What a name of the model stands for, in unknowns, parameters and time.
@@ -99,7 +106,7 @@ class Model:
         return expanded(self.definitions)
 
     def _symbol(self, name: object) -> sp.Symbol:
-        symbols = {s.name: s for s in (*self.rates, *self.definitions, *self.numbers)}
+        symbols = {s.name: s for s in (*self._states, *self.definitions, *self.numbers)}
         text = name_of(name)
         if text not in symbols:
             raise ProblemError(
@@ -136,6 +143,7 @@ class Model:
         box = self._box(parameters, spread)
         functions = self._functions
         decided = {self.start: sp.Rational(repr(start))}
+        self._check_happenings()
         point = self._starting_point(start, decided)
         while decisive := self._decisive(point, box, decided):
             decided |= decisive
@@ -149,14 +157,19 @@ class Model:
         written = {**functions, **decided}
         rates = {functions[s]: e.xreplace(written) for s, e in self.rates.items()}
         rates |= dict.fromkeys(memory, sp.S.Zero)
+        vanishing = [e.xreplace(written) for e in self.constraints.values()]
         initial = {**point.initial, **dict.fromkeys(memory, sp.S.Zero)}
         definitions, constants = self._shorthand(written, box)
-        self._check_numbers([*point.rates.values(), *point.initial.values()], box)
+        full_rates = [*point.rates.values(), *map(full, self.constraints.values())]
+        self._check_numbers([*full_rates, *point.initial.values()], box)
         names = {self.time.name, *map(name_of, (*rates, *box, *definitions, *constants))}
         return Problem(
             equations=[
-                sp.Eq(unknown.diff(self.time), rate, evaluate=False)
-                for unknown, rate in rates.items()
+                *(
+                    sp.Eq(unknown.diff(self.time), rate, evaluate=False)
+                    for unknown, rate in rates.items()
+                ),
+                *(sp.Eq(0, residual, evaluate=False) for residual in vanishing),
             ],
             time=(self.time, start, end),
             parameters=box,
@@ -167,6 +180,24 @@ class Model:
             constants=constants,
             definitions=definitions,
         )
+
+    def _check_happenings(self) -> None:
+        """Raise if an event depends on what a constraint determines: its start is not known yet."""
+        for each in self.happenings:
+            formulas = [each.trigger, each.delay, each.priority, *each.then.values()]
+            symbols = {
+                s
+                for e in formulas
+                if e is not None
+                for s in e.xreplace(self._expanded).free_symbols
+            }
+            for symbol in sorted(symbols & {*self.constraints}, key=str):
+                raise ProblemError(
+                    f"{each.label} depends on {quote(symbol)}, which an algebraic rule determines "
+                    "that is not linear in it",
+                    term=each.name,
+                    remedy="write an assignment rule",
+                )
 
     def _full(self, expression: Any) -> Any:
         """An expression or condition in unknowns and numbers, without definitions."""
@@ -270,11 +301,11 @@ class Model:
         symbols = {symbol.name: symbol for symbol in self.numbers}
         if text in symbols:
             return symbols[text]
-        by_name = {s.name: s for s in (*self.rates, *self.definitions)}
+        by_name = {s.name: s for s in (*self._states, *self.definitions)}
         message, remedy = f"the model has no parameter {quote(text)}", "see `model.parameters`"
         if text in by_name:
-            fault = "an unknown" if by_name[text] in self.rates else "computed from others"
-            table = self.initial if by_name[text] in self.rates else self.definitions
+            fault = "an unknown" if by_name[text] in self._states else "computed from others"
+            table = self.initial if by_name[text] in self._states else self.definitions
             origins = self._origins(table[by_name[text]])
             message += f": it is {fault}"
             remedy = f"vary {listing(origins)}" if origins else remedy
@@ -292,12 +323,13 @@ class Model:
     def __repr__(self) -> str:
         title = "Model" if self.name is None else f"Model {self.name!r}"
         lines = [
-            f"{title}: {count(len(self.rates), 'unknown')}, "
+            f"{title}: {count(len(self._states), 'unknown')}, "
             f"{count(len(self.numbers), 'parameter')}, {count(len(self.happenings), 'event')}"
         ]
-        used = reached([*self.rates.values()], self.definitions)
+        used = reached([*self.rates.values(), *self.constraints.values()], self.definitions)
         lines += [f"  {s} = {text_of(e)}" for s, e in self.definitions.items() if s in used]
         lines += [f"  d{symbol}/dt = {text_of(rate)}" for symbol, rate in self.rates.items()]
+        lines += [f"  0 = {text_of(residual)}" for residual in self.constraints.values()]
         lines += [f"  {s}({self.time}0) = {text_of(e)}" for s, e in self.initial.items()]
         lines += [f"  {name} = {value:g}" for name, value in self.parameters.items()]
         lines += [f"  {each.name}: when {each.trigger}" for each in self.happenings]

@@ -42,6 +42,7 @@ def read_sbml(path: str | PathLike[str]) -> Model:
             name=model.getName() or model.getId() or None,
             time=assembly.time,
             rates=assembly.rates,
+            constraints=assembly.constraints,
             initial=assembly.initial,
             definitions=assembly.definitions,
             numbers=assembly.numbers,
