@@ -77,6 +77,16 @@ def test_starts_are_where_long_integrations_end(model, conditions, start):
         np.testing.assert_allclose(solution(t=[0, 5], **names), trajectory, rtol=5e-6, atol=1e-8)
 
 
+def test_parameters_of_conditions_alone(recwarn):
+    base = sp.Symbol("base")
+    rest = ro.SteadyState(conditions={dose: base})
+    model = problem({x: dose - k * x}, {k: (1, 2), base: (1, 3)}, rest, constants={dose: 0.5})
+    solution = ro.solve(model, rtol=1e-6)
+    assert not recwarn
+    expected = 0.5 / 1.3 + (2 / 1.3 - 0.5 / 1.3) * np.exp(-1.3)
+    np.testing.assert_allclose(solution(t=1, k=1.3, base=2), [expected], rtol=2e-6)
+
+
 def test_totals_are_exact():
     p = np.random.default_rng(1).uniform([[1], [0.5]], [[2], [2]], (2, 50))
     start = ro.compile(network()).system.initial(p)

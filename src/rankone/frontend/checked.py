@@ -14,6 +14,8 @@ from rankone.expressions.admissible import closed
 from rankone.expressions.unknowns import rate_of
 from rankone.frontend.algebraic import has_constraints, reduced
 from rankone.frontend.box import (
+    Box,
+    Time,
     check_correlation,
     check_parameters,
     check_time,
@@ -66,18 +68,60 @@ class CheckedProblem(ProblemContent):
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
-        shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time[0])
-        check_apart(shorthand, box, self.initial)
         equations = listed_equations(self.written["equations"])
+        shorthand, residuals = self._put_in(equations, box, time[0])
+        symbols = self._symbols(residuals, box, time, shorthand)
         declared = [*box, *shorthand.symbols]
-        check_symbols_as_unknowns(equations, declared, self.initial, time[0])
+        conditions = self._conditions(residuals, symbols)
+        moving = conditions.pop("moving")
+        self._keep(
+            equations=equations,
+            time=time,
+            parameters=MappingProxyType(box),
+            distributions=MappingProxyType(distributions),
+            correlation=MappingProxyType(check_correlation(self.correlation, box)),
+            constants=MappingProxyType(dict(shorthand.constants)),
+            definitions=MappingProxyType(dict(shorthand.definitions)),
+            shorthand=shorthand,
+            units=MappingProxyType(check_units(self.units, time[0], declared, symbols.states)),
+            atol=MappingProxyType(check_tolerances(self.atol, symbols.states, time[0])),
+            unknowns=symbols.unknowns,
+            residuals=tuple(residuals),
+            **conditions,
+        )
+        if isinstance(self.written["initial"], SteadyState):
+            self._keep(rest=self._under_conditions(self.written["initial"], symbols))
+        if has_constraints(residuals, symbols.unknowns, time[0]):
+            self._reduce(symbols.states)
+            return
+        self._keep(mass=check_mass(residuals, symbols.unknowns, self.coordinates))
+        self._take_out_impulses(symbols, moving)
+        self._take_out_rates()
+
+    def _keep(self, **attributes: Any) -> None:
+        """Set attributes; from outside they are frozen."""
+        for name, attribute in attributes.items():
+            object.__setattr__(self, name, attribute)
+
+    def _put_in(
+        self, equations: Sequence[sp.Basic], box: Box, time: sp.Symbol
+    ) -> tuple[Shorthand, list[sp.Expr]]:
+        """Constants and definitions, and the residuals of the equations with these put in."""
+        shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time)
+        check_apart(shorthand, box, self.initial)
+        check_symbols_as_unknowns(equations, [*box, *shorthand.symbols], self.initial, time)
         arguments = {**self.written, "equations": equations}
         shorthand = with_decisive(shorthand, arguments)
-        residuals = check_equations(equations, time[0], shorthand)
+        residuals = check_equations(equations, time, shorthand)
         if coupled := coupled_by(residuals):
             shorthand = with_decisive(shorthand, arguments, coupled)
-            residuals = check_equations(equations, time[0], shorthand)
-        residuals = [closed(residual) for residual in residuals]
+            residuals = check_equations(equations, time, shorthand)
+        return shorthand, [closed(residual) for residual in residuals]
+
+    def _symbols(
+        self, residuals: Sequence[sp.Expr], box: Box, time: Time, shorthand: Shorthand
+    ) -> Symbols:
+        """The unknowns and states of the residuals, and what else expressions may name."""
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
         named_states = [(name_of(state), state) for state in states]
@@ -87,12 +131,16 @@ class CheckedProblem(ProblemContent):
         rates = () if constrained else tuple(sorted(highest, key=sp.default_sort_key))
         symbols = Symbols(time, tuple(box), unknowns, states, shorthand, rates)
         check_symbols(residuals, symbols)
+        return symbols
+
+    def _conditions(self, residuals: Sequence[sp.Expr], symbols: Symbols) -> dict[str, Any]:
+        """Initial values, jumps and events, by name; and how many jumps ``moving`` are events."""
         rest = self.initial if isinstance(self.initial, SteadyState) else None
-        free = algebraic_unknowns(residuals) if rest is None else states
+        free = algebraic_unknowns(residuals) if rest is None else symbols.states
         initial = check_initial(self.initial, symbols, free)
         initial = {state: closed(start) for state, start in initial.items()}
         if rest is not None:
-            initial = {state: initial.get(state, sp.S.Zero) for state in states}
+            initial = {state: initial.get(state, sp.S.Zero) for state in symbols.states}
         known, moving = moving_jumps(self.jumps, symbols)
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
@@ -101,47 +149,28 @@ class CheckedProblem(ProblemContent):
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
         events = check_events([*self.events, *moving] if moving else self.events, symbols)
         of_events = [expression for event in events for expression in event.expressions]
-        check_lengths([*initial.values(), *after_jumps, *of_events], 0)
-        expressions = [*residuals, *initial.values(), *after_jumps, *of_events]
-        check_distinct(expressions)
-        used = sp.Tuple(*expressions).free_symbols
-        for symbol in box:
+        further = [*initial.values(), *after_jumps, *of_events]
+        check_lengths(further, 0)
+        check_distinct([*residuals, *further])
+        before = [] if rest is None else rest.conditions.values()
+        before = [expression for expression in before if isinstance(expression, sp.Basic)]
+        used = sp.Tuple(*residuals, *further, *before).free_symbols
+        for symbol in symbols.parameters:
             if symbol not in used:
                 warn(
                     f"parameter {quote(symbol)} appears nowhere in the problem",
                     remedy="remove it from `parameters`",
                 )
-        checked = {
-            "equations": equations,
-            "time": time,
-            "parameters": MappingProxyType(box),
-            "distributions": MappingProxyType(distributions),
-            "correlation": MappingProxyType(check_correlation(self.correlation, box)),
+        return {
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
             "events": events,
-            "constants": MappingProxyType(dict(shorthand.constants)),
-            "definitions": MappingProxyType(dict(shorthand.definitions)),
-            "shorthand": shorthand,
-            "units": MappingProxyType(check_units(self.units, time[0], declared, states)),
-            "atol": MappingProxyType(check_tolerances(self.atol, states, time[0])),
-            "unknowns": unknowns,
-            "residuals": tuple(residuals),
+            "moving": len(moving),
         }
-        for name, attribute in checked.items():
-            object.__setattr__(self, name, attribute)
-        if rest is not None:
-            object.__setattr__(self, "rest", self._under_conditions(rest, symbols, constrained))
-        if constrained:
-            self._reduce(states)
-            return
-        object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
-        self._take_out_impulses(symbols, len(moving))
-        self._take_out_rates()
 
-    def _under_conditions(self, rest: SteadyState, symbols: Symbols, constrained: bool) -> Any:
+    def _under_conditions(self, rest: SteadyState, symbols: Symbols) -> Any:
         """The problem before the start, which comes to rest."""
-        if constrained:
+        if has_constraints(self.residuals, self.unknowns, self.time[0]):
             raise ProblemError(
                 "the start is a steady state, and there are algebraic equations",
                 term=rest,
@@ -170,7 +199,7 @@ class CheckedProblem(ProblemContent):
         leading = set(self.mass.leading)
         if any(event.when.atoms(sp.Derivative) & leading for event in self.events):
             rates = dict(zip(self.mass.leading, self.mass.solved()[0], strict=True))
-            object.__setattr__(self, "events", without_rates(self.events, rates))
+            self._keep(events=without_rates(self.events, rates))
 
     def _reduce(self, states: Sequence[sp.Expr]) -> None:
         """Reduce algebraic equations, and complete initial values and resets by them."""
@@ -179,15 +208,13 @@ class CheckedProblem(ProblemContent):
         initial = consistent_initial(self.initial, states, reduction, self.time)
         check_consistent(initial, reduction, self.coordinates)
         jumps = consistent_jumps(self.jumps or {}, reduction, self.time[0])
-        completed = {
-            "reduction": reduction,
-            "mass": reduction.mass,
-            "initial": MappingProxyType(initial),
-            "jumps": MappingProxyType(jumps),
-            "events": consistent_events(self.events, reduction),
-        }
-        for name, attribute in completed.items():
-            object.__setattr__(self, name, attribute)
+        self._keep(
+            reduction=reduction,
+            mass=reduction.mass,
+            initial=MappingProxyType(initial),
+            jumps=MappingProxyType(jumps),
+            events=consistent_events(self.events, reduction),
+        )
 
     def _take_out_impulses(self, symbols: Symbols, first: int) -> None:
         """Make events of the impulses at times of parameters, numbered from ``first`` on."""
@@ -203,13 +230,9 @@ class CheckedProblem(ProblemContent):
             return
         gone = dict.fromkeys(found, sp.S.Zero)
         residuals = tuple(residual.xreplace(gone) for residual in self.residuals)
-        changed = {
-            "equations": tuple(equation.xreplace(gone) for equation in self.equations),
-            "residuals": residuals,
-            "events": check_events(
-                [*self.events, *impulse_events(impulses, symbols, first)], symbols
-            ),
-            "mass": check_mass(residuals, self.unknowns, self.coordinates),
-        }
-        for name, attribute in changed.items():
-            object.__setattr__(self, name, attribute)
+        self._keep(
+            equations=tuple(equation.xreplace(gone) for equation in self.equations),
+            residuals=residuals,
+            events=check_events([*self.events, *impulse_events(impulses, symbols, first)], symbols),
+            mass=check_mass(residuals, self.unknowns, self.coordinates),
+        )
