@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import scipy.integrate
+import sympy as sp
 
 import rankone as ro
+from tests.honesty.cases import unknown
 
 RTOL = 1e-4
 
@@ -110,3 +112,65 @@ def test_a_switch_beside_a_jump_at_a_known_time():
     for (c,) in points({"c": (0.3, 0.4)}):
         exact = made.trajectory(times, c=c, rtol=1e-10).values
         np.testing.assert_allclose(solution(t=times, c=c), exact, atol=2 * RTOL)
+
+
+@pytest.mark.parametrize("name", ["switch_0", "side_1"])
+def test_names_of_the_user_are_left_alone(name):
+    box = {"side_0": (0.8, 1.2)}
+    half = ro.Event(unknown("v") - sp.Rational(1, 2), "falling", name=name)
+    slide = problem({"v": "-side_0*sign(v)"}, {"v": 1}, box, 2, events=[half])
+    solution = ro.solve(slide, RTOL)
+    assert solution.success
+    assert solution.event_times(name, side_0=1.0) == pytest.approx([0.5], abs=1e-6)
+    assert solution(t=2.0, side_0=1.0) == pytest.approx([0.0], abs=RTOL)
+
+
+def test_a_switch_at_an_unknown_that_stays_zero():
+    """There sign(x) is 0, as it is in SymPy."""
+    resting = problem({"x": "-a*x", "y": "sign(x) + a"}, {"x": 0, "y": 0}, {"a": (0.8, 1.2)}, 2)
+    solution = ro.solve(resting, RTOL)
+    assert solution.success
+    np.testing.assert_allclose(solution(t=2.0, a=0.9), [0.0, 1.8], atol=RTOL)
+
+
+def test_a_system_without_parameters_sticks():
+    solution = ro.solve(problem({"v": "-sign(v)"}, {"v": 1}, {}, 2), RTOL)
+    assert solution.success
+    np.testing.assert_allclose(solution(t=[0.5, 1.5]), [[0.5, 0.0]], atol=RTOL)
+
+
+def test_a_push_ends_a_stick():
+    box = {"b": (0.9, 1.1)}
+    pushed = problem({"v": "2*Heaviside(t - 2) - b*sign(v)/2 - v"}, {"v": 0.5}, box, 4)
+    solution = ro.solve(pushed, RTOL)
+    assert solution.success
+    moving = (2 - 0.5) * (1 - np.exp(-2.0))
+    np.testing.assert_allclose(solution(t=[1.5, 4.0], b=1.0), [[0.0, moving]], atol=RTOL)
+
+
+def test_a_surface_that_repels_is_left():
+    """From t with sin t = -0.2 the surface x = 0 repels, and the drift is upwards."""
+    turned = {"x": "-a*sign(x)*sign(y) + 0.3", "y": "cos(t)"}
+    box = {"a": (0.9, 1.1)}
+    solution = ro.solve(problem(turned, {"x": 0.5, "y": 0.2}, box, 4), RTOL)
+    assert solution.success
+    late = 4 - (np.pi + np.arcsin(0.2))
+    np.testing.assert_allclose(solution["x"](t=[2.0, 4.0], a=1.0), [0.0, 1.3 * late], atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    "rate", ["300*Heaviside(x/a - 0.999999)", "Piecewise((1e5, (x - 0.5)**2 < 1e-10), (0, True))"]
+)
+def test_a_short_visit_of_a_side_is_not_overlooked(rate):
+    """The solution is right, or there is none."""
+    visited = problem(
+        {"x": "v", "v": "-x", "y": rate}, {"x": 0, "v": "a", "y": 0}, {"a": (0.9, 1.1)}, 3
+    )
+    compiled = ro.compile(visited)
+    try:
+        solution = compiled.solve(1e-3, effort=0.3)
+    except ro.ConvergenceError:
+        return
+    lengths = np.pi - 2 * np.arcsin(0.999999), 2 * (np.arcsin(0.50001) - np.arcsin(0.49999))
+    exact = 300 * lengths[0] if "300" in rate else 1e5 * lengths[1]
+    assert not solution.success or solution["y"](t=3.0, a=1.0) == pytest.approx(exact, rel=5e-3)

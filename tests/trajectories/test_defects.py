@@ -20,6 +20,7 @@ SHAPES = {
     "rational": ("1/(1 + Z**2)", np.pi),
     "reciprocal": ("1/cosh(Z)**2", 2.0),
     "pulse": ("Piecewise((1, (Z > 0) & (Z < 1)), (0, True))", 1.0),
+    "window": ("Piecewise((1, Z**2 < 1), (0, True))", 2.0),
     "hat": ("Max(0, 1 - Abs(Z))", 1.0),
     "steps": ("(tanh(9*Z) - tanh(9*Z - 9))/2", 1.0),
 }

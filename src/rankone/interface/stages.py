@@ -101,7 +101,10 @@ class CompiledStages:
         further = [*first_order.initial, *jumps, *first_order.event_expressions]
         features = features_of(first_order.coordinates, first_order.rhs, further)
         held = self._held_form
-        return features if held is None else replace(features, switches=held.switches)
+        if held is None:
+            return features
+        names = (event.name for event in held.events[-len(held.switches) :])
+        return replace(features, switches=dict(zip(names, held.switches, strict=True)))
 
     def form_for(self, method: str) -> CompiledStages | LiftedProblem | StretchedProblem:
         """What a method takes: an object with ``separated``, ``source`` and ``system``.

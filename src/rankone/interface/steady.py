@@ -29,6 +29,7 @@ from rankone.trajectories.branches import check_one_branch
 from rankone.trajectories.rest import SteadyStates, at_rest
 from rankone.verification.points import FEW_PARAMETERS, check_points
 
+_SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle
 _USUAL_HORIZONS = 100.0  # Horizons of the problem that trajectories may take to settle
 _FINER = 0.01  # Factor of the tolerance until gradients are within it
 _LEAST_RTOL = 1e-10
@@ -95,7 +96,7 @@ def steady_state(
     system, (start, end) = compiled.system, compiled.system.horizon
     longest = _USUAL_HORIZONS * (end - start)
     if settle is not None:
-        longest = checked_number("settle", settle, 0.0, 1e300, float)
+        longest = checked_number("settle", settle, _SHORTEST, 1e300, float)
     states = compiled.first_order.states
     rows = [i for i, state in enumerate(states) if state.role is Role.UNKNOWN]
     engine = ENGINES["cross"]

@@ -74,14 +74,13 @@ class Engine:
                 outcome = self._solve_as_written(system, request, report)
                 if outcome.status in _SOLVED:
                     return outcome
-        try:
-            with limited(*_part(_HELD_SHARE)):
-                outcome = self._solve_over_stretches(system.held, request, report)
-            if outcome.status in _SOLVED:
-                return outcome
-        except ConvergenceError:
-            pass
-        return self._solve_as_written(system, request, report)
+        held: Outcome | None = None
+        with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
+            held = self._solve_over_stretches(system.held, request, report)
+            if held.status in _SOLVED:
+                return held
+        outcome = self._solve_as_written(system, request, report)
+        return held if held is not None and _is_better(held, outcome) else outcome
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve with the switches of the rates as they are."""
@@ -175,6 +174,15 @@ class Engine:
         """Solve a generated system directly, by default on the domain it was written for."""
         request = SolveRequest.of(system, [self.options], options, rtol=rtol, check=check)
         return self.solve(system, replace(request, domain=domain or request.domain), report)
+
+
+def _is_better(one: Outcome, other: Outcome) -> bool:
+    """Whether an outcome without success has more than another one: slabs, or a smaller error."""
+    if other.status in _SOLVED or not one.slabs or one.measured is None:
+        return False
+    if not other.slabs or other.measured is None:
+        return True
+    return one.measured.error < other.measured.error
 
 
 def solve_with(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -73,7 +73,8 @@ class SymbolicFeatures:
     """Where expressions of a system are not smooth; see :class:`rankone.ir.features.Features`.
 
     There are cuts for each coordinate; peaks, kinks and steps are the surfaces over the states.
-    ``names`` are those of the coordinates; ``switches`` are the surfaces whose sides are held.
+    ``names`` are those of the coordinates; ``switches`` are the surfaces whose sides are held, by
+    the names of their events.
     """
 
     cuts: tuple[Cuts, ...]
@@ -84,7 +85,7 @@ class SymbolicFeatures:
     kinks: tuple[sp.Expr, ...]
     steps: tuple[sp.Expr, ...]
     names: tuple[str, ...]
-    switches: tuple[sp.Expr, ...] = ()
+    switches: Mapping[str, sp.Expr] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """What is not smooth, one line a feature."""
@@ -99,8 +100,8 @@ class SymbolicFeatures:
             for point, period in sorted(cuts.periodic)
         ]
         lines += [f"at {self.names[0]} = {text_of(time)}" for time in self.moving_cuts]
-        lines += [f"switch_{k}: {text_of(g)} = 0" for k, g in enumerate(self.switches)]
-        held = {*self.switches, *(-g for g in self.switches)}
+        lines += [f"{name}: {text_of(g)} = 0" for name, g in self.switches.items()]
+        held = {sign * g for g in self.switches.values() for sign in (1, -1)}
         others = (g for g in self.state_surfaces if g not in held)
         lines += [f"where {text_of(g)} = 0" for g in (*others, *self.parameter_surfaces)]
         return "\n".join(lines or ["smooth everywhere"])

@@ -92,6 +92,8 @@ class _Replacement:
         self.switches: list[_Switch] = []
         self._system = system
         self._names = {state.name for state in system.states}
+        self._names |= {coordinate.name for coordinate in system.coordinates}
+        self._names |= {event.name for event in system.events}
         self._by_surface: dict[sp.Expr, _Switch] = {}
 
     def held(self, expression: sp.Expr, bounded: bool = False) -> sp.Expr:
@@ -146,20 +148,25 @@ class _Replacement:
             if switch := self._by_surface.get(known):
                 switch.jumps |= jumps
                 return sign * switch.side
-        name = next(n for k in itertools.count() if (n := f"side_{k}") not in self._names)
-        self._names.add(name)
+        name, event_name = self._new_name("side"), self._new_name("switch")
         t = self._system.coordinates[0].symbol
         switch = _Switch(
             surface,
             written,
             sp.Dummy(name, real=True),
             sp.Function(name)(t),
-            f"switch_{len(self.switches)}",
+            event_name,
             jumps,
         )
         self.switches.append(switch)
         self._by_surface[surface] = switch
         return switch.side
+
+    def _new_name(self, stem: str) -> str:
+        """A name that nothing else has."""
+        name = next(n for k in itertools.count() if (n := f"{stem}_{k}") not in self._names)
+        self._names.add(name)
+        return name
 
 
 def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
@@ -259,7 +266,7 @@ class _Sliding:
             speed = speed.xreplace({group[0].state: sp.S.Zero})  # it chooses no branch while 0
             slope = _slope(speed, unknowns[0])
             drift = speed.subs(unknowns[0], 0)
-            self.pulls[unknowns[0]] = drift, slope
+            self.pulls[unknowns[0]] = drift, -slope  # positive where it attracts from both sides
             on_side = group[0].state, _on_side(group[0])
             return {unknowns[0]: sp.Piecewise(on_side, (-drift / slope, True))}
         matrix, vector = sp.Matrix(rows), sp.Matrix(right)
@@ -327,7 +334,7 @@ class _Sides:
     def _sides_at(self, values: Mapping[sp.Expr, sp.Expr]) -> list[sp.Expr]:
         """The sides of the surfaces on which states have some values.
 
-        On a surface it is where trajectories go on to, or 0 where they slide.
+        On a surface it is where trajectories go on to, or 0 where they slide or rest.
         """
         heights: list[sp.Expr] = []
         signs: dict[sp.Expr, sp.Expr] = {}
@@ -342,10 +349,11 @@ class _Sides:
                     each.xreplace(signs).xreplace(values)
                     for each in self._sliding.pulls[switch.side]
                 )
-                onward = sp.sign(drift) * sp.Heaviside(sp.Abs(drift) - sp.Abs(pull), 0)
+                onward = sp.sign(drift) * sp.Heaviside(sp.Abs(drift) - pull, 0)
             else:
                 speed = self._sliding.speeds[k].xreplace(signs).xreplace(values)
-                onward = _or_else(sp.sign(speed), sp.S.One)
+                stays = sp.S.Zero if switch.jumps else sp.S.One  # a kink is the same on both sides
+                onward = _or_else(sp.sign(speed), stays)
             sides.append(_or_else(sp.sign(height), onward))
         return sides
 
@@ -358,7 +366,8 @@ class _Sides:
                 speed = self._sliding.speeds[k].xreplace({switch.side: side})
                 speed = speed.xreplace(self._sliding.sides).xreplace({side: -side})
                 passes = sp.Heaviside(-side * speed, 0)
-                height = sp.Piecewise((height, _on_side(switch)), (pull**2 - drift**2, True))
+                stays = pull * sp.Abs(pull) - drift**2
+                height = sp.Piecewise((height, _on_side(switch)), (stays, True))
                 other = sp.Piecewise((-side * passes, _on_side(switch)), (sp.sign(drift), True))
             else:
                 other = -side

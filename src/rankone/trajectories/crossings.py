@@ -14,14 +14,17 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
-from rankone.trajectories.defects import roots
+from rankone.trajectories.defects import roots_or_jumps
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
 _ON_SURFACE = 0.1  # Height where a path begins, over its change to the next node: rounding
+_ROUNDING = 1e-9  # Height, over the largest one on a path, that is rounding where it just crossed
 _LOOK_COST = 10.0  # Operations of an event function for each number that it reads
-_MOST_HALVINGS = 12  # Most halvings of a step in which an event may hide
+_MOST_DIVISIONS = 12  # Most divisions of a step in which an event may hide
+_NEWTON_STEPS = 4  # Iterations to where a polynomial is nearest to zero
+_AT_END = 1e-4  # Distance from an end of a step, as a share, that is the end
 _UNRESOLVED = 1e-3  # Error of a polynomial between the nodes, over its size, that may hide a root
 _NEAR = 4.0  # Distance from zero, in such errors, within which there may be one
 _GRAZING = 0.05  # Least distance from zero inside of a step, over its size, that may hide two
@@ -31,15 +34,18 @@ _BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
 
 
+# From values at the nodes of a step to the coefficients of the powers of shares
+_TO_COEFFICIENTS = np.linalg.inv(np.vander(NODES, increasing=True))
+
+
 def _interpolation(shares: Array) -> Array:
-    """From values at the nodes of a step to those of the polynomial at shares, (shares, nodes)."""
-    powers = np.vander(2.0 * shares - 1.0, NODES.size, increasing=True)
+    """From values at the nodes of a step to those of the polynomial at shares, (..., nodes)."""
+    powers = (2.0 * shares - 1.0)[..., None] ** np.arange(NODES.size)
     return np.asarray(powers @ step_coefficients(np.eye(NODES.size)[None])[:, 0])
 
 
 _TO_BETWEEN, _TO_FINE = _interpolation(_BETWEEN), _interpolation(_FINE)
-_TO_START_SLOPE = np.linalg.solve(np.vander(NODES, increasing=True).T, np.eye(NODES.size)[1])
-_TO_HALVES = _interpolation(0.5 * NODES), _interpolation(0.5 + 0.5 * NODES)
+_TO_START_SLOPE = _TO_COEFFICIENTS[1]
 
 
 @dataclass(frozen=True)
@@ -76,52 +82,82 @@ class _Steps:
         return _heights(event, times, states, parameters).reshape(-1, shares.size)
 
     def resolved(self, event: SystemEvent) -> tuple[_Steps, Array]:
-        """Steps halved until polynomials resolve what crosses zero, where it may do so.
+        """Steps divided until polynomials resolve what crosses zero, where it may do so.
 
         What crosses zero is given at their nodes, (S, nodes).
         """
         steps, done = self, list[tuple[_Steps, Array]]()
-        for halvings in range(_MOST_HALVINGS + 1):
+        for divisions in range(_MOST_DIVISIONS + 1):
             at_nodes = steps.heights(event, NODES, steps.nodal)
-            hides = steps._hides(event, at_nodes)
-            if halvings == _MOST_HALVINGS or not hides.any():
+            with np.errstate(all="ignore"):  # what is not a number is no crossing
+                shares = steps._shares_to_divide(event, at_nodes)
+            hides = np.isfinite(shares)
+            if divisions == _MOST_DIVISIONS or not hides.any():
                 break
             if not hides.all():
                 done.append((steps._chosen(~hides), at_nodes[~hides]))
-            steps = steps._chosen(hides)._halved()
+            steps = steps._chosen(hides)._divided(shares[hides])
         return _in_order([*done, (steps, at_nodes)])
 
-    def _hides(self, event: SystemEvent, at_nodes: Array) -> NDArray[np.bool_]:
-        """Where what crosses zero may do so unseen, (S,), by its values at the nodes."""
+    def _shares_to_divide(self, event: SystemEvent, at_nodes: Array) -> Array:
+        """Where to divide steps in which what crosses zero may do so unseen, (S,), NaN elsewhere.
+
+        That is where it comes nearest to zero, or in the middle if polynomials do not resolve it.
+        """
         between = self.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, self.nodal))
         missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
         sizes = np.abs(np.concatenate([at_nodes, between], axis=1))
         largest, least = sizes.max(axis=1), sizes.min(axis=1)
-        hides = np.asarray((missed > _UNRESOLVED * largest) & (least <= _NEAR * missed))
-        same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
-        near = np.flatnonzero(same & (least <= _LOW * largest) & ~hides)
-        fine = np.abs(at_nodes[near] @ _TO_FINE.T)
-        lowest = fine.argmin(axis=1)
-        inside = (lowest > 0) & (lowest < fine.shape[1] - 1)
-        hides[near] = inside & (fine.min(axis=1) < _GRAZING * largest[near])
+        unresolved = (missed > _UNRESOLVED * largest) & (least <= _NEAR * missed)
         # a crossing soon after a start on the surface, such as that of a small bounce
         on_surface = np.abs(at_nodes[:, 0]) <= _ON_SURFACE * np.abs(at_nodes[:, 1] - at_nodes[:, 0])
         turned = np.sign(at_nodes @ _TO_START_SLOPE) * at_nodes[:, 1] < 0.0
-        return np.asarray(hides | (on_surface & turned))
+        shares = np.where(unresolved | (on_surface & turned), 0.5, np.nan)
+        same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
+        near = np.flatnonzero(same & (least <= _LOW * largest) & np.isnan(shares))
+        nearest, height = _nearest_to_zero(at_nodes[near] * np.sign(at_nodes[near, :1]))
+        inside = (nearest > _AT_END) & (nearest < 1.0 - _AT_END)
+        grazes = inside & (height < _GRAZING * largest[near])
+        shares[near[grazes]] = nearest[grazes]
+        return np.asarray(shares)
 
     def _chosen(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> _Steps:
         """Some of the steps."""
         begin, end, nodal = self.begin[chosen], self.end[chosen], self.nodal[chosen]
         return _Steps(begin, end, nodal, self.parameters[:, chosen], self.owner[chosen])
 
-    def _halved(self) -> _Steps:
-        """Both halves of all steps."""
-        halves = self._chosen(np.repeat(np.arange(self.begin.size), 2))
-        middle = 0.5 * (self.begin + self.end)
-        halves.end[::2] = halves.begin[1::2] = middle
-        for half, matrix in enumerate(_TO_HALVES):
-            halves.nodal[half::2] = np.matmul(matrix, self.nodal)
-        return halves
+    def _divided(self, shares: Array) -> _Steps:
+        """Both parts of all steps, divided at shares (S,) of their lengths."""
+        parts = self._chosen(np.repeat(np.arange(self.begin.size), 2))
+        border = self.begin + shares * (self.end - self.begin)
+        parts.end[::2] = parts.begin[1::2] = border
+        before, after = shares[:, None] * NODES, shares[:, None] + (1.0 - shares[:, None]) * NODES
+        parts.nodal[::2] = np.matmul(_interpolation(before), self.nodal)
+        parts.nodal[1::2] = np.matmul(_interpolation(after), self.nodal)
+        return parts
+
+
+def _nearest_to_zero(heights: Array) -> tuple[Array, Array]:
+    """Shares of steps where polynomials of positive ``heights`` (S, nodes) are least, and how much.
+
+    By Newton's method from the least of many values.
+    """
+    powers = heights @ _TO_COEFFICIENTS.T
+    slopes = powers[:, 1:] * np.arange(1.0, NODES.size)
+    bends = slopes[:, 1:] * np.arange(1.0, NODES.size - 1)
+    share = _FINE[(heights @ _TO_FINE.T).argmin(axis=1)]
+    for _ in range(_NEWTON_STEPS):
+        slope, bend = (_polynomial(each, share) for each in (slopes, bends))
+        step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend > 0.0)
+        share = np.clip(share - np.clip(step, -_FINE[1], _FINE[1]), 0.0, 1.0)
+    return share, _polynomial(powers, share)
+
+
+def _polynomial(coefficients: Array, share: Array) -> Array:
+    """Polynomials with coefficients (S, powers) at shares (S,)."""
+    return np.asarray(
+        (coefficients * share[:, None] ** np.arange(coefficients.shape[1])).sum(axis=1)
+    )
 
 
 def _in_order(parts: Sequence[tuple[_Steps, Array]]) -> tuple[_Steps, Array]:
@@ -211,7 +247,9 @@ class _Block:
                 for start in back[~through]:
                     instants[steps.owner[start]] = steps.begin[start : start + 1]
         if event.switch:  # on a side that rates have left, or do not let it stay on
-            for start in firsts[(heights[firsts, :2] < 0.0).all(axis=1)]:
+            left = (heights[firsts, :2] < 0.0).all(axis=1)
+            left &= ~(was_here & _arrives(steps, heights))
+            for start in firsts[left]:
                 instants[steps.owner[start]] = steps.begin[start : start + 1]
         before, after = np.sign(heights[:, :-1]), np.sign(heights[:, 1:])
         # not a number is no side
@@ -248,6 +286,23 @@ class _Block:
         return np.asarray(event.direction * slope > _CROSSING * np.abs(mean))
 
 
+def _arrives(steps: _Steps, heights: Array) -> NDArray[np.bool_]:
+    """Which paths begin on a surface but for rounding, and go on to where heights are positive.
+
+    So do those whose first height (S, nodes) beyond rounding is positive, or which rise from where
+    the first one is rounding.
+    """
+    firsts = np.flatnonzero(np.diff(steps.owner, prepend=-1))
+    largest = np.maximum.reduceat(np.abs(heights).max(axis=1), firsts)
+    rows, nodes = np.nonzero(np.abs(heights) > _ROUNDING * largest[steps.owner][:, None])
+    owners, places = np.unique(steps.owner[rows], return_index=True)
+    beyond = np.zeros(firsts.size)
+    beyond[owners] = heights[rows[places], nodes[places]]
+    first, second = heights[firsts, :2].T
+    rises = (np.abs(first) <= _ROUNDING * largest) & (second >= first)
+    return np.asarray(rises | (beyond >= 0.0))
+
+
 def _roots(
     event: SystemEvent,
     steps: _Steps,
@@ -268,7 +323,7 @@ def _roots(
             states = states * x + coefficient
         return _heights(event, begin + length * places, states.T, parameters)
 
-    shares = roots(height, heights[rows, nodes], heights[rows, nodes + 1])
+    shares = roots_or_jumps(height, heights[rows, nodes], heights[rows, nodes + 1])
     return np.asarray(begin + length * (a + width * shares))
 
 

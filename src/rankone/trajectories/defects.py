@@ -21,7 +21,10 @@ _MOST_CROSSING_DEFECT = 100.0  # At crossings, times the step, in tolerances; sm
 _MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
 _DIFFERENT_RATES = 0.5  # Defect over the rates from which a step missed something
 _MOST_ROOT_ITERATIONS = 30  # Most iterations for the time of a crossing; about ten suffice
+_JUMP = 1e-3  # Value at a root, over those at the ends, from which the function jumps there
 _ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
+_GRAZING = 0.1  # Least height of a parabola on a step, over those at its ends, that may be zero
+_TURNING_WIDTHS = (0.1, 0.02, 0.002)  # Widths of the parabolas that tell where a height turns
 _LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
 _PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
@@ -112,25 +115,15 @@ class DefectControl:
         defect does not count.
         """
         m = self.parameters.shape[1]
-        surfaces, n_peaks = self.features.state_surfaces, self.features.n_peaks
-        charge(2.0 * self.surfaces_cost(m))
-        start = surfaces(solver.t_old, y_before.reshape(-1, m), self.parameters)
-        end = surfaces(solver.t, solver.y.reshape(-1, m), self.parameters)
-        columns, which = np.nonzero((start * end < 0.0).T)
+        columns, which, shares = self._crossings(solver, y_before)
         if not columns.size:
             return np.zeros(m)
         before, h = self._spans(solver, columns)
         interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
         tolerated = _tolerated(solver, solver.y.reshape(-1, m))
-        look = _LOOK_COST(len(tolerated) * columns.size)
-
-        def distance(shares: Array) -> Array:
-            charge(self.surfaces_cost(columns.size) + look)
-            heights = surfaces(before + h * shares, interpolant(shares, False)[0], p)
-            return np.asarray(heights[which, np.arange(columns.size)])
 
         def largest(shares: Array, narrow: NDArray[np.bool_], kink: NDArray[np.bool_]) -> Array:
-            charge(self.rates_cost(columns.size) + 2.0 * look)
+            charge(self.rates_cost(columns.size) + 2.0 * _LOOK_COST(tolerated.size * columns.size))
             states, slopes = interpolant(shares, True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(rates - slopes)
@@ -139,7 +132,7 @@ class DefectControl:
             defect = np.where(narrow & unknown, (solver.t_bound - before) / h * defect, defect)
             return self._largest(defect / tolerated, columns)
 
-        shares = roots(distance, start[which, columns], end[which, columns])
+        n_peaks = self.features.n_peaks
         narrow = which < n_peaks + self.features.n_kinks
         worst = largest(shares, narrow, narrow & (which >= n_peaks))
         again = np.diff(columns, prepend=-1) == 0
@@ -148,6 +141,91 @@ class DefectControl:
             between = np.where(again, 0.5 * (shares + np.roll(shares, 1)), shares)
             worst = np.maximum(worst, largest(between, again, np.zeros_like(again)))
         return worst
+
+    def _crossings(
+        self, solver: Steps, y_before: Array
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """The columns whose steps cross state surfaces, in order, which ones, and at which shares.
+
+        A step that ends on the side where it began may have crossed a surface twice.
+        """
+        m, surfaces = self.parameters.shape[1], self.features.state_surfaces
+        begin, length = self._spans(solver, np.arange(m))
+        charge(3.0 * self.surfaces_cost(m) + _LOOK_COST(solver.y.size))
+        halfway = solver.interpolant(np.arange(m))(np.full(m, 0.5), False)[0]
+        start = surfaces(solver.t_old, y_before.reshape(-1, m), self.parameters)
+        middle = surfaces(begin + 0.5 * length, halfway, self.parameters)
+        end = surfaces(solver.t, solver.y.reshape(-1, m), self.parameters)
+        columns, which = np.nonzero((start * end < 0.0).T)
+        turns = turning_shares(start, middle, end)
+        returning, of = np.nonzero(np.isfinite(turns).T)
+        share = turn = np.zeros(0)
+        if returning.size:
+            heights = self._heights(solver, returning, of)
+            share = turning_points(heights, turns[of, returning])
+            turn = heights(share)
+            twice = turn * start[of, returning] < 0.0
+            returning, of = returning[twice], of[twice]
+            share, turn = share[twice], turn[twice]
+        if not columns.size + returning.size:
+            return columns, which, share
+        low = np.concatenate([np.zeros(columns.size + share.size), share])
+        high = np.concatenate([np.ones(columns.size), share, np.ones(share.size)])
+        at_low = np.concatenate([start[which, columns], start[of, returning], turn])
+        at_high = np.concatenate([end[which, columns], turn, end[of, returning]])
+        columns = np.concatenate([columns, returning, returning])
+        which = np.concatenate([which, of, of])
+        order = np.argsort(columns, kind="stable")
+        columns, which = columns[order], which[order]
+        low, high = low[order], high[order]
+        heights = self._heights(solver, columns, which)
+
+        def between(shares: Array) -> Array:
+            return heights(low + (high - low) * shares)
+
+        return columns, which, low + (high - low) * roots(between, at_low[order], at_high[order])
+
+    def _heights(
+        self, solver: Steps, columns: NDArray[np.intp], which: NDArray[np.intp]
+    ) -> Callable[[Array], Array]:
+        """What vanishes on state surfaces, each in its column, at shares of steps."""
+        before, h = self._spans(solver, columns)
+        interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
+        states = solver.y.size // self.parameters.shape[1] * columns.size
+        cost = self.surfaces_cost(columns.size) + _LOOK_COST(states)
+
+        def heights(shares: Array) -> Array:
+            charge(cost)
+            there = self.features.state_surfaces(
+                before + h * shares, interpolant(shares, False)[0], p
+            )
+            return np.asarray(there[which, np.arange(columns.size)])
+
+        return heights
+
+
+def turning_shares(start: Array, middle: Array, end: Array) -> Array:
+    """Where the parabola through three heights of one sign at its ends comes near zero, else NaN.
+
+    The heights are at the shares 0, 1/2 and 1 of steps.
+    """
+    bend, slope = 2.0 * (start - 2.0 * middle + end), 4.0 * middle - 3.0 * start - end
+    shares = np.divide(-slope, 2.0 * bend, out=np.full_like(bend, np.nan), where=bend != 0.0)
+    nearest = (start + 0.5 * slope * shares) * np.sign(start)
+    largest = np.maximum(np.abs(start), np.abs(end))
+    turns = (start * end > 0.0) & (shares > 0.0) & (shares < 1.0) & (nearest < _GRAZING * largest)
+    return np.where(turns, shares, np.nan)
+
+
+def turning_points(function: Callable[[Array], Array], shares: Array) -> Array:
+    """Where functions turn, near shares in (0, 1): vertices of parabolas that get narrower."""
+    for width in _TURNING_WIDTHS:
+        inside = np.clip(shares, width, 1.0 - width)
+        left, here, right = (function(inside + shift) for shift in (-width, 0.0, width))
+        bend, slope = left - 2.0 * here + right, 0.5 * (right - left)
+        step = np.divide(-slope, bend, out=np.zeros_like(bend), where=bend * np.sign(here) > 0.0)
+        shares = inside + width * np.clip(step, -1.0, 1.0)
+    return np.asarray(shares)
 
 
 def _tolerated(solver: Steps, states: Array) -> Array:
@@ -158,6 +236,22 @@ def _tolerated(solver: Steps, states: Array) -> Array:
 
 def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """Roots in [0, 1] of functions that change sign from ``start`` to ``end`` (Illinois method)."""
+    a, b, start, end = _brackets(function, start, end)
+    return np.asarray(np.clip((a * end - b * start) / (end - start), a, b))
+
+
+def roots_or_jumps(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+    """The same; where the function jumps to the other sign, the place is behind the jump."""
+    a, b, low, high = _brackets(function, start, end)
+    places = np.clip((a * high - b * low) / (high - low), a, b)
+    jumps = np.abs(function(places)) > _JUMP * np.minimum(np.abs(start), np.abs(end))
+    return np.where(jumps, b, places)
+
+
+def _brackets(
+    function: Callable[[Array], Array], start: Array, end: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Intervals around the roots, and values at their ends, of which some are weighted."""
     a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
     side: NDArray[np.bool_] | None = None
     for _ in range(_MOST_ROOT_ITERATIONS):
@@ -175,4 +269,4 @@ def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array
         if exact.any():
             a, b = np.where(exact, x, a), np.where(exact, x, b)
             start, end = np.where(exact, -1.0, start), np.where(exact, 1.0, end)
-    return np.asarray(np.clip((a * end - b * start) / (end - start), a, b))
+    return a, b, start, end

@@ -195,7 +195,7 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
     sides = sides_of(clock.system, trajectory, order.stretches, clock.length)
 
     def named(ids: Sequence[int]) -> str:
-        return " with ".join(quote(events[k].name) for k in ids)
+        return " with ".join(dict.fromkeys(quote(events[k].name) for k in ids))
 
     for number, (here, there) in enumerate(itertools.zip_longest(met, order.instants), 1):
         if here == there:

@@ -9,6 +9,7 @@ from rankone.support.arrays import Array
 from rankone.trajectories.event_order import OrderError, at_point
 
 _SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
+_ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
 _BESIDE = 1e-5  # Distance beyond a surface, over the largest one, that is rounding and tolerance
 
 
@@ -32,7 +33,7 @@ def check_sides(clock: Clock, states: Array, times: Array, points: Array) -> Non
     p = np.broadcast_to(points.T[:, :, None, None], (points.shape[1], *times.shape))
     lengths = np.ptp(times, axis=2, keepdims=True)
     long = np.broadcast_to(lengths > _BESIDE * clock.length, times.shape).ravel()
-    flat = states.reshape(len(states), -1), times.ravel(), p.reshape(points.shape[1], -1)
+    flat = states.reshape(len(states), -1), times.ravel(), p.reshape(points.shape[1], times.size)
     crossings = (event for event in system.events if event.switch and event.then is not None)
     for k, event in enumerate(crossings, first):
         sides = np.rint(flat[0][k])
@@ -41,9 +42,11 @@ def check_sides(clock: Clock, states: Array, times: Array, points: Array) -> Non
         with np.errstate(all="ignore"):
             heights = np.broadcast_to(event.when(flat[1], above, flat[2]), sides.shape)
             stays = np.broadcast_to(event.when(flat[1], flat[0], flat[2]), sides.shape)
-        beyond = np.where(sides == 0.0, np.abs(heights), -sides * heights)
-        wrong = beyond > _BESIDE * np.abs(heights).max()
-        wrong |= (sides == 0.0) & (stays < -_BESIDE * np.abs(stays).max())
+        slides = sides == 0.0
+        beyond = np.where(slides, np.abs(heights), -sides * heights)
+        held_back = np.sqrt(np.abs(stays[slides]).max(initial=0.0)) * clock.length
+        wrong = beyond > _BESIDE * np.abs(heights).max() + _ROUNDING * held_back
+        wrong |= slides & (stays < -_BESIDE * np.abs(stays).max())
         wrong &= long
         if wrong.any():
             at = int(np.flatnonzero(wrong)[0])

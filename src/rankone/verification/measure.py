@@ -288,9 +288,8 @@ class ReferenceSet:
         interior = self._interior(largest, axis=1).max(axis=1)
         units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
         corners = slice(1, 1 + self.corners)
-        units[:, corners] = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))[
-            :, None
-        ]
+        at_corners = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))
+        units[:, corners] = np.where(at_corners > 0.0, at_corners, 1.0)[:, None]
         measured = self._measured(errors.states / units, errors.off_constraints / units)
         at_shares = float((errors.at_shares / units).max())
         return replace(measured, time_error=errors.time, share_error=at_shares)
