@@ -53,7 +53,7 @@ _LEAST_ACCURACY = 3e-13
 _FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
 _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
-_SAME_TIME = 1e-7  # Difference of lengths, in horizons, of stretches that end at once
+_SAME_TIME = 0.1  # Difference of lengths of stretches that end at once, in horizons, over rtol
 _SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 _WIDTH = 1.0  # Width of what is undecided, over the tolerance
@@ -221,7 +221,7 @@ class _BranchSolve:
         if one.steps[step][0][0] != other.steps[step][0][0]:
             return False
         apart = np.abs(lengths[:, step - 1] - other_lengths[:, step - 1]).max()
-        return bool(apart <= _SAME_TIME * self.search.length)
+        return bool(apart <= _SAME_TIME * self.request.rtol * self.search.length)
 
     def _checked(
         self, outcomes: Sequence[Outcome], timeline: BranchedTimeline, orders: Sequence[Order]
