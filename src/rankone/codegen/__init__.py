@@ -7,6 +7,8 @@
 ``factors``             all known functions of a coordinate
 ``kernels``             the separated right-hand side of a group, on many columns at once
 ``rates``               right-hand sides and Jacobians, of systems that separate or do not
+``constraints``         what vanishes on all trajectories
+``rest``                rates before a start at a steady state
 ``pointwise``           the one writer of pointwise functions, and the printer that it takes
 ``printer``             SymPy expressions as NumPy text: the only user of ``sympy.printing``
 ``sums``                sums of products with few operations

@@ -1,7 +1,8 @@
 """What users write, validated here: problems in SymPy or text, and problem files.
 
 ======================  ==========================================================================
-:mod:`~.problem`        :class:`rankone.Problem`, which calls all the checks below
+:mod:`~.problem`        :class:`rankone.Problem`, what users build, change, save and integrate
+:mod:`~.checked`        its arguments validated, by all the checks below
 :mod:`~.box`            the time interval, the intervals or distributions of parameters, units
 :mod:`~.content`        what a checked problem holds, shows, and is compared by
 :mod:`~.shorthand`      constants and definitions
@@ -14,6 +15,7 @@
 :mod:`~.algebraic`      algebraic equations reduced to rates and constraints
 :mod:`~.elimination`    linear equations solved symbolically, and what they leave over
 :mod:`~.consistency`    initial values and resets that satisfy algebraic equations
+:mod:`~.steady_start`   starts at the steady state of other conditions
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
 :mod:`~.events`         what happens where an expression crosses zero
 :mod:`~.text`           formulas by name as the expressions that the checks take

@@ -2,8 +2,11 @@
 
 ==============  ==================================================================================
 ``compiled``    the pipeline from a problem to a generated module, and ``solve``
+``stages``      what was derived from a problem, and the forms that methods take
+``resting``     checks of starts at steady states
 ``renumbered``  a compiled problem with other numbers of its run-time constants
 ``lifted``      the lifted form of a problem, for methods that need separated terms
+``steady``      steady states as solutions of the parameters alone
 ``solution``    the solution with its statistics, outputs, fits, exports and files
 ==============  ==================================================================================
 """

@@ -7,6 +7,7 @@
 :mod:`~.reactions`  rates of reactions and what they change
 :mod:`~.rules`      rules and initial assignments
 :mod:`~.happenings` events as the file has them
+:mod:`~.algebraic`  algebraic rules: solved, or left as equations
 :mod:`~.elements`   all of these
 :mod:`~.assembly`   states and their rates, definitions, initial values, numbers
 :mod:`~.units`      units as texts

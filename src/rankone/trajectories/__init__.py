@@ -24,6 +24,7 @@ Read in this order:
 ``events``         roots of functions along trajectories, which end them or reset their states
 ``rest``           steady states that trajectories reach
 ``conservation``   sums of states that no rate changes, which steady states keep
+``resting_start``  starts at the steady states of other conditions
 ``branches``       whether the steady states over a box are on one branch
 ``diagnosis``      why trajectories end, and which states are numerically zero
 ``workers``        chunks of trajectories on several processes
