@@ -195,3 +195,12 @@ def test_integers_beyond_those_of_numpy():
     exact = np.sqrt(1.7) * np.exp(-np.sqrt(1.7))
     assert made.trajectory(1.0, k=0.7)["x"] == pytest.approx(exact, rel=1e-6)
     assert ro.solve(made, rtol=1e-6)(t=1.0, k=0.7) == pytest.approx(exact, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_trajectory_that_slides_is_left_to_solve():
+    box = {"mu": (0.45, 0.6)}
+    rates = {"x": "v", "v": "1.6*cos(t/2) - x - mu*sign(v)"}
+    problem = ro.Problem.from_strings(rates, {"x": "0", "v": "0.5"}, box, (0, 15))
+    with pytest.raises(ro.ConvergenceError, match=r"jump to and fro .* ro\.solve follows"):
+        problem.trajectory([14.0], mu=0.52)

@@ -35,6 +35,7 @@ _MOST_STALLS = 200  # Steps in a row that are shorter than rounding of time; the
 _MOST_STEPS = 200_000  # Steps of a trajectory: about a minute
 _SHORT_STEP = 1e-10  # Part of the horizon of the first step after one that failed
 _REACH = 1e-9  # Part of the horizon over which a trajectory is continued straight to an event
+_MOST_CROSSINGS = 2000  # Places where rates jump with the states: sliding crosses without end
 _MOST_ROUNDS = 100  # Rounds of events at one instant
 _SHARE_BEFORE = 0.98  # Of the time to a jump of the rates, up to which the next step may go
 
@@ -67,7 +68,7 @@ class Integration:
         self._occurrences: list[list[float]] = [[] for _ in equations.events.names]
         self._due: list[list[float]] = [[] for _ in equations.events.names]
         self._sides = Sides(equations.events, point)
-        self._steps = self._rounds = 0
+        self._steps = self._rounds = self._crossings = 0
         self._interrupted, self._ended = -np.inf, False
         self._first_step: float | None = None
         self._limit = np.inf  # before which rates do not jump with the states
@@ -192,6 +193,9 @@ class Integration:
             state = path(np.array([behind]))[:, 0]
             self._keep(behind, path)
             self._time, self._state, self._limit = behind, state, np.inf
+            self._crossings += 1
+            if self._crossings > _MOST_CROSSINGS:
+                raise self._chatters()
         return True
 
     def _keep(self, end: float, path: Callable[[Array], Array]) -> None:
@@ -391,6 +395,14 @@ class Integration:
             time=self._time,
             parameters=dict(zip(self.equations.parameters, self.point.tolist(), strict=True)),
             remedy="let time end earlier, or change the equations",
+        )
+
+    def _chatters(self) -> ConvergenceError:
+        return ConvergenceError(
+            f"the rates jump to and fro more than {_MOST_CROSSINGS} times; the trajectory has "
+            f"reached {self._place()}",
+            remedy="ro.solve follows what slides where rates jump: evaluate its solution, or smooth "
+            "the jump",
         )
 
     def _too_long(self) -> ConvergenceError:
