@@ -401,8 +401,8 @@ class Integration:
         return ConvergenceError(
             f"the rates jump to and fro more than {_MOST_CROSSINGS} times; the trajectory has "
             f"reached {self._place()}",
-            remedy="ro.solve follows what slides where rates jump: evaluate its solution, or smooth "
-            "the jump",
+            remedy="ro.solve follows what slides where rates jump: evaluate its solution, "
+            "or smooth the jump",
         )
 
     def _too_long(self) -> ConvergenceError:
