@@ -24,7 +24,12 @@ from rankone.trajectories.newton import (
     jacobians_for,
     sparse_pattern,
 )
-from rankone.trajectories.spectra import decays_faster, first_jacobian, growth_rate
+from rankone.trajectories.spectra import (
+    decays_faster,
+    first_jacobian,
+    growth_rate,
+    jacobian_blocks,
+)
 from rankone.trajectories.stacks import StackedIntegrator
 
 N, TIME = 80, 0.2
@@ -110,6 +115,12 @@ def test_growth_and_decay_are_those_of_eigenvalues(system, stack) -> None:
     fastest = -min(np.linalg.eigvals(b).real.min() for b in jacobians(system, points, TIME, states))
     assert decays_faster(system, points, TIME, states, 0.9 * fastest)
     assert not decays_faster(system, points, TIME, states, 1.1 * fastest)
+
+
+def test_blocks_of_some_states_are_parts_of_the_jacobian(system, stack) -> None:
+    rows = np.array([3, 4, 5, 40])
+    expected = jacobians(system, stack[0], TIME, stack[1])[:, rows[:, None], rows]
+    assert jacobian_blocks(system, *stack[:1], TIME, stack[1], rows) == pytest.approx(expected)
 
 
 def test_full_jacobians_are_dense(system) -> None:

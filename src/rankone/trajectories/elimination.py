@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -26,6 +27,7 @@ Places: TypeAlias = NDArray[np.intp]
 Solver: TypeAlias = Callable[[Array, Places], Array]
 """Solutions (c, n) of some of the matrices for right-hand sides, all in the order of elimination.
 """
+_KEPT = 8  # Eliminations that are kept: as many as one session works with at a time
 _ORDERS = ("MMD_AT_PLUS_A", "COLAMD")  # Orders of SuperLU that are tried
 _PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its column is the pivot
 # Operations of factors and of a solution: once, and for each entry of the factors
@@ -59,6 +61,7 @@ class Elimination(Protocol):
         """What solves with matrices of numbers (m, stored), which may be overwritten."""
 
 
+@lru_cache(_KEPT)
 def elimination_of(pattern: PatternJacobian) -> Elimination:
     """The cheapest way for matrices of a pattern with a diagonal."""
     band, sparse = BandElimination.of(pattern), SparseElimination.of(pattern)

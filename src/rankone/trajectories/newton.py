@@ -26,6 +26,7 @@ SPARSE_STATES = 64
 _MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
 _FEW_STAGES, _MORE_STAGES, _MOST_STAGES = 3, 5, 7  # Of dense and of sparse systems
 _TIGHT = 1e-5  # Relative tolerance below which sparse systems take most stages
+_ITERATIONS = 4  # Of Newton, in a step
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
 
 
@@ -73,6 +74,16 @@ def stages_for(system: System, tolerance: float) -> int:
     if sparse_pattern(system) is None:
         return _FEW_STAGES
     return _MOST_STAGES if tolerance < _TIGHT else _MORE_STAGES
+
+
+def implicit_step_cost(system: System) -> float | None:
+    """Operations of an implicit step of one trajectory; None where factors are not sparse."""
+    pattern = sparse_pattern(system)
+    if pattern is None:
+        return None
+    elimination = elimination_of(pattern)
+    matrices = (_MORE_STAGES + 1) / 2
+    return matrices * (elimination.factor_cost + _ITERATIONS * elimination.solution_cost)
 
 
 def entries_at(

@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse
+from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, eigs
 
 from rankone.ir.system import System
@@ -49,6 +50,22 @@ def first_jacobian(system: System, points: Array, time: float, states: Array) ->
         return block if np.isfinite(block).all() else None
     entries = entries_at(system, pattern, points[:1], time, states[:, :1])[:, 0]
     return scipy.sparse.csr_array((entries, (pattern.rows, pattern.columns)), shape=(n, n))
+
+
+def jacobian_blocks(
+    system: System, points: Array, time: float, states: Array, rows: NDArray[np.intp]
+) -> Array:
+    """The Jacobians of some states (r,) in themselves, of a stack: (m, r, r)."""
+    pattern = sparse_pattern(system)
+    if pattern is None:
+        return jacobians(system, points, time, states)[:, rows[:, None], rows]
+    places = np.full(system.n_differential, -1)
+    places[rows] = np.arange(rows.size)
+    own = np.flatnonzero((places[pattern.rows] >= 0) & (places[pattern.columns] >= 0))
+    entries = entries_at(system, pattern, points, time, states)[own]
+    blocks = np.zeros((len(points), rows.size, rows.size))
+    blocks[:, places[pattern.rows[own]], places[pattern.columns[own]]] = entries.T
+    return blocks
 
 
 def decays_faster(system: System, points: Array, time: float, states: Array, rate: float) -> bool:

@@ -31,7 +31,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.newton import jacobians_for, stages_for
+from rankone.trajectories.newton import implicit_step_cost, jacobians_for, stages_for
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.spectra import decays_faster
@@ -46,6 +46,7 @@ _RADAU_TOLERANCE = {3: 1.7, 5: 4.0, 7: 4.0}
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
+_IMPLICIT_STEPS = 20  # Implicit steps at least, whatever the time that is left
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
@@ -374,6 +375,16 @@ class _Stack:
         cost = function_cost(self.system.rhs, self.system.user_functions)
         return _SegmentRates(self.system.rhs, self.parameters, a + near, b - near, cost)
 
+    @cached_property
+    def _cheaper_steps(self) -> float:
+        """Explicit steps that cost less than the implicit ones of a system of many states."""
+        implicit = implicit_step_cost(self.system)
+        if implicit is None:
+            return 0.0
+        n, rates = self.shape[0], function_cost(self.system.rhs, self.system.user_functions)
+        explicit = _DOP853_STAGES * (rates.each + _STAGE_COST(n) - _STAGE_COST(0.0))
+        return _IMPLICIT_STEPS * implicit / explicit
+
     def _explicit_steps_left(self, solver: Stepper, count: int) -> float:
         """The explicit steps left, if stability limits them and they are not bearable; else 0.
 
@@ -386,7 +397,7 @@ class _Stack:
             return 0.0
         longest = solver.longest_tried()
         left = float((self.edges[-1] - solver.t) / solver.step_size)
-        if left <= self.options.bearable_steps:
+        if left <= max(self.options.bearable_steps, self._cheaper_steps):
             return 0.0
         rate, states = solver.stiff_product / longest, solver.y.reshape(self.shape)
         stiff = decays_faster(self.system, self.points, solver.t, states, rate)

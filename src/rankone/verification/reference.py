@@ -32,9 +32,8 @@ from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseTrajectories,
     Tolerances,
-    jacobians,
 )
-from rankone.trajectories.spectra import first_jacobian, growth_rate
+from rankone.trajectories.spectra import first_jacobian, growth_rate, jacobian_blocks
 from rankone.trajectories.stacks import has_smooth_rates
 from rankone.verification.points import check_points
 
@@ -230,7 +229,7 @@ class _Resolution:
         later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
-            blocks = jacobians(self.system, self.points, time, at)[:, small[:, None], small]
+            blocks = jacobian_blocks(self.system, self.points, time, at, small)
             if np.isfinite(blocks).all():
                 charge(len(blocks) * eigenvalues(small.size))
                 growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
