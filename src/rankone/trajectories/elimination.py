@@ -25,8 +25,7 @@ from rankone.support.arrays import Array
 
 Places: TypeAlias = NDArray[np.intp]
 Solver: TypeAlias = Callable[[Array, Places], Array]
-"""Solutions (c, n) of some of the matrices for right-hand sides, all in the order of elimination.
-"""
+"""Solutions (c, n) of some of the matrices for right-hand sides, in the order of elimination."""
 _KEPT = 8  # Eliminations that are kept: as many as one session works with at a time
 _ORDERS = ("MMD_AT_PLUS_A", "COLAMD")  # Orders of SuperLU that are tried
 _PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its column is the pivot
