@@ -22,6 +22,7 @@ COUNTS = {
     "doses": 4,
     "events": 5,
     "switches": 4,
+    "orders": 4,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")

@@ -221,3 +221,33 @@ def test_an_order_that_grazes_is_refused_with_its_event():
     grazing = text({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, {"a": (0.7, 1.4)}, 4, kick)
     with pytest.raises(ro.ConvergenceError, match=r"cannot be continued: .* `kick` at a = "):
         ro.solve(grazing, RTOL)
+
+
+def test_an_event_that_comes_before_the_start_in_a_part_of_the_box():
+    """It does not come there."""
+    problem = text({"x": "-x/2"}, {"x": 1}, {"a": (-1, 1.5)}, 3, DOSE)
+    solution = ro.solve(problem, RTOL)
+    assert solution.success
+    at = np.array([-0.9, -0.1, 0.1, 1.4])
+    wanted = np.exp(-1.5) + np.where(at > 0.0, np.exp(-0.5 * (3.0 - at)), 0.0)
+    np.testing.assert_allclose(solution(3.0, a=at)[0], wanted, rtol=2.0 * RTOL)
+    assert np.isnan(solution.event_times("dose", a=at)[0]).tolist() == [True, True, False, False]
+
+
+def test_events_that_coincide_at_a_corner_alone():
+    solution = ro.solve(
+        text({"x": "-x/2"}, {"x": 1}, {"a": (1, 2), "b": (2, 3)}, 5, DOSE, WASH), RTOL
+    )
+    assert solution.success
+    assert solution(5.0, a=1.5, b=2.5)[0] == pytest.approx(exact(5.0, 1.5, 2.5, 0.5), rel=RTOL)
+
+
+def test_an_end_that_comes_before_or_after_a_dose():
+    end = {"when": "x - 0.3", "direction": "falling", "terminal": True, "name": "end"}
+    box = {"a": (1, 3), "k": (0.3, 0.9)}
+    solution = ro.solve(text({"x": "-k*x"}, {"x": 1}, box, 5, DOSE, end), RTOL)
+    assert solution.success
+    assert solution.end(a=2.5, k=0.8) == pytest.approx(np.log(1 / 0.3) / 0.8, rel=RTOL)
+    assert np.isnan(solution(2.0, a=2.5, k=0.8)[0])
+    later = np.exp(-0.4 * 4.0) + np.exp(-0.4 * 1.5)
+    assert solution(4.0, a=2.5, k=0.4)[0] == pytest.approx(later, rel=2.0 * RTOL)

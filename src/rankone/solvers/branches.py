@@ -168,7 +168,7 @@ class _BranchSolve:
         """The orders, without those that a longer one goes on from."""
         branches = list[_Branch]()
         for order, places in self.search.groups().items():
-            if any(order.begins(other.order) for other in branches):
+            if any(self._goes_on(order, places, other) for other in branches):
                 continue
             if len(branches) == _MOST_BRANCHES:
                 raise OrderError(
@@ -176,6 +176,15 @@ class _BranchSolve:
                 )
             branches.append(_Branch(order, self.search.continued(order, places), places))
         return branches
+
+    def _goes_on(self, order: Order, places: NDArray[np.intp], other: _Branch) -> bool:
+        """Whether another branch has an order, and further events only after the end."""
+        if not order.begins(other.order):
+            return False
+        further = len(order.met) + 1
+        lengths = other.forced.lengths(self.search.points[places])[:, :further]
+        end = lengths.sum(axis=1)
+        return bool((end >= (1.0 - _PAST) * self.search.length).all())
 
     def _solved(self, solve: Solve, branch: _Branch) -> tuple[Outcome, Timeline]:
         """The outcome of one branch over the whole box, and its timeline."""

@@ -28,7 +28,7 @@ class BranchErrors:
 
     ``states`` (n, m) are the largest ones at clock times, and ``largest`` (n, m) the largest states
     there. ``time`` is the largest error of the time of an event, over the horizon. Points are
-    ``decided`` (m,) where one branch is ahead of all others.
+    ``decided`` (m,) where one branch is ahead of all others and no two of its events coincide.
     """
 
     states: Array
@@ -53,6 +53,7 @@ def branch_errors(
     n = system.n_differential - system.n_sides
     errors, largest = np.zeros((2, n, len(points)))
     decided = _margins(evaluator, points) >= evaluator.width
+    decided &= ~_coincide(evaluator, points)
     rows = slice(0, n)
     for k, (point, trajectory) in enumerate(zip(points, trajectories, strict=True)):
         times = compared_times(trajectory, system, evaluator.horizon, rtol)
@@ -69,6 +70,14 @@ def branch_errors(
         evaluator, points[decided], [t for t, d in zip(trajectories, decided, strict=True) if d]
     )
     return BranchErrors(errors, largest, time, decided)
+
+
+def _coincide(evaluator: BranchEvaluator, points: Array) -> NDArray[np.bool_]:
+    """Whether events of the branch that holds at points (m, d) are at about one time, (m,)."""
+    borders = evaluator.borders(np.ascontiguousarray(points.T))
+    inner = np.diff(borders, axis=0)[1:]
+    near = evaluator.width * (evaluator.horizon[1] - evaluator.horizon[0])
+    return np.asarray((inner < near).any(axis=0))
 
 
 def _time_error(
