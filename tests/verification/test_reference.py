@@ -10,7 +10,7 @@ from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.trajectories.choice import WatchedStack
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
-from rankone.verification.reference import integrate_reference
+from rankone.verification.reference import _Resolution, integrate_reference
 from tests.problems import REFERENCE
 
 t, k, a = sp.symbols("t k a")
@@ -147,3 +147,23 @@ def test_states_from_zero_that_are_amplified_take_two_integrations(monkeypatch):
             atol=1e-60,
         )
         np.testing.assert_allclose(reference(alone.t)[:, j], alone.y, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("small", "dips"), [([5], False), ([5, 6], True)])
+def test_a_state_that_passes_through_zero_is_no_dip(small, dips):
+    """What grows by itself has a tolerance of its own where it stays far below what it was."""
+    system = ro.compile(ro.Problem.from_strings({"x": "x"}, {"x": "1"}, {}, (0, 90))).system
+    times, states = np.linspace(0.0, 90.0, 11), np.ones((11, 1, 1))
+    states[small] = 1e-12
+
+    class Sampled:
+        end = 90.0
+
+        def samples(self, count):
+            return list(zip(times.tolist(), states, strict=True))
+
+        def __call__(self, later):
+            return np.ones((1, 1, later.size))
+
+    resolution = _Resolution(system, np.zeros((1, 0)), 0.0, 90.0, 1e-6, np.ones((1, 1)))
+    assert resolution._grows_again(Sampled()).tolist() == [[dips]]

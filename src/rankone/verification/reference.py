@@ -216,12 +216,14 @@ class _Resolution:
     def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
         """States (n, 1) that fall to a negligible part of what they were, and may grow again.
 
-        They grow by their own block of the Jacobian, whatever the others do. An integration that
-        does not resolve them makes noise of them, which grows as well.
+        They stay there from one sample to the next: others pass through zero. They grow by their
+        own block of the Jacobian, whatever the others do. An integration that does not resolve them
+        makes noise of them, which grows as well.
         """
         times, states = zip(*dense.samples(_DIP_SAMPLES), strict=True)
         sizes = np.abs(states)
-        below = sizes < _NEGLIGIBLE * np.maximum.accumulate(sizes, axis=0)
+        staying = np.maximum(sizes[:-1], sizes[1:])
+        below = staying < _NEGLIGIBLE * np.maximum.accumulate(sizes, axis=0)[:-1]
         dips = np.asarray(below.any(axis=(0, 2)))
         if not dips.any():
             return dips[:, None]
