@@ -254,6 +254,20 @@ def test_formulas(read, formula, expected):
     np.testing.assert_allclose(z, expected * times, rtol=1e-9)
 
 
+def test_an_event_sets_a_concentration_and_its_volume_at_once(read):
+    """The amount is that of the new volume."""
+    model = read(
+        d.document(
+            compartments=[d.compartment(size=2, constant=False)],
+            species=[d.species("S", concentration=2)],
+            events=[d.event("E", "time > 1", {"S": "5", "C": "2*C"})],
+        )
+    )
+    trajectory = model.problem(time=(0, 2)).trajectory([0.5, 1.5])
+    assert trajectory["C"].tolist() == [2, 4]
+    assert trajectory["S_amount"] == pytest.approx([4, 20])
+
+
 # -- events ---------------------------------------------------------------------------------------
 
 

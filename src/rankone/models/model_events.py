@@ -40,8 +40,14 @@ class _Reset:
     priority: sp.Expr | None
     overlapping: bool = True
 
+    @property
+    def values(self) -> dict[sp.Expr, sp.Expr]:
+        """What states are set to: concentrations times the sizes that the event leaves."""
+        after = {state: size.xreplace(dict(self.then)) for state, size in self.sizes.items()}
+        return {state: value * after.get(state, 1) for state, value in self.then.items()}
+
     def event(self, when: sp.Expr, name: str) -> Event:
-        then = {state: value * self.sizes.get(state, 1) for state, value in self.then.items()}
+        then = self.values
         persistent = self.happening.persistent
         return Event(
             when,
@@ -201,8 +207,8 @@ def _at_start(reset: _Reset, point: StartingPoint) -> list[Event]:
         fires = reset.trigger  # what another event at the start has turned false
     if fires != sp.true:
         then = {
-            state: sp.Piecewise((value * reset.sizes.get(state, 1), fires), (state, True))
-            for state, value in reset.then.items()
+            state: sp.Piecewise((value, fires), (state, True))
+            for state, value in reset.values.items()
         }
         reset = replace(reset, then=then, sizes={})
     name = reset.name if not point.changes(reset.trigger) else f"{reset.name}_at_start"
