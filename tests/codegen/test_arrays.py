@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.codegen.arrays import ARRAY_STATES
+from rankone.codegen.rates import ARRAY_STATES
 from rankone.ir.jacobian import pattern_of
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -58,6 +58,17 @@ def test_jacobian_has_the_pattern_and_the_slopes(system: System) -> None:
     assert pattern is not None
     assert {*zip(pattern.rows, pattern.columns, strict=True)} == {*zip(*expected.nonzero())}
     assert system.jacobian(0.4, u, [k, c]) == pytest.approx(expected, rel=1e-13, abs=1e-15)
+
+
+def test_rates_that_do_not_separate_have_a_pattern_too() -> None:
+    rhs = {f"x{i}": f"-k*x{i}/(1 + x{(i + 1) % N})" for i in range(N)}
+    system = ro.compile(ro.Problem.from_strings(rhs, dict.fromkeys(rhs, "c"), BOX, (0, 1))).system
+    u, k = np.random.default_rng(7).random(N), 0.7
+    ahead = 1 + np.roll(u, -1)
+    expected = np.diag(-k / ahead)
+    expected[np.arange(N), (np.arange(N) + 1) % N] = k * u / ahead**2
+    assert system.jacobian(0.0, u, [k, 0.2]) == pytest.approx(expected, rel=1e-13)
+    assert pattern_of(system.jacobian) is not None
 
 
 def decays(n: int) -> ro.CompiledProblem:

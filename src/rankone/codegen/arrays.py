@@ -11,9 +11,6 @@ from __future__ import annotations
 from rankone.codegen.rates import SeparatedWriter
 from rankone.codegen.text import docstring
 
-ARRAY_STATES = 64
-"""States from which on rates are array code."""
-
 _HELPERS = '''\
 def _matrices(terms, rows):
     """Sums of terms (coefficient, row, factors, states), by factors and degree.

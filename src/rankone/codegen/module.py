@@ -8,7 +8,7 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.arrays import ARRAY_STATES, ArrayWriter
+from rankone.codegen.arrays import ArrayWriter
 from rankone.codegen.constraints import constraint_blocks
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import general_header, header, sum_text
@@ -17,7 +17,7 @@ from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import numpy_text
-from rankone.codegen.rates import GeneralWriter, SeparatedWriter
+from rankone.codegen.rates import ARRAY_STATES, GeneralWriter, SeparatedWriter
 from rankone.codegen.rest import rest_blocks
 from rankone.codegen.text import (
     WIDTH,

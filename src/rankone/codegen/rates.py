@@ -20,13 +20,16 @@ from rankone.codegen.pointwise import (
 )
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.sums import Addend, share
-from rankone.codegen.text import commented, docstring
+from rankone.codegen.text import commented, docstring, nested, table
 from rankone.expressions.derivatives import Differentiator
 from rankone.expressions.stable import stable
 from rankone.ir.forms import QuadraticSystem, Term
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.well_posed import NamedExpression
+
+ARRAY_STATES = 64
+"""States from which on Jacobians are the entries of a pattern, and separated rates array code."""
 
 
 class SeparatedWriter(PointwiseWriter):
@@ -205,22 +208,39 @@ class GeneralWriter(PointwiseWriter):
         of_rates = f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."
         of_jacobian = f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."
         slopes = self._slopes()
+        right_hand_side = f"{prefix}rhs", "t, u, p", of_rates, (n,), rates, self._meaning
+        if n >= ARRAY_STATES and not prefix:
+            entries = self._jacobian_entries(slopes)
+            return [self.array(*right_hand_side), *entries, _unchanged_states(n)]
         return [
-            self.array(f"{prefix}rhs", "t, u, p", of_rates, (n,), rates, self._meaning),
+            self.array(*right_hand_side),
             self.array(
                 f"{prefix}jacobian", "t, u, p", of_jacobian, (n, n), slopes, self._meaning, "zeros"
             ),
             _unchanged_states(n),
         ]
 
+    def _jacobian_entries(self, slopes: Mapping[Index, sp.Expr]) -> list[list[str]]:
+        """Source lines of the places of the Jacobian that are not zero, and of what is there."""
+        n, places = len(self.states), list(slopes)
+        entries: dict[Index, sp.Expr] = {(k,): slope for k, slope in enumerate(slopes.values())}
+        summary = f"Entries of the Jacobian df/du at u ({n}, ...): shape (places, ...)."
+
+        def meaning(k: int) -> str:
+            return self._meaning(*places[k])
+
+        written = "jacobian_entries", "t, u, p", summary, (len(places),), entries, meaning
+        return [table("JACOBIAN_PLACES", nested(places)), self.array(*written)]
+
     def _slopes(self) -> dict[Index, sp.Expr]:
         """The entries of the Jacobian that are not zero."""
         slopes: dict[Index, sp.Expr] = {}
+        rows = {symbol: j for j, symbol in enumerate(self.states)}
         derivatives = [Differentiator(symbol) for symbol in self.states]
         for i, (rate, origin) in enumerate(zip(self.rates, self.system.origins, strict=True)):
-            for j, derivative in enumerate(derivatives):
+            for j in sorted(rows[symbol] for symbol in rate.free_symbols & rows.keys()):
                 try:
-                    slope = derivative(rate)
+                    slope = derivatives[j](rate)
                 except ProblemError as error:
                     raise ProblemError(
                         error.message, equation=origin, term=error.term, remedy=error.remedy

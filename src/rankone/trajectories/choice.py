@@ -35,6 +35,8 @@ _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is n
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
 _TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall too
 _PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
+# States of a system with sparse factors up to which stacks are watched: LSODA has dense matrices
+_MOST_SINGLE_STATES = 200
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
 # Factors on the work of a stack from one look at it to the next, and to one at which pilots that
 # came to no end begin anew
@@ -62,7 +64,7 @@ def span_integrator_for(
     stack = StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
     if integrator == "stack":
         return stack
-    if sparse_pattern(system) is not None:  # LSODA has dense matrices
+    if sparse_pattern(system) is not None and system.n_differential > _MOST_SINGLE_STATES:
         return stack
     watched = WatchedStack(stack, single)
     if integrator == "compiled" and not stiff and has_series(system):

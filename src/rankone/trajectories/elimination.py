@@ -32,7 +32,7 @@ _PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its c
 # Operations of factors and of a solution: once, and for each entry of the factors
 _SPARSE_FACTORS, _SPARSE_SOLUTION = (80e3, 45.0), (22e3, 2.0)
 # The same in bands: for each state, for each entry of the factors, and for each product
-_BAND_FACTORS, _BAND_SOLUTION = (60.0, 6.0, 0.1), (25.0, 2.0, 0.0)
+_BAND_FACTORS, _BAND_SOLUTION = (35.0, 5.0, 0.1), (25.0, 2.0, 0.0)
 
 
 class Elimination(Protocol):

@@ -20,6 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from rankone.ir.jacobian import pattern_of
 from rankone.ir.system import System
 
 # Numbers, row by row, at a time, states (n,) and parameters (d,) as floats
@@ -75,7 +76,16 @@ def scalar_rates(system: System) -> ScalarFunction | None:
 
 def scalar_jacobian(system: System) -> Entries | None:
     """The Jacobian for floats, as :func:`scalar_rates`: its entries that are not zero."""
-    return None if system.user_functions else _rewritten(system.jacobian)
+    if system.user_functions:
+        return None
+    pattern = pattern_of(system.jacobian)
+    if pattern is None:
+        return _rewritten(system.jacobian)
+    rewritten = _rewritten(pattern.entries)
+    if rewritten is None:
+        return None
+    own = [*zip(pattern.rows.tolist(), pattern.columns.tolist(), strict=True)]
+    return Entries(rewritten.function, tuple(own[k] for (k,) in rewritten.places))
 
 
 @lru_cache(64)
