@@ -24,6 +24,7 @@ from rankone.solution.branches import branch_evaluator
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import limited, seconds_left, work_left
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.event_order import REMEDY, OrderError, TrajectoryEndError
@@ -99,6 +100,8 @@ def solve_in_branches(
                 return outcome
     except TrajectoryEndError:
         raise error from None
+    if len(further):  # each check meets yet another order
+        raise error
     return outcome
 
 
@@ -214,11 +217,11 @@ class _BranchSolve:
             places = [search.places(order.steps[: step + 1]) for order in (one, other)]
             guard, sign, scale = search.guard(step - 1, *places)
             forced = guarded[a].forced
-            known = [*forced.guards]
-            if guard not in known:
-                known.append(guard)
-                guarded[a] = replace(guarded[a], forced=replace(forced, guards=tuple(known)))
-            forks.append(replace(fork, guard=known.index(guard), sign=sign, scale=scale))
+            guards = [*forced.guards]
+            if guard not in guards:
+                guards.append(guard)
+                guarded[a] = replace(guarded[a], forced=replace(forced, guards=tuple(guards)))
+            forks.append(replace(fork, guard=guards.index(guard), sign=sign, scale=scale))
         return guarded, forks
 
     def _at_once(
@@ -236,7 +239,7 @@ class _BranchSolve:
         self, outcomes: Sequence[Outcome], timeline: BranchedTimeline, orders: Sequence[Order]
     ) -> tuple[Outcome, Array]:
         """The outcome of all branches, measured; and points (m, d) at which other orders hold."""
-        request, slabs = self.request, one_after_the_other(outcomes, timeline)
+        slabs = one_after_the_other(outcomes, timeline)
         joined = Outcome(
             slabs,
             Status.UNCHECKED,
@@ -247,49 +250,55 @@ class _BranchSolve:
             timeline=timeline,
         )
         nothing = self.search.points[:0]
-        if not request.check.points:
+        if not self.request.check.points:
             return joined, nothing
         evaluator = branch_evaluator(slabs, timeline)
-        coverage, box = Coverage.of_domain(request.domain), request.domain.bounds
-        few = len(box) <= FEW_PARAMETERS
-        whole_box = few if request.check.cover is None else request.check.cover == "box"
-        points = check_points(
-            box,
-            request.check.points,
-            every_corner=few or whole_box,
-            scales=request.domain.coordinates,
-        )
-        corners = len(points) - 1 - request.check.points
-        points = np.concatenate([points, points_near_changes(evaluator, coverage)])
+        points, corners = self._check_points(evaluator)
         checked = with_points(replace(self.search, points=nothing, trajectories=[]), points)
-        errors = branch_errors(
-            evaluator, self.search.system, points, checked.trajectories, request.rtol
+        rtol = self.request.rtol
+        errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
+        others = [
+            decided and not any(order.begins(o) or order == o for o in orders)
+            for order, decided in zip(checked.orders, errors.decided, strict=True)
+        ]
+        if any(others):
+            return joined, points[np.array(others)]
+        measured = _measured(errors, self.request, points, corners, self._whole_box)
+        undecided = undecided_share(evaluator, Coverage.of_domain(self.request.domain))
+        return _judged(joined, timeline, measured, undecided, rtol), nothing
+
+    @property
+    def _whole_box(self) -> bool:
+        """Whether corners count."""
+        cover = self.request.check.cover
+        few = len(self.request.domain.box) <= FEW_PARAMETERS
+        return few if cover is None else cover == "box"
+
+    def _check_points(self, evaluator: BranchEvaluator) -> tuple[Array, int]:
+        """The centre, corners, interior points and those next to changes (m, d); the corners."""
+        domain, count = self.request.domain, self.request.check.points
+        few = len(domain.box) <= FEW_PARAMETERS
+        points = check_points(
+            domain.bounds,
+            count,
+            every_corner=few or self._whole_box,
+            scales=domain.coordinates,
         )
-        further = np.array(
-            [
-                decided and not any(order.begins(o) or order == o for o in orders)
-                for order, decided in zip(checked.orders, errors.decided, strict=True)
-            ]
-        )
-        if further.any():
-            return joined, points[further]
-        measured = _measured(errors, request, points, corners, whole_box)
-        undecided = undecided_share(evaluator, coverage)
-        notes: list[Note] = [MeasuredError(measured.error, request.rtol)]
-        status = Status.CONVERGED if measured.error <= request.rtol else Status.TOLERANCE
-        if undecided:
-            notes.append(UndecidedShare(undecided))
-            status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
-        return (
-            replace(
-                joined,
-                status=status,
-                measured=measured,
-                notes=tuple(notes),
-                timeline=replace(timeline, undecided=undecided),
-            ),
-            nothing,
-        )
+        near = points_near_changes(evaluator, Coverage.of_domain(domain))
+        return np.concatenate([points, near]), len(points) - 1 - count
+
+
+def _judged(
+    joined: Outcome, timeline: BranchedTimeline, measured: Measured, undecided: float, rtol: float
+) -> Outcome:
+    """The outcome with its status: by its error, and by the share of the box left undecided."""
+    notes: list[Note] = [MeasuredError(measured.error, rtol)]
+    status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
+    if undecided:
+        notes.append(UndecidedShare(undecided))
+        status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
+    timeline = replace(timeline, undecided=undecided)
+    return replace(joined, status=status, measured=measured, notes=tuple(notes), timeline=timeline)
 
 
 def _measured(

@@ -201,34 +201,46 @@ class _Follower:
             event = sided.events[met[0]]
             if event.at is not None:
                 elapsed = np.broadcast_to(event.at(columns), times.shape) - times
-                flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
+                flow = self._flow(times, states, elapsed, np.zeros_like(elapsed))
             else:
                 at_root = met[0] in before or not before
                 margin = forced.margins[i]
                 flow, elapsed = self._to_root(event, times, states, expected[:, i], margin, at_root)
-                flows.append(flow)
-            states = flows[-1](elapsed[:, None])[:, :, 0]
+            flows.append(flow)
             times = times + elapsed
             borders.append(times)
-            self._guard(guards, i, 0, times, states)
-            for count, k in enumerate(met, 1):
-                then = sided.events[k].then
-                if then is not None:
-                    after = np.asarray(then(times, states, columns), dtype=float)
-                    states = np.broadcast_to(after, states.shape)
-                self._guard(guards, i, count, times, states)
-            if i + 1 < clock.order.stretches:
-                states = self._on_sides(states, i + 1)
+            states = self._reset(i, met, times, flow(elapsed[:, None])[:, :, 0], guards)
             before = met
         if clock.order.ending is Ending.HORIZON:
             elapsed = clock.horizon[1] - times
             flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
             borders.append(np.full_like(times, clock.horizon[1]))
-        steps = sum(flow.ahead.breaks.shape[1] - 1 for flow in flows)
-        at = np.stack(borders, axis=1)
-        flows_to_end = tuple(flows)
-        parts = self.system, self.points, clock, flows_to_end, at, guards
-        return ForcedTrajectories(*parts, steps, "stack", "DOP853")
+        return ForcedTrajectories(
+            self.system,
+            self.points,
+            clock,
+            tuple(flows),
+            np.stack(borders, axis=1),
+            guards,
+            sum(flow.ahead.breaks.shape[1] - 1 for flow in flows),
+            "stack",
+            "DOP853",
+        )
+
+    def _reset(
+        self, instant: int, met: tuple[int, ...], times: Array, states: Array, guards: Array
+    ) -> Array:
+        """States (n, m) after the events at an instant, on the sides of the next stretch."""
+        self._guard(guards, instant, 0, times, states)
+        columns = np.ascontiguousarray(self.points.T)
+        for count, k in enumerate(met, 1):
+            then = self.clock.system.events[k].then
+            if then is not None:
+                after = np.asarray(then(times, states, columns), dtype=float)
+                states = np.broadcast_to(after, states.shape)
+            self._guard(guards, instant, count, times, states)
+        last = instant + 1 == self.clock.order.stretches
+        return states if last else self._on_sides(states, instant + 1)
 
     def _on_sides(self, states: Array, stretch: int) -> Array:
         """States (n, m) with the sides of a stretch."""
