@@ -140,13 +140,14 @@ class _ProblemCheck:
         self.parameters = _places(self.symbols)
         states = [state.expression for state in first_order.states]
         rates = [rate_of(state, clock.symbol) for state in states]
-        among = {*states}
-        self.highest = [i for i, rate in enumerate(rates) if rate not in among]
+        lower = {*states}
+        self.highest = [i for i, rate in enumerate(rates) if rate not in lower]
         computed = [rates[i] for i in self.highest]
         places = _places([clock.symbol, *self.symbols, *states, *computed])
         pairs = zip(problem.equations, problem.residuals, strict=True)
         written = [_written(*pair, problem.shorthand.put_in) for pair in pairs]
-        self.compared = [Comparison(*both, places, {*computed}) for both in written]
+        own = {*computed}
+        self.compared = [Comparison(*both, places, own) for both in written]
         functions = [{f for side in both for f in side.atoms(sp.Function)} for both in written]
         # differences are derivatives, unless functions of the user lack the digits
         self.smooth = [not any(hasattr(f, "_imp_") for f in applied) for applied in functions]

@@ -129,7 +129,8 @@ def _carry_out_derivatives(
 
 def _in_order(expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
     """Sort, so that messages do not depend on hashes."""
-    return sorted(expressions, key=sp.default_sort_key)
+    listed = list(expressions)
+    return sorted(listed, key=sp.default_sort_key) if len(listed) > 1 else listed
 
 
 def highest_orders(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
