@@ -15,7 +15,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.integrator import DenseTrajectories, SeparateTrajectories, Tolerances
-from rankone.trajectories.markers import LastMarks, chosen_marker, marked_order
+from rankone.trajectories.markers import SCOUTS, LastMarks, chosen_marker, marked_order, may_pay
 from rankone.trajectories.newton import sparse_pattern
 from rankone.trajectories.stretches import timed_events
 from rankone.verification.measure import ReferenceSet
@@ -101,7 +101,10 @@ def _by_trajectories(
     tolerances: Tolerances,
 ) -> SolveStart | None:
     """The start over stretches, if markers pay for trajectories over clock time."""
-    paths = cast(SeparateTrajectories, dense).paths
+    separate = cast(SeparateTrajectories, dense)
+    if not may_pay(separate.of(SCOUTS).paths):
+        return None
+    paths = separate.paths
     marker = chosen_marker(system, paths, points)
     if marker is None:
         return None

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -216,6 +216,19 @@ class TaylorTrajectories:
         since = np.tile(times, len(self.first) - 1) - self.starts[steps]
         states = self.within(steps, since).T
         return np.asarray(states.reshape(-1, len(self.first) - 1, times.size))
+
+    def of(self, trajectories: slice) -> TaylorTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        a, b, _ = trajectories.indices(len(self.first) - 1)
+        steps = slice(self.first[a], self.first[b])
+        return replace(
+            self,
+            first=self.first[a : b + 1] - self.first[a],
+            starts=self.starts[steps],
+            lengths=self.lengths[steps],
+            coefficients=self.coefficients[:, steps],
+            state=self.state[:, trajectories],
+        )
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Ends of steps of the trajectory that has most, with the states of all there."""

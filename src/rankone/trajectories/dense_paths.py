@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,10 @@ class SingleTrajectories:
     def __call__(self, times: Array) -> Array:
         """States at times (T,), after a jump at its time: shape (n, m, T)."""
         return np.stack([path(times) for path in self.paths], axis=1)
+
+    def of(self, trajectories: slice) -> SingleTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        return replace(self, paths=self.paths[trajectories], state=self.state[:, trajectories])
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Ends of steps of the first trajectory, with all states there."""

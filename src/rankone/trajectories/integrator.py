@@ -82,6 +82,9 @@ class DenseTrajectories(Protocol):
     def __call__(self, times: Array) -> Array:
         """States at times (T,), after a jump at its time: shape (n, m, T)."""
 
+    def of(self, trajectories: slice) -> DenseTrajectories:
+        """Some of the trajectories, which follow each other."""
+
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """At least ``count`` ends of steps, if there are as many, with the states (n, m) there."""
 
@@ -92,6 +95,9 @@ class SeparateTrajectories(DenseTrajectories, Protocol):
     @property
     def paths(self) -> Sequence[Path]:
         """The trajectories one by one."""
+
+    def of(self, trajectories: slice) -> SeparateTrajectories:
+        """Some of the trajectories, which follow each other."""
 
 
 @dataclass(frozen=True)

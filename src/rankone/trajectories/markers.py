@@ -24,15 +24,15 @@ from rankone.trajectories.event_trajectory import EventTrajectory
 from rankone.trajectories.events import integrate_to_events
 from rankone.trajectories.instants import SAME_INSTANT
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Path, Paths
+from rankone.trajectories.paths import NODES, Path, Paths
 from rankone.trajectories.stretches import marker_event
 
 OUT_OF_PHASE = 8.0
 """Spread of the times of a crossing, over the time in which the state runs through its range, from
 which markers pay."""
-# Trajectories that are looked at first, corners of the box among them, and the part of the spread
-# that they have to show before all are
-_SCOUTS, _SCOUTED = 9, 0.5
+SCOUTS = slice(9)
+"""Trajectories that are looked at first, corners of the box among them."""
+_SCOUTED = 0.4  # Part of the spread that they have to show, roughly, before all are looked at
 _FEWEST = 3  # Crossings that each trajectory has to pass
 _LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
 _TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
@@ -47,6 +47,12 @@ class _Candidate:
     steepness: float
 
 
+def may_pay(scouts: Sequence[Path]) -> bool:
+    """Whether some marker may pay for trajectories of which these are the first ones."""
+    spans = _spans(scouts)
+    return any(_rough_spread(scouts, *span) >= _SCOUTED * OUT_OF_PHASE for span in spans)
+
+
 def chosen_marker(system: System, paths: Sequence[Path], points: Array) -> Marker | None:
     """The marker for a system, by trajectories at points (m, d); None where none pays.
 
@@ -54,18 +60,40 @@ def chosen_marker(system: System, paths: Sequence[Path], points: Array) -> Marke
     that they cross most steeply. The first trajectories are looked at alone before the others.
     """
     candidates: list[_Candidate] = []
-    lower = np.max([path.nodal.min(axis=(0, 1)) for path in paths], axis=0)
-    upper = np.min([path.nodal.max(axis=(0, 1)) for path in paths], axis=0)
-    for state in np.flatnonzero(lower < upper).tolist():
-        span = float(lower[state]), float(upper[state])
-        scout = _candidate(system, paths[:_SCOUTS], points[:_SCOUTS], state, span)
-        if scout is None or scout.spread < _SCOUTED * OUT_OF_PHASE:
+    for state, lower, upper in _spans(paths):
+        if _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
             continue
-        candidate = _candidate(system, paths, points, state, span)
+        candidate = _candidate(system, paths, points, state, (lower, upper))
         if candidate is not None and candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
     best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
     return None if best is None else best.marker
+
+
+def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
+    """States, and the interval of each that all paths run through."""
+    lower = np.max([path.nodal.min(axis=(0, 1)) for path in paths], axis=0)
+    upper = np.min([path.nodal.max(axis=(0, 1)) for path in paths], axis=0)
+    states = np.flatnonzero(lower < upper).tolist()
+    return [(state, float(lower[state]), float(upper[state])) for state in states]
+
+
+def _rough_spread(paths: Sequence[Path], state: int, lower: float, upper: float) -> float:
+    """The spread of a candidate, from straight lines between the nodes; 0 for too few crossings."""
+    level = 0.5 * (lower + upper)
+    crossings: list[tuple[Array, Array]] = []
+    for path in paths:
+        heights = path.nodal[:, :, state].ravel() - level
+        times = (path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES).ravel()
+        k = np.flatnonzero(np.diff(np.signbit(heights)))
+        if k.size < _FEWEST:
+            return 0.0
+        rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], 1e-300)
+        crossings.append((times[k] - heights[k] / rates, np.abs(rates)))
+    fewest = min(times.size for times, _ in crossings)
+    common = np.array([times[:fewest] for times, _ in crossings])
+    slopes = np.array([each[:fewest] for _, each in crossings])
+    return float((np.ptp(common, axis=0) * slopes.min(axis=0)).max()) / (upper - lower)
 
 
 def _candidate(

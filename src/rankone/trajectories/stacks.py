@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import itemgetter
 from typing import TypeAlias
 
 import numpy as np
@@ -169,8 +170,17 @@ class StackedTrajectories:
         stacked = np.empty((times.size, self.state.size))
         first = np.flatnonzero(np.diff(indices, prepend=-1, append=-1))
         for a, b in itertools.pairwise(first.tolist()):
-            stacked[order[a:b]] = self.pieces[indices[a]].at(ascending[a:b])
+            self.pieces[indices[a]].at(ascending[a:b], stacked[a:b])
+        if (np.diff(times) < 0.0).any():
+            stacked[order] = stacked.copy()
         return stacked.T.reshape(*self.state.shape, -1)
+
+    def of(self, trajectories: slice) -> StackedTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        pieces = tuple(piece.of(trajectories, len(self.state)) for piece in self.pieces)
+        state, largest = self.state[:, trajectories], self.largest[:, trajectories]
+        early = self.early[:, trajectories]
+        return replace(self, pieces=pieces, state=state, largest=largest, early=early)
 
     @cached_property
     def paths(self) -> tuple[Path, ...]:
@@ -189,9 +199,14 @@ class StackedTrajectories:
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
-        ends = [(piece, end) for piece in self.pieces for end in piece.ends.tolist()]
+        ends = [(i, end) for i, piece in enumerate(self.pieces) for end in piece.ends.tolist()]
         chosen = ends[:: max(1, len(ends) // count)]
-        return [(end, piece(end).reshape(self.state.shape)) for piece, end in chosen]
+        samples: list[tuple[float, Array]] = []
+        for i, group in itertools.groupby(chosen, key=itemgetter(0)):
+            times = [end for _, end in group]
+            states = self.pieces[i].at(np.array(times)).reshape(-1, *self.state.shape)
+            samples += zip(times, states, strict=True)
+        return samples
 
 
 class _DenseRecord:

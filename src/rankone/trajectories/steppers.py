@@ -8,6 +8,7 @@ trajectories cross state surfaces, and at random places.
 
 from __future__ import annotations
 
+import copy
 from typing import Protocol
 
 import numpy as np
@@ -57,11 +58,19 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
         shares = np.arange(1, self.parts) / self.parts
         return np.append(self.t_old + (self.t - self.t_old) * shares, self.t)
 
-    def at(self, times: Array) -> Array:
-        """States at times (T,), stacked: (T, n m)."""
-        states = np.matmul(self.weights((times - self.t_old) / self.h), self.rows)
+    def at(self, times: Array, out: Array | None = None) -> Array:
+        """States at times (T,), stacked: (T, n m); into ``out`` if it is given."""
+        states = np.matmul(self.weights((times - self.t_old) / self.h), self.rows, out=out)
         states += self.y_old
         return np.asarray(states)
+
+    def of(self, trajectories: slice, n: int) -> Piece:
+        """The step of some of the trajectories, which have n states each."""
+        part = copy.copy(self)
+        part.y_old = np.ascontiguousarray(self.y_old.reshape(n, -1)[:, trajectories]).ravel()
+        rows = self.rows.reshape(len(self.rows), n, -1)[:, :, trajectories]
+        part.rows = rows.reshape(len(rows), -1)
+        return part
 
     def _call_impl(self, t: Array) -> Array:
         return self.at(np.atleast_1d(t)).T.reshape(-1, *t.shape)

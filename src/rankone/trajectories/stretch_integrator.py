@@ -107,6 +107,12 @@ class StretchTrajectories:
             states[:n, :, here] = self._paths[i](at[:, here])[:n]
         return self._with_lifted(times, states)
 
+    def of(self, trajectories: slice) -> StretchTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        points, borders = self.points[trajectories], self.borders[trajectories]
+        each = self.trajectories[trajectories]
+        return replace(self, points=points, trajectories=each, borders=borders)
+
     def _with_lifted(self, times: Array, states: Array) -> Array:
         """The states (n + 2, m, T), and behind them the lifted ones."""
         count = self.system.n_lifted

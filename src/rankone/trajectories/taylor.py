@@ -116,14 +116,12 @@ class TaylorSeries:
         else:
             entries, columns = np.array([factor[0] for factor in factors]), variables
         shape = n, variables.size if varying else len(places)
-        sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
-        return cls(
-            constant,
-            sums if n >= SPARSE_STATES else sums.toarray(),
-            products,
-            variables,
-            np.array(factors) if varying else None,
-        )
+        sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
+        if n < SPARSE_STATES:
+            np.add.at(sums, (targets, columns), entries)
+        else:
+            sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
+        return cls(constant, sums, products, variables, np.array(factors) if varying else None)
 
     @property
     def size(self) -> int:
@@ -132,28 +130,7 @@ class TaylorSeries:
 
     def coefficients(self, states: Array, h: float, order: int) -> Array:
         """Taylor coefficients of the states (n, m), times powers of ``h``: (order + 1, n, m)."""
-        n, m = states.shape
-        powers = np.empty((order + 1, self.size, m))
-        powers[0, :n] = states
-        halves = [np.empty((2, order, level.left.size, m)) for level in self.products]
-        levels = list(zip(self.products, halves, strict=True))
-        for k in range(order):
-            now, back = powers[k], order - 1 - k
-            for level, (left, right) in levels:  # those of the right factor stand in reverse
-                now.take(level.left, axis=0, out=left[k], mode="clip")
-                now.take(level.right, axis=0, out=right[back], mode="clip")
-                np.einsum("kqm,kqm->qm", left[: k + 1], right[back:], out=now[level.places])
-            rates = self.sums @ self._weighted(now)
-            if not k:
-                rates += self.constant
-            np.multiply(rates, h / (k + 1), out=powers[k + 1, :n])
-        return powers[:, :n]
-
-    def _weighted(self, variables: Array) -> Array:
-        """What the sums take: the variables, or terms with factors of the parameters."""
-        if self.factors is None:
-            return variables
-        return np.asarray(variables.take(self.variables, axis=0) * self.factors)
+        return Recursion(self, order)(states, h)
 
     def agrees(self, states: Array, rates: Array) -> bool:
         """Whether rates (n, m) at states are those of the series, but for rounding."""
@@ -171,6 +148,48 @@ class TaylorSeries:
         multiplied = 0.5 * order * order * products * _PRODUCT_COST
         read = order * _TERM_COST * (2.0 * n + self.variables.size + 2.0 * products)
         return float(order * _ORDER_COST + _STEP_COST + m * (multiplied + read))
+
+
+class Recursion:
+    """The coefficients of steps of one order, in buffers that serve all of them.
+
+    The buffers hold the ``powers`` (order + 1, variables, m) and, for each level of products, the
+    coefficients of the left factors and those of the right ones, in reverse.
+    """
+
+    def __init__(self, series: TaylorSeries, order: int) -> None:
+        n, m = series.constant.shape
+        self.series, self.order = series, order
+        self.powers = powers = np.empty((order + 1, series.size, m))
+        self._states = [each[:n] for each in powers]
+        levels = [(each, *np.empty((2, order, each.left.size, m))) for each in series.products]
+        self._convolutions = [
+            [
+                (level, powers[k, level.places], left[k], right[back], left[: k + 1], right[back:])
+                for level, left, right in levels
+            ]
+            for k, back in enumerate(range(order - 1, -1, -1))
+        ]
+
+    def __call__(self, states: Array, h: float) -> Array:
+        """Coefficients from states (n, m), times powers of ``h``: (order + 1, n, m).
+
+        The next call overwrites them.
+        """
+        series, powers = self.series, self.powers
+        factors, variables = series.factors, series.variables
+        powers[0, : len(states)] = states
+        for k, convolutions in enumerate(self._convolutions):
+            now = powers[k]
+            for level, product, left, right, all_left, all_right in convolutions:
+                now.take(level.left, axis=0, out=left, mode="clip")
+                now.take(level.right, axis=0, out=right, mode="clip")
+                np.einsum("kqm,kqm->qm", all_left, all_right, out=product)
+            weighted = now if factors is None else now.take(variables, axis=0) * factors
+            np.multiply(series.sums @ weighted, h / (k + 1), out=self._states[k + 1])
+            if not k:
+                self._states[1] += h * series.constant
+        return powers[:, : len(states)]
 
 
 def _variables(
@@ -281,6 +300,7 @@ class StackedTaylor(Stepper, _TaylorSolver):
         self.series, self.order = series, taylor_order(tolerances.relative)
         self.stiff_product = _STIFF_SHARE * math.exp(math.lgamma(self.order + 1.0) / self.order)
         self.cost = series.cost(self.order)
+        self.recursion = Recursion(series, self.order)
         self.h_abs, self.unit, self.most = _FIRST_SHARE * (end - start), 0.0, _FIRST_FACTOR
         self.powers = np.empty((0, 0))
 
@@ -311,11 +331,11 @@ class StackedTaylor(Stepper, _TaylorSolver):
         states = self.y.reshape(self.trajectory_states, -1)
         for _ in range(_FIRST_TRIALS):
             charge(self.cost)
-            powers = self.series.coefficients(states, self.unit, self.order)
+            powers = self.recursion(states, self.unit)
             if np.isfinite(powers[-_LAST_COEFFICIENTS:]).all() or self.unit < shortest:
                 break
             self.unit *= _FIRST_SHARE
-        return powers.reshape(self.order + 1, -1)
+        return powers.copy().reshape(self.order + 1, -1)
 
     def _longest(self, powers: Array) -> float:
         """The longest step whose last terms are within the tolerance, for the worst state."""

@@ -398,7 +398,7 @@ class ReferenceSet:
 
     def trajectories_on_lines(self, times: Array) -> Array:
         """States (n, m, T) of the trajectories on lines."""
-        return self.reference(times)[:, self._on_lines]
+        return self.reference.of(self._on_lines)(times)
 
     @property
     def _on_lines(self) -> slice:

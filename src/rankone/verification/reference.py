@@ -112,6 +112,18 @@ class Reference:
         states = [batch(times) for batch in self.batches]
         return states[0] if len(states) == 1 else np.concatenate(states, axis=1)
 
+    def of(self, trajectories: slice) -> Reference:
+        """Some of the trajectories, which follow each other."""
+        first, end, _ = trajectories.indices(len(self.points))
+        batches, passed = list[DenseTrajectories](), 0
+        for batch in self.batches:
+            count = batch.state.shape[1]
+            a, b = max(first - passed, 0), min(end - passed, count)
+            if a < b:
+                batches.append(batch if b - a == count else batch.of(slice(a, b)))
+            passed += count
+        return replace(self, points=self.points[trajectories], batches=tuple(batches))
+
     def joined(self, second: Reference) -> Reference:
         """The trajectories of both, up to where the first of them blows up."""
         ending, blown = self, self.blown

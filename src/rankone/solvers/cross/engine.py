@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar
@@ -43,6 +43,7 @@ from rankone.trajectories.workers import Workers
 from rankone.verification.cuts import Cuts, in_scale, resolving_pieces
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import FEW_PARAMETERS, candidate_points, steepest_point
+from rankone.verification.reference import Reference
 
 # Failures for which a steep dependence on a parameter may be the reason
 _UNRESOLVED = (
@@ -53,6 +54,9 @@ _UNRESOLVED = (
     Status.WORK_LIMIT,
     Status.TIME_LIMIT,
 )
+
+
+_FIRST_TIMED = slice(12)  # Trajectories of the reference that are looked at first for slabs
 
 
 class Pace:
@@ -184,11 +188,18 @@ class CrossMarcher:
         highest_modes = constants.HIGHEST_TIME_MODES_SHARE * level
         tolerance = max(highest_modes, constants.TIGHTEST_TIME_TOLERANCE)
 
-        def in_units(times: Array) -> Array:
-            return reference_set.reference(times) / units
+        breaks: Sequence[float] = edges
+        # slabs that do not resolve some trajectories need no look at all of them
+        for reference in (reference_set.reference.of(_FIRST_TIMED), reference_set.reference):
 
-        breaks = resolving_breaks(in_units, edges, count, tolerance, self.options.max_slabs)
-        return None if breaks is None else TimeGrid(breaks, count)
+            def in_units(times: Array, reference: Reference = reference) -> Array:
+                return reference(times) / units
+
+            finer = resolving_breaks(in_units, breaks, count, tolerance, self.options.max_slabs)
+            if finer is None:
+                return None
+            breaks = finer
+        return TimeGrid(tuple(breaks), count)
 
     def _known_elements(self, nodes: int) -> list[KnownElements]:
         """Elements of ``nodes`` nodes that resolve the known functions of each parameter."""

@@ -120,8 +120,8 @@ class Trajectories:
         """The first trajectories, at a tolerance that brings the allowed error."""
         self.calibrated = True
         reference = self.reference_set.reference
-        exact_points = reference.points[: constants.CALIBRATION_POINTS]
-        exact = reference(self.grid.times)[:, : len(exact_points)] / self.sizes[:, None, None]
+        first = reference.of(slice(constants.CALIBRATION_POINTS))
+        exact_points, exact = first.points, first(self.grid.times) / self.sizes[:, None, None]
         before, ratio, used = math.inf, math.inf, self.tightness
         for calibration in range(constants.MAX_CALIBRATIONS):
             columns = self._integrated(np.concatenate([exact_points, points]))
