@@ -28,12 +28,12 @@ from rankone.tensors.cross import (
 from rankone.tensors.scale_choice import LineColumns, basis_values, best_coordinates
 from rankone.tensors.train import Integers, Train
 
-# Random left points of each bond to begin with; each refinement takes half as many again
-FIRST_LEFT_POINTS = 7
-MOST_FIRST_LEFT_POINTS = 14  # Most of them in the first attempt, which takes what it needs
-LEFT_POINT_BATCHES = 6, 3  # Left points, corners among them, with which it begins and goes on
+# Left points of each bond to begin with; each refinement takes half as many again
+FIRST_LEFT_POINTS = 12
+MOST_FIRST_LEFT_POINTS = 30  # Most of them in the first attempt, which takes what it needs
+LEFT_POINT_BATCHES = 8, 4  # Left points with which it begins and goes on
 # Tolerance of row spaces, relative to the level of an attempt: an error there is amplified
-ROW_SPACE_SHARE = 0.03
+ROW_SPACE_SHARE = 0.025
 # Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
 ROUNDING_SHARE = 0.03  # Error of rounding the train, relative to the level
@@ -44,7 +44,7 @@ SECOND_LINE_OFFSET = 0.35
 MAX_STEEP_LINES = 6
 # Largest tail of the modes on the first lines, relative to the level: elsewhere in the box a
 # function may need more modes
-TAIL_SHARE = 0.015
+TAIL_SHARE = 0.005
 STEEP_TAIL_SHARE = 0.01  # The same where elements are taken: a column is steep at few times only
 # An element is halved where its error at the borders exceeds this many tolerances of its tail
 BORDER_ERROR_FACTOR = 30.0
@@ -157,9 +157,8 @@ class AdaptiveInterpolation:
         else:
             train, limited = Train((columns(np.zeros((1, 0))),)), False
         self.bases = bases
-        train = train.rounded(ROUNDING_SHARE * self.level)
         train = train.apply_to_modes([basis.to_modal for basis in bases])
-        self.spectra = train.mode_norms()
+        train, self.spectra = train.rounded_with_norms(ROUNDING_SHARE * self.level)
         return train, limited
 
     def _left_points(self, bases: Sequence[Basis1D]) -> list[list[Integers]]:

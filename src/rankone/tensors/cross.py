@@ -26,20 +26,22 @@ from rankone.tensors.train import Integers, Train, row_space
 
 # Grids up to this many nodes are sampled completely: adapting would save nothing
 FULL_GRID_NODES = 1600
-_CORNER_RATIO = 0.45  # Corners among the left points, over the random ones
+_CORNER_SHARE = 0.8  # Part of the left points that are corners of their grid
 _CORNER_WEIGHT = 0.5  # Weight of corners in the error of a row space: it may be larger there
 # Largest ratio of the rank of a bond to that of the next one that is expected: ranks grow ever less
 _MOST_GROWTH = 2.0
 _EXTRA_RANK = 16  # Added to the expected rank of a bond
 # Error of a row space at left points that it was not made for, over the tolerance, that shows that
 # the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
-_SPANNED = 3.0
+_SPANNED = 5.0
 _MAX_EXCHANGES = 100  # Most exchanges of columns of a skeleton; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 _EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
+# Square of the norm of a remainder, over that of the column, that Pythagoras' theorem resolves
+_PYTHAGOREAN = 1e-13
 _LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
 
 Columns = Callable[[Array], Array]
@@ -59,9 +61,8 @@ class Nodes(Protocol):
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """For each bond the left points: node indices of the parameters before it, (m, b).
 
-    Random ones, ``count`` of them, and among them corners of their grid, or all where the whole
-    grid is small.
-    In the corners products of many parameters are largest, which random points hardly see.
+    There are ``count`` of them, or all where the whole grid is small. Most are corners of their
+    grid: products of many parameters are largest there, which random points hardly see.
     """
     generator = np.random.default_rng(seed)
     points = [np.zeros((1, 0), dtype=np.int64)]
@@ -71,11 +72,12 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
         if full or total <= count:
             columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
-            corners = _corners(b, round(_CORNER_RATIO * count), generator)
-            shares = [np.arange(0.5, n) / n for n in (count, len(corners))]
+            corners = _corners(b, round(_CORNER_SHARE * count), generator)
+            others = count - len(corners)
+            shares = [np.arange(0.5, n) / n for n in (others, len(corners))]
             order = np.argsort(np.concatenate(shares), kind="stable")
             columns = [
-                np.concatenate([generator.integers(0, size, count), (size - 1) * corner])[order]
+                np.concatenate([generator.integers(0, size, others), (size - 1) * corner])[order]
                 for size, corner in zip(sizes[:b], corners.T, strict=True)
             ]
         points.append(np.stack(columns, axis=1).astype(np.int64))
@@ -174,17 +176,30 @@ class _Block:
             weights = _weights(left, self.sizes)
             matrix = self._matrix(left, weights)
             if matrices:
-                charge(2.0 * product(len(matrix), matrix.shape[1], len(rows)))
-                remainder = float(np.linalg.norm(matrix - (matrix @ rows.T) @ rows))
-                largest = _SPANNED * tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
-                if remainder <= largest:
-                    break
+                further = self._further(matrix, rows, tolerance, weights, max_rank)
+                if further is not None:
+                    return np.concatenate([rows, further])
             matrices.append(matrix)
             squares += float(np.sum(weights**2))
             allowed = tolerance * math.sqrt(squares * len(self.columns))
             matrix = np.concatenate(matrices) if len(matrices) > 1 else matrix
             _, rows = row_space(matrix, allowed, max_rank, expected)
         return rows
+
+    def _further(
+        self, matrix: Array, rows: Array, tolerance: float, weights: Array, max_rank: int
+    ) -> Array | None:
+        """What a batch adds to a row space (r, N); None if it is far from the span."""
+        charge(2.0 * product(len(matrix), matrix.shape[1], len(rows)))
+        remainder = matrix - (matrix @ rows.T) @ rows
+        missed = float(np.linalg.norm(remainder))
+        allowed = tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
+        if missed > _SPANNED * allowed:
+            return None
+        most = min(max_rank, len(self.columns)) - len(rows)
+        if missed <= allowed or not most:
+            return rows[:0]
+        return row_space(remainder, allowed, most, len(remainder))[1]
 
     def _matrix(self, left: Integers, weights: Array) -> Array:
         block = self.samples(_product(left, self.columns))
@@ -272,6 +287,10 @@ class GrowingBasis:
         coefficients = self.vectors.T @ columns
         if rank == length:
             return coefficients
+        squares = _squares(columns)
+        missed = squares - _squares(coefficients) + _PYTHAGOREAN * squares
+        if rank and missed.max(initial=0.0) <= tolerance**2:
+            return coefficients
         remainder = columns - self.vectors @ coefficients
         sizes = np.linalg.norm(remainder, axis=0)
         if sizes.max(initial=0.0) <= tolerance and rank:
@@ -288,6 +307,11 @@ class GrowingBasis:
     def columns(self, coefficients: Array) -> Array:
         """Columns (length, m) from coefficients (rank, m) that may be older than the basis."""
         return np.asarray(self.vectors[:, : len(coefficients)] @ coefficients)
+
+
+def _squares(columns: Array) -> Array:
+    """The square of the norm of each column, (m,)."""
+    return np.asarray(np.einsum("ij,ij->j", columns, columns))
 
 
 def _span(columns: Array, tolerance: float) -> Array:

@@ -113,9 +113,37 @@ class Train:
             cores[j + 1] = np.tensordot(s[:rank, None] * vt[:rank], cores[j + 1], 1)
         return Train(tuple(cores)), change
 
+    def left_orthonormal(self) -> Train:
+        """All cores but the last have orthonormal columns; the last takes the factors.
+
+        Columns that add nothing become directions of rounding, of weight zero in the last core.
+        """
+        cores = list(self.cores)
+        for j in range(len(cores) - 1):
+            shape = cores[j].shape
+            charge(qr(cores[j].size / shape[-1], shape[-1]))
+            q, r = np.linalg.qr(cores[j].reshape(-1, shape[-1]))
+            cores[j] = q.reshape(*shape[:-1], -1)
+            cores[j + 1] = np.tensordot(r, cores[j + 1], 1)
+        return Train(tuple(cores))
+
     def rounded(self, tolerance: float) -> Train:
         """The train with the ranks that a tolerance needs, right-orthonormal."""
-        return self.right_orthonormal().truncated(tolerance)[0].right_orthonormal()
+        return self.rounded_with_norms(tolerance)[0]
+
+    def rounded_with_norms(self, tolerance: float) -> tuple[Train, list[Array]]:
+        """The same, and the norms of the modes of each core j >= 1."""
+        cores, norms = list(self.left_orthonormal().cores), list[Array]()
+        share = tolerance / math.sqrt(max(len(cores) - 1, 1))
+        for j in range(len(cores) - 1, 0, -1):
+            core = cores[j]
+            norms.insert(0, np.linalg.norm(core, axis=(0, 2)))
+            left, weights, right = _svd(core.reshape(len(core), -1))
+            tails = np.sqrt(np.cumsum(weights[::-1] ** 2))[::-1]
+            rank = max(int(np.count_nonzero(tails > share)), 1)
+            cores[j] = right[:rank].reshape(rank, *core.shape[1:])
+            cores[j - 1] = cores[j - 1] @ (left[:, :rank] * weights[:rank])
+        return Train(tuple(cores)), norms
 
     def thinned(self, tolerance: float) -> Train:
         """The train with zeros for all entries that do not matter.

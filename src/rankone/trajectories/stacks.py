@@ -258,9 +258,9 @@ class _SampleRecord:
         last = int(np.searchsorted(self.times, solver.t, side="right"))
         if last > self.reached:
             charge(_READ_COST((last - self.reached) * self.states[0].size))
-            times = self.times[self.reached : last]
-            states = solver.dense_output().at(times)
-            self.states[self.reached : last] = states.reshape(times.size, *self.states.shape[1:])
+            passed = slice(self.reached, last)
+            out = self.states[passed].reshape(last - self.reached, -1)
+            solver.dense_output().at(self.times[passed], out)
             self.reached = last
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization import IDENTITY, ChebyshevBasis, Scale
 from rankone.ir.request import Domain, KnownFactors
@@ -27,9 +28,11 @@ from rankone.support.errors import OptionError
 _SAMPLES = 2**14  # Fine samples over the interval: narrower pieces may be missed
 _NODES = 14  # Nodes of an interpolant that resolves smooth pieces
 _RESOLVED_ERROR = 1e-7  # Interpolation error of resolved pieces, relative to the largest value
+_STRAIGHT = 1e-13  # Error of a straight line, relative to the largest value: rounding
 _SMOOTH_ERROR = 1e-3  # Error over that one below which both halves are smooth, with a cut between
 # Shares of a piece that are sampled too, since small pieces contain no fine sample
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
+_SHARES = np.append((np.arange(_SAMPLES) + 0.5) / _SAMPLES, _OFF_SAMPLES)  # Sampled in any case
 _LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
 _NARROW_PIECE = 1.0 / 64.0  # Width of a narrow piece, relative to the interval: its ends are cuts
 _RARE_SHARE = 0.25  # Narrow pieces count if they make up less than this part of the interval
@@ -278,17 +281,32 @@ class _Finder:
         self.function, self.nodes, self.tolerance = function, nodes, tolerance
         self.lower, self.width = lower, upper - lower
         self.closest = _CLOSEST * self.width
-        self.points = lower + self.width * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        self.samples = function(self.points)
-        self.size = np.abs(self.samples).max(axis=1, keepdims=True)
-        self.size[self.size == 0.0] = 1.0
+        points = lower + self.width * _SHARES
+        self.points, samples = points[:_SAMPLES], function(points)
+        size = np.maximum(samples.max(axis=1), -samples.min(axis=1))[:, None]
+        size[size == 0.0] = 1.0
+        straight = self._are_straight(samples, size)
+        self.bent = slice(None) if not straight.any() else np.flatnonzero(~straight)
+        self.samples, self.size = samples[self.bent, :_SAMPLES], size[self.bent]
+
+    def _are_straight(self, samples: Array, size: Array) -> NDArray[np.bool_]:
+        """Which functions are straight lines, (rows,): nothing more has to be looked at."""
+        first, slopes = samples[:, :1], samples[:, _SAMPLES - 1 : _SAMPLES] - samples[:, :1]
+        lines = slopes * ((_SHARES - _SHARES[0]) / (_SHARES[_SAMPLES - 1] - _SHARES[0]))
+        lines += first
+        lines -= samples
+        largest = np.maximum(lines.max(axis=1), -lines.min(axis=1))
+        return np.asarray(largest <= _STRAIGHT * size[:, 0])
 
     def error(self, a: float, b: float) -> float:
         """Largest interpolation error on [a, b], at the fine samples and a few more points."""
+        if not len(self.samples):
+            return 0.0
         inside = slice(*np.searchsorted(self.points, [a, b]))
         charge(_LOOK_COST(self.samples[:, inside].size))
         shares = (self.points[inside] - a) / (b - a)
         few = self.function(a + (b - a) * np.concatenate([_unit(self.nodes).nodes, _OFF_SAMPLES]))
+        few = few[self.bent]
         if _are_even(shares):
             matrix = _even_interpolation(shares.size, self.nodes)
         else:

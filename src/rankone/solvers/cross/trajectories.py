@@ -233,5 +233,6 @@ def _integrated(
         ends = first_to_end(system, sampled.end, sampled.state, points, floor)
         raise TrajectoryEnds(sampled.end, points[ends])
     units = sizes * _norm_of_ones(times.size, sizes.size)
-    scaled = sampled.states.transpose(1, 0, 2) / units[:, None, None]
-    return np.asarray(scaled.reshape(-1, len(points))), sampled.integrator
+    scaled = np.empty((units.size, times.size, len(points)))
+    np.divide(sampled.states.transpose(1, 0, 2), units[:, None, None], out=scaled)
+    return scaled.reshape(-1, len(points)), sampled.integrator
