@@ -6,6 +6,7 @@ import pytest
 import rankone as ro
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.trajectories.integrator import Integrator, Tolerances
+from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks import StackedIntegrator
 
 POINTS = np.array([[0.5], [1.0], [1.5]])
@@ -27,6 +28,16 @@ def test_dense_and_sampled_trajectories_agree(integrator: Integrator):
     np.testing.assert_array_equal(sampled.states, np.moveaxis(dense(times), 2, 0))
     np.testing.assert_allclose(dense(times)[0], np.exp(-POINTS * times), rtol=1e-6)
     np.testing.assert_array_equal(dense.state, sampled.state)
+
+
+@pytest.mark.parametrize("integrator", [StackedIntegrator(), SingleIntegrator()])
+def test_some_trajectories_are_those_of_all(integrator: Integrator):
+    dense = integrator.run(decay(), POINTS, [0.0, 1.0, 2.0], TOLERANCES)
+    times = np.array([1.7, 0.0, 0.4])
+    some = dense.of(slice(1, 3))
+    np.testing.assert_allclose(some(times), dense(times)[:, 1:], rtol=1e-15)
+    np.testing.assert_array_equal(some.state, dense.state[:, 1:])
+    np.testing.assert_array_equal(some.largest, dense.largest[:, 1:])
 
 
 def test_a_blow_up_ends_all_trajectories():

@@ -113,26 +113,27 @@ class Train:
             cores[j + 1] = np.tensordot(s[:rank, None] * vt[:rank], cores[j + 1], 1)
         return Train(tuple(cores)), change
 
-    def left_orthonormal(self) -> Train:
-        """All cores but the last have orthonormal columns; the last takes the factors.
+    def left_orthonormal(self, negligible: float = _NEGLIGIBLE_ROW) -> Train:
+        """Cores of orthonormal columns but the last, which takes the factors.
 
-        Columns that add nothing become directions of rounding, of weight zero in the last core.
+        Columns that add no direction above ``negligible``, relative to the largest, are left out.
         """
         cores = list(self.cores)
         for j in range(len(cores) - 1):
-            shape = cores[j].shape
-            charge(qr(cores[j].size / shape[-1], shape[-1]))
-            q, r = np.linalg.qr(cores[j].reshape(-1, shape[-1]))
-            cores[j] = q.reshape(*shape[:-1], -1)
+            q, r = independent(cores[j].reshape(-1, cores[j].shape[-1]), negligible)
+            cores[j] = q.reshape(*cores[j].shape[:-1], -1)
             cores[j + 1] = np.tensordot(r, cores[j + 1], 1)
         return Train(tuple(cores))
 
     def rounded(self, tolerance: float) -> Train:
         """The train with the ranks that a tolerance needs, right-orthonormal."""
-        return self.rounded_with_norms(tolerance)[0]
+        return self.right_orthonormal().truncated(tolerance)[0].right_orthonormal()
 
     def rounded_with_norms(self, tolerance: float) -> tuple[Train, list[Array]]:
-        """The same, and the norms of the modes of each core j >= 1."""
+        """The same in one sweep less, and the norms of the modes of each core j >= 1.
+
+        What is tiny in core 0 is not left out, but mixed with the rest.
+        """
         cores, norms = list(self.left_orthonormal().cores), list[Array]()
         share = tolerance / math.sqrt(max(len(cores) - 1, 1))
         for j in range(len(cores) - 1, 0, -1):

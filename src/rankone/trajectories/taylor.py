@@ -118,7 +118,7 @@ class TaylorSeries:
         shape = n, variables.size if varying else len(places)
         sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
         if n < SPARSE_STATES:
-            np.add.at(sums, (targets, columns), entries)
+            np.add.at(sums, (np.array(targets, dtype=np.intp), columns), entries)
         else:
             sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
         return cls(constant, sums, products, variables, np.array(factors) if varying else None)
@@ -186,7 +186,12 @@ class Recursion:
                 now.take(level.right, axis=0, out=right, mode="clip")
                 np.einsum("kqm,kqm->qm", all_left, all_right, out=product)
             weighted = now if factors is None else now.take(variables, axis=0) * factors
-            np.multiply(series.sums @ weighted, h / (k + 1), out=self._states[k + 1])
+            slopes = self._states[k + 1]
+            if isinstance(series.sums, np.ndarray):
+                np.dot(series.sums, weighted, out=slopes)
+            else:
+                slopes[:] = series.sums @ weighted
+            slopes *= h / (k + 1)
             if not k:
                 self._states[1] += h * series.constant
         return powers[:, : len(states)]
