@@ -50,7 +50,12 @@ def test_spans_of_their_own():
 def test_newton_matrices_serve_several_steps(monkeypatch):
     inverted = []
     inv = np.linalg.inv
-    monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.dtype) or inv(some))
+
+    def noted(some):
+        inverted.extend([some.dtype] if some.ndim == 3 else [])  # others make the method itself
+        return inv(some)
+
+    monkeypatch.setattr(np.linalg, "inv", noted)
     problem = ro.Problem.from_strings(
         {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2"},
         {"a": "1", "b": "0", "c": "0"},
@@ -61,6 +66,7 @@ def test_newton_matrices_serve_several_steps(monkeypatch):
     points = np.linspace(0.02, 0.06, 30)[:, None]
     trajectories = STIFF.run(ro.compile(problem).system, points, (0.0, 1000.0), tolerances)
     assert trajectories.end == 1000.0
-    assert len(inverted) == 2 * inverted.count(np.dtype(complex))
-    assert len(inverted) < trajectories.steps
+    real = inverted.count(np.dtype(float))
+    assert inverted.count(np.dtype(complex)) == 2 * real
+    assert real < 0.7 * trajectories.steps
     np.testing.assert_allclose(trajectories.state.sum(axis=0), 1.0, atol=1e-9)

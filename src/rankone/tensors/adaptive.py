@@ -42,9 +42,9 @@ ROUNDING_SHARE = 0.03  # Error of rounding the train, relative to the level
 SECOND_LINE_OFFSET = 0.35
 # Most lines of a parameter through steep points: each costs as much as the first ones
 MAX_STEEP_LINES = 6
-# Largest tail of the modes on the first lines, relative to the level: elsewhere in the box a
-# function may need more modes
-TAIL_SHARE = 0.005
+# Largest tail of the modes on the first lines, relative to the level, for a single parameter:
+# elsewhere in the box a function may need more modes, and the tails of several parameters add up
+TAIL_SHARE = 0.02
 STEEP_TAIL_SHARE = 0.01  # The same where elements are taken: a column is steep at few times only
 # An element is halved where its error at the borders exceeds this many tolerances of its tail
 BORDER_ERROR_FACTOR = 30.0
@@ -197,7 +197,8 @@ class AdaptiveInterpolation:
         The modes of a smooth function fall geometrically, which tells how many are needed beyond
         the ``count`` of the lines.
         """
-        most, tolerance = self.limits.max_nodes, TAIL_SHARE * self.level
+        most = self.limits.max_nodes
+        tolerance = TAIL_SHARE * self.level / math.sqrt(len(self.box))
         line_bases = self._line_bases(count)
         on_lines = lines([(j, basis.nodes) for j, basis in enumerate(line_bases)])
         drawn = [LineColumns(*pair) for pair in zip(line_bases, on_lines, strict=True)]

@@ -24,7 +24,7 @@ from rankone.trajectories.integrator import finite_blocks, jacobians
 SPARSE_STATES = 64
 """States from which on sparse factors pay."""
 _MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
-_FEW_STAGES, _MORE_STAGES, _MOST_STAGES = 3, 5, 7  # Of dense and of sparse systems
+_FEW_STAGES, _MOST_STAGES = 5, 7
 _TIGHT = 1e-5  # Relative tolerance below which sparse systems take most stages
 _ITERATIONS = 4  # Of Newton, in a step
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
@@ -70,10 +70,9 @@ def sparse_pattern(system: System) -> PatternJacobian | None:
 
 
 def stages_for(system: System, tolerance: float) -> int:
-    """The stages of Radau: more with sparse factors, which cost little beside the fewer steps."""
-    if sparse_pattern(system) is None:
-        return _FEW_STAGES
-    return _MOST_STAGES if tolerance < _TIGHT else _MORE_STAGES
+    """The stages of Radau: most at tight tolerances with sparse factors, which cost little."""
+    tight = tolerance < _TIGHT and sparse_pattern(system) is not None
+    return _MOST_STAGES if tight else _FEW_STAGES
 
 
 def implicit_step_cost(system: System) -> float | None:

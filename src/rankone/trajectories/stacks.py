@@ -42,8 +42,7 @@ from rankone.trajectories.taylor import StackedTaylor, TaylorSeries, steps_ratio
 _FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
-# Factors on tolerances of Radau, by its stages: its estimate is cautious, and the more so the more
-_RADAU_TOLERANCE = {3: 1.7, 5: 4.0, 7: 4.0}
+_RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
@@ -322,14 +321,13 @@ class _Stack:
                 state, avoided = self._steps(explicit, record, self._explicit_steps_left)
                 if not avoided:
                     return state, avoided
-            stages = stages_for(self.system, self.tolerances.relative)
             implicit = partial(
                 StackedRadau,
-                tolerances=self.tolerances.times(_RADAU_TOLERANCE[stages]),
+                tolerances=self.tolerances.times(_RADAU_TOLERANCE),
                 control=control,
                 blocks=jacobians_for(self.system, self.points),
                 looks_between=not has_smooth_rates(self.system, self.edges[0]),
-                stages=stages,
+                stages=stages_for(self.system, self.tolerances.relative),
             )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
         return state, avoided

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.integrate
@@ -237,11 +238,14 @@ class TaylorPiece(Piece):
         self, t_old: float, t: float, y_old: Array, rows: Array, unit: float, allowed: Array
     ) -> None:
         super().__init__(t_old, t, y_old, rows)
-        self.h, self.order = unit, len(rows)
-        missed = interpolation_errors((t - t_old) / unit, rows)
-        shares = np.divide(missed, allowed, out=np.zeros_like(missed), where=missed > 0.0)
+        self.h, self.order, self.allowed = unit, len(rows), allowed
+
+    @cached_property
+    def parts(self) -> int:  # type: ignore[override]
+        missed = interpolation_errors((self.t - self.t_old) / self.h, self.rows)
+        shares = np.divide(missed, self.allowed, out=np.zeros_like(missed), where=missed > 0.0)
         parts = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
-        self.parts = max(_LEAST_PARTS, math.ceil(parts))
+        return int(max(_LEAST_PARTS, math.ceil(parts)))
 
     def weights(self, shares: Array) -> Array:
         factors = np.broadcast_to(shares, (self.order, shares.size))
