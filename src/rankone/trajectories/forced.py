@@ -8,7 +8,7 @@ backwards. So the trajectories depend smoothly on the parameters over the whole 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -64,6 +64,18 @@ class _Flow:
             before = self.behind(_share(elapsed, self.to_behind))
             states = np.where(elapsed < 0.0, before, states)
         return states
+
+    def of(self, trajectories: slice) -> _Flow:
+        """That of some of the trajectories."""
+        places = np.arange(self.starts.size)[trajectories]
+        return _Flow(
+            self.starts[places],
+            self.points[places],
+            self.ahead.chosen(places),
+            None if self.behind is None else self.behind.chosen(places),
+            self.to_ahead[places],
+            self.to_behind[places],
+        )
 
     def heights(self, event: SystemEvent, elapsed: Array) -> Array:
         """What crosses zero at an event, (m, K), after elapsed times (m, K)."""
@@ -149,6 +161,16 @@ class ForcedTrajectories:
             here = stretch == i
             states[:n, :, here] = self.flows[i](elapsed[:, here])[:n]
         return states
+
+    def of(self, trajectories: slice) -> ForcedTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        return replace(
+            self,
+            points=self.points[trajectories],
+            flows=[flow.of(trajectories) for flow in self.flows],
+            borders=self.borders[trajectories],
+            guards=self.guards[:, trajectories],
+        )
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Pseudo-times with the states (n, m) there."""
