@@ -68,6 +68,7 @@ RUN_ENOUGH = 2.0
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="four problems, fewer repetitions")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="problems, such as kirchhoff")
     parser.add_argument("--json", metavar="PATH", type=Path, help="write the numbers to PATH")
     parser.add_argument(
         "--update", action="store_true", help="write docs/measured.md and the README's sentence"
@@ -79,8 +80,12 @@ def main() -> None:
         name, rtol, repetitions, method = arguments.one
         print(json.dumps(_measure(name, float(rtol), int(repetitions), method)))
         return
+    if arguments.only and arguments.update:
+        parser.error("--update needs all problems")
     rows = []
     for name, rtol in QUICK if arguments.quick else BARS:
+        if arguments.only and name not in arguments.only:
+            continue
         _say(f"{TITLES[name]} at {rtol:g} ...")
         command = ["--one", name, repr(rtol), "3" if arguments.quick else "9"]
         command.append(arguments.method)
