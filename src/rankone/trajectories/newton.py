@@ -81,7 +81,7 @@ def implicit_step_cost(system: System) -> float | None:
     if pattern is None:
         return None
     elimination = elimination_of(pattern)
-    matrices = (_MORE_STAGES + 1) / 2
+    matrices = (_FEW_STAGES + 1) / 2
     return matrices * (elimination.factor_cost + _ITERATIONS * elimination.solution_cost)
 
 
