@@ -113,6 +113,7 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     assert max(len(shape) and shape[0] for shape in inverted) < 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1.8, 2.0])
 def test_eleven_parameters_are_not_given_up_while_the_error_falls(width):
     names = [f"p{i}" for i in range(11)]

@@ -187,6 +187,7 @@ def test_unstable_initial_values_stay_and_are_said():
     assert "is unstable: some perturbation grows at a rate of 2" in steady.message
 
 
+@pytest.mark.slow
 def test_mechanics_and_algebraic_equations_rest_too():
     spring = ro.Problem(
         [sp.Eq(x.diff(t, 2) + x.diff(t) + k * x, 1)], (t, 0, 10), {k: (1, 2)}, {x: 0, x.diff(t): 0}

@@ -155,6 +155,7 @@ def test_functions_of_unknowns_mechanics_events_and_no_parameters():
         np.testing.assert_allclose(solution(times, **at), expected, rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_starts_that_are_none():
     def refused(error, match, *arguments, **options):
         with pytest.raises(error, match=match):

@@ -161,6 +161,7 @@ def test_a_surface_that_repels_is_left():
 @pytest.mark.parametrize(
     "rate", ["300*Heaviside(x/a - 0.999999)", "Piecewise((1e5, (x - 0.5)**2 < 1e-10), (0, True))"]
 )
+@pytest.mark.slow
 def test_a_short_visit_of_a_side_is_not_overlooked(rate):
     """The solution is right, or there is none."""
     visited = problem(
