@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,61 +177,55 @@ def _in_order(parts: Sequence[tuple[_Steps, Array]]) -> tuple[_Steps, Array]:
     return together._chosen(order), np.concatenate([heights for _, heights in parts])[order]
 
 
+@dataclass(frozen=True, eq=False)
 class Crossings:
     """The crossings of events on paths, each at its own point (d,) of points (m, d).
 
     Every path has made a step. ``fired`` are for each of them the events at its very start, and
     ``first`` says whether they were the first ones there. Times within an ``instant`` are the same.
-    Paths are looked at in blocks, since much of what is read is read once.
     """
 
-    def __init__(
-        self,
-        system: System,
-        paths: Sequence[Path],
-        points: Array,
-        fired: Sequence[frozenset[int]],
-        first: NDArray[np.bool_],
-        instant: float,
-    ) -> None:
-        steps = np.cumsum([path.steps for path in paths])
-        borders = np.searchsorted(steps, np.arange(0, steps[-1], _BLOCK)).tolist()
-        blocks = itertools.pairwise([*sorted(set(borders)), len(paths)])
-        self.blocks = [
-            _Block(system, paths[a:b], points[a:b], fired[a:b], first[a:b], instant)
-            for a, b in blocks
-        ]
+    system: System
+    paths: Sequence[Path]
+    points: Array
+    fired: Sequence[frozenset[int]]
+    first: NDArray[np.bool_]
+    instant: float
 
     def of(self, k: int, event: SystemEvent) -> list[Array]:
         """For each path the times of event ``k``, in order; the first alone if it interrupts."""
-        return [times for block in self.blocks for times in block.of(k, event)]
+        return [times for block in self._blocks for times in block._together(k, event)]
 
+    @cached_property
+    def _blocks(self) -> list[Crossings]:
+        """Paths that are looked at together: few, since much of what is read is read once."""
+        steps = np.cumsum([path.steps for path in self.paths])
+        borders = np.searchsorted(steps, np.arange(0, steps[-1], _BLOCK)).tolist()
+        return [
+            replace(
+                self,
+                paths=self.paths[a:b],
+                points=self.points[a:b],
+                fired=self.fired[a:b],
+                first=self.first[a:b],
+            )
+            for a, b in itertools.pairwise([*sorted(set(borders)), len(self.paths)])
+        ]
 
-class _Block:
-    """Paths whose crossings are looked for together; see :class:`Crossings`."""
+    @cached_property
+    def _steps(self) -> _Steps:
+        return _Steps.of(self.paths, self.points)
 
-    def __init__(
-        self,
-        system: System,
-        paths: Sequence[Path],
-        points: Array,
-        fired: Sequence[frozenset[int]],
-        first: NDArray[np.bool_],
-        instant: float,
-    ) -> None:
-        self.system, self.fired, self.first, self.instant = system, fired, first, instant
-        self.steps, self.count = _Steps.of(paths, points), len(paths)
-
-    def of(self, k: int, event: SystemEvent) -> list[Array]:
-        """The times of event ``k``; see :meth:`Crossings.of`.
+    def _together(self, k: int, event: SystemEvent) -> list[Array]:
+        """The times of event ``k`` on all paths.
 
         A trajectory that begins at the event is on its surface except for rounding. It is there
         again at once if it was reset, goes on to the same side as before, and does not cross the
         surface on its way: a ball that comes to rest falls again.
         """
-        steps, heights = self.steps.resolved(event)
-        instants = [steps.begin[:0]] * self.count
-        firsts = np.searchsorted(steps.owner, np.arange(self.count))
+        steps, heights = self._steps.resolved(event)
+        instants = [steps.begin[:0]] * len(self.paths)
+        firsts = np.searchsorted(steps.owner, np.arange(len(self.paths)))
         was_here = np.array([k in fired for fired in self.fired])
         began = firsts[was_here]
         if event.then is None:  # nothing but rounding moved it away
