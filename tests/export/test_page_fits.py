@@ -171,8 +171,7 @@ IN_SIGHT = """(shown) => [...document.querySelectorAll(shown)].filter((element) 
 }).length"""
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_sliders_curves_and_what_a_fit_says_are_in_sight(tmp_path, width, scheme):
     """Beside each other on a screen; on a telephone each slider below the curves."""
     table = tmp_path / "measured.csv"

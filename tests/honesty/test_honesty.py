@@ -21,8 +21,8 @@ COUNTS = {
     "data": 3,
     "doses": 4,
     "events": 5,
-    "switches": 4,
-    "orders": 4,
+    "switches": 3,
+    "orders": 2,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")
