@@ -27,23 +27,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=40, help="how many systems")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    given = parser.parse_args()
+    options = parser.parse_args()
     verdicts: Counter[str] = Counter()
     print("| seed | system | orders | kept | seconds | verdict |")
     print("| ---: | --- | ---: | ---: | ---: | --- |")
-    for seed in range(given.seed, given.seed + given.count):
+    for seed in range(options.seed, options.seed + options.count):
         system = case("orders", seed)
         began = time.process_time()
-        found = judged(system, longest=np.inf)
+        verdict = judged(system, longest=np.inf)
         seconds = time.process_time() - began
-        verdicts[found.verdict] += 1
+        verdicts[verdict.verdict] += 1
         count = len(shares_of_orders(system))
-        text = found.verdict if found.verdict == "ok" else f"{found.verdict}: {found.message[:90]}"
+        text = verdict.verdict
+        if text != "ok":
+            text += f": {verdict.message[:90]}"
         print(
-            f"| {seed} | {system.name} | {count} | {found.kept:.2f} | {seconds:.1f} | {text} |",
+            f"| {seed} | {system.name} | {count} | {verdict.kept:.2f} | {seconds:.1f} | {text} |",
             flush=True,
         )
-    print(f"\n{verdicts['ok']} of {given.count} solved, {verdicts['wrong']} wrong")
+    print(f"\n{verdicts['ok']} of {options.count} solved, {verdicts['wrong']} wrong")
 
 
 if __name__ == "__main__":

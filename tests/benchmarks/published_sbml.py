@@ -170,12 +170,12 @@ class Published:
 
     def start(self, point: dict[str, float]) -> dict[str, float]:
         """All values at the start, with other numbers of some parameters."""
-        known = {"np": np, "time": 0.0, "piecewise": _piecewise}
+        scope = {"np": np, "time": 0.0, "piecewise": _piecewise}
         values = {**self.values, **self.numbers, **point}
         formulas = {**self.starts, **self.assigned}
         for name in _ordered(formulas):
             if name not in point and not (name in self.numbers and name in self.starts):
-                values[name] = eval(formulas[name], {**known, **values})
+                values[name] = eval(formulas[name], {**scope, **values})
         return values
 
     def rates(self, values: dict[str, float]) -> Any:

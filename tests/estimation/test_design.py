@@ -131,9 +131,9 @@ def test_after_several_experiments():
 
 def test_expected_intervals_are_students_where_noise_is_estimated():
     at, options = {**AT, "sigma_C": 0.1}, {"observe": "C", "fixed": {"dose": 100}}
-    given = oral().design(6, HOURS, at=AT, sigma=0.1, **options)
+    with_sigma = oral().design(6, HOURS, at=AT, sigma=0.1, **options)
     free = oral().design(6, HOURS, at=at, noise="constant", **options)
-    for plan, q in ((given, scipy.stats.norm.ppf(0.95)), (free, scipy.stats.t.ppf(0.95, 3))):
+    for plan, q in ((with_sigma, scipy.stats.norm.ppf(0.95)), (free, scipy.stats.t.ppf(0.95, 3))):
         low, high = plan.interval(0.9)["ke"]
         assert high - low == pytest.approx(2 * q * plan.std["ke"], rel=1e-9)
     fit = oral().fit(HOURS, bateman(HOURS) + 0.1 * draws(3), **options)

@@ -73,7 +73,7 @@ def test_the_level_of_students_noise_is_a_standard_deviation():
     """A given one is that of SciPy's distribution, and an estimated one its standard deviation."""
     data = closed(**TRUE) + 0.05 * draws()
     data[7] += 1.0
-    given = decay().fit(TIMES, data, noise="student", sigma=0.08)
+    with_sigma = decay().fit(TIMES, data, noise="student", sigma=0.08)
 
     def cost(z):
         scale = 0.08 * STUDENT_SCALE
@@ -81,9 +81,10 @@ def test_the_level_of_students_noise_is_a_standard_deviation():
 
     options = {"xatol": 1e-9, "fatol": 1e-12}
     end = scipy.optimize.minimize(cost, [1.2, 1.9], method="Nelder-Mead", options=options)
-    np.testing.assert_allclose(list(given.x.values()), end.x, rtol=1e-5)
-    assert given.log_likelihood == pytest.approx(-end.fun, abs=1e-6)
-    assert given.success, given.message  # one value 12 standard deviations off is no surprise
+    np.testing.assert_allclose(list(with_sigma.x.values()), end.x, rtol=1e-5)
+    assert with_sigma.log_likelihood == pytest.approx(-end.fun, abs=1e-6)
+    # one value 12 standard deviations off is no surprise
+    assert with_sigma.success, with_sigma.message
     assert not decay().fit(TIMES, data, sigma=0.08).success
     free = decay().fit(TIMES, data, noise="student")
     _, z = direct(CASES["student"][0], data, 1)
@@ -225,8 +226,8 @@ def test_degrees_of_freedom_with_priors():
 def test_noise_that_is_told_of_some_observables():
     data = {"x": closed(**TRUE) + 0.05 * draws(), "y": 2.0 * closed(**TRUE) + 0.2 * draws(2)}
     observe = {"x": "u", "y": "2*u"}
-    given = decay().fit(TIMES, data, observe=observe, sigma={"x": 0.05})
-    assert list(given.x) == ["k", "a", "sigma_y"]
+    with_sigma = decay().fit(TIMES, data, observe=observe, sigma={"x": 0.05})
+    assert list(with_sigma.x) == ["k", "a", "sigma_y"]
     kinds = decay().fit(TIMES, data, observe=observe, noise={"y": "student"})
     assert list(kinds.x) == ["k", "a", "sigma_x", "sigma_y"]
     both = decay().fit(TIMES, data, observe=observe, noise={"y": "student"}, sigma={"x": 0.05})

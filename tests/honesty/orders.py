@@ -77,13 +77,13 @@ def _doses(draw: random.Random) -> Case:
     at = [a, b, number(draw, 1.5, 2.5)][: draw.randint(2, 3)]
     draw.shuffle(at)
     rate = draw.choice([-number(draw, 0.2, 1) * x, -number(draw, 0.3, 2) * x / (x + 1)])
-    given = [
+    doses = [
         ro.Event(t - time, "rising", then={x: _effect(draw, x)}, name=f"dose_{k}")
         for k, time in enumerate(at)
     ]
     box = {a: _around(draw, 2, 0.1, 0.4), b: _around(draw, 2, 0.1, 0.4), c: (0.5, 1.0)}
     rates = [rate, number(draw, 0.2, 1) * x - c * y]
-    return _case(draw, "doses", [x, y], rates, [1, 0], box, draw.uniform(4, 6), events=given)
+    return _case(draw, "doses", [x, y], rates, [1, 0], box, draw.uniform(4, 6), events=doses)
 
 
 def _dose_and_threshold(draw: random.Random) -> Case:

@@ -95,17 +95,17 @@ def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
     values = {str(symbol): p[:, None] for symbol, p in zip(case.box, points, strict=True)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ro.RankoneWarning)
-        found = solution(t=times[None, :], **values)
+        solved = solution(t=times[None, :], **values)
     undecided = getattr(solution.outcome.timeline, "undecided", 0.0)
     if 0.0 < undecided <= _MOST_UNDECIDED:  # at points on a declared sliver there are no values
-        sliver = np.isnan(found).any(axis=(0, 2))
+        sliver = np.isnan(solved).any(axis=(0, 2))
         if sliver.sum() <= 1:
             beside = beside | sliver[:, None]
     if case.events or beside.any():  # after the end of time both are NaN
-        beside |= np.isnan(exact).all(axis=0) & np.isnan(found).all(axis=0)
-        exact, found = np.where(beside, 0.0, exact), np.where(beside, 0.0, found)
+        beside |= np.isnan(exact).all(axis=0) & np.isnan(solved).all(axis=0)
+        exact, solved = np.where(beside, 0.0, exact), np.where(beside, 0.0, solved)
     size = np.abs(exact).max(axis=(1, 2))
-    errors = np.abs(found - exact).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
+    errors = np.abs(solved - exact).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
     kept = float(np.nan_to_num(errors, nan=np.inf).max()) / case.rtol
     verdict = "wrong" if kept > WITHIN else "slow" if seconds > longest else "ok"
     return Verdict(verdict, kept, seconds, message)

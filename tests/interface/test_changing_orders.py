@@ -66,12 +66,12 @@ def test_two_doses_that_swap():
     assert len(solution.timeline.branches) == 2
     at = points(solution, 2000, 5)
     times = np.linspace(0.0, END, 25)
-    found = values(solution, times[:, None], at)[0]
+    states = values(solution, times[:, None], at)[0]
     wanted = exact(times[:, None], **at)
     beside = np.minimum(abs(times[:, None] - at["a"]), abs(times[:, None] - at["b"])) < RTOL * END
-    decided = ~np.isnan(found)
+    decided = ~np.isnan(states)
     assert decided.mean() > 1.0 - 2.0 * solution.timeline.undecided - 1e-3
-    assert np.abs(found - wanted)[decided & ~beside].max() < 2.0 * RTOL * wanted.max()
+    assert np.abs(states - wanted)[decided & ~beside].max() < 2.0 * RTOL * wanted.max()
 
 
 def test_times_of_events_swap_with_them():
@@ -189,10 +189,10 @@ def test_a_mass_that_sticks_at_a_turning_point_or_slips_on():
     assert solution.success
     assert len(solution.timeline.branches) == 2
     at, times = points(solution, 60, 3), np.linspace(0.0, 9.0, 30)
-    found = values(solution, times[:, None], at)[0]
+    states = values(solution, times[:, None], at)[0]
     wanted = np.array([swings(times, *pair) for pair in zip(*at.values(), strict=True)]).T
-    assert np.isnan(found).mean() < 0.02
-    assert np.nanmax(np.abs(found - wanted)) < 2.0 * RTOL * 2.5
+    assert np.isnan(states).mean() < 0.02
+    assert np.nanmax(np.abs(states - wanted)) < 2.0 * RTOL * 2.5
 
 
 @pytest.mark.slow

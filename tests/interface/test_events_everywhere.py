@@ -442,14 +442,14 @@ def test_outputs(one_order):
     """The time of an event, a value there, and the integral up to it."""
     x, event = sp.Function(one_order.moves)(t), ro.event_time(one_order.event, 0)
     start, end = one_order.solution.time
-    made = one_order.solution.output(
+    outputs = one_order.solution.output(
         {
             "time": event,
             "value": ro.at_event(x, one_order.event, 0),
             "integral": sp.Integral(x, (t, start, event)),
         }
     )
-    assert made.success, made.message
+    assert outputs.success, outputs.message
     for point in one_order.points(3):
         (instant, *_) = one_order.trajectory(np.array([end]), point).events[one_order.event]
         times = np.linspace(start, instant, 4001)
@@ -457,7 +457,7 @@ def test_outputs(one_order):
         before = one_order.trajectory(instant - 1e-7 * end, point)[one_order.moves]
         wanted = [instant, float(before), float(np.trapezoid(values, times))]
         scale = np.maximum(np.abs(wanted), [end, np.ptp(values), np.ptp(values) * end])
-        np.testing.assert_array_less(np.abs(made(point) - wanted), 4.0 * RTOL * scale)
+        np.testing.assert_array_less(np.abs(outputs(point) - wanted), 4.0 * RTOL * scale)
 
 
 @takes("fit", "posterior", "minimize")

@@ -98,19 +98,19 @@ def test_an_order_that_changes_in_the_box_is_solved_over_the_clock():
 
 
 def test_a_switch_beside_a_jump_at_a_known_time():
-    made = problem(
+    switched = problem(
         {"x": "-x + Heaviside(y - c)", "y": "-y"},
         {"x": 0, "y": 1},
         {"c": (0.3, 0.4)},
         4,
         jumps={2.0: {"y": "y + 1"}},
     )
-    solution = ro.solve(made, RTOL, effort="low")
+    solution = ro.solve(switched, RTOL, effort="low")
     assert solution.success
     assert solution.timeline.stretches == 4
     times = np.linspace(0, 4, 41)
     for (c,) in points({"c": (0.3, 0.4)}):
-        exact = made.trajectory(times, c=c, rtol=1e-10).values
+        exact = switched.trajectory(times, c=c, rtol=1e-10).values
         np.testing.assert_allclose(solution(t=times, c=c), exact, atol=2 * RTOL)
 
 

@@ -252,7 +252,7 @@ def design(
             "these measurements cannot identify all parameters, whatever the times",
             "fix some, or observe more",
         )
-    known, given, dof = _noise(blocks, times, after)
+    sigma_known, noise_given, dof = _noise(blocks, times, after)
     return Design(
         times=clock[np.sort(indices)],
         criterion=criterion,
@@ -264,8 +264,8 @@ def design(
         success=success,
         message=message,
         level=level,
-        sigma_known=known,
-        noise_given=given,
+        sigma_known=sigma_known,
+        noise_given=noise_given,
         dof=dof,
         _blocks=blocks,
         _score=score,

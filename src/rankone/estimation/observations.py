@@ -299,12 +299,12 @@ def _noises(
         kind = kinds.get(name)
         own = name in spreads if isinstance(sigma, Mapping) else sigma is not None
         if name in texts:
-            made = _expressed(solution, name, texts[name], kind, row)
+            distribution = _expressed(solution, name, texts[name], kind, row)
         elif kind is None and (own or (sigma is None and noise is None)):
-            made = Noise("normal", 1.0 / np.sqrt(row) if option == "weights" else row)
+            distribution = Noise("normal", 1.0 / np.sqrt(row) if option == "weights" else row)
         else:
-            made = noise_of(kind or "constant", name, row, given=own)
-        noises.append(made.selected(here))
+            distribution = noise_of(kind or "constant", name, row, given=own)
+        noises.append(distribution.selected(here))
     return tuple(noises)
 
 

@@ -44,9 +44,9 @@ def standalone_source(
     about, imports, system = _generated(source)
     rests = any(line.startswith("SETTLE = ") for line in source.splitlines())
     roots = ["rankone.export.program", home, *([_RESTING] if rests else [])]
-    made = f"ir__system.system_of(globals(){_held_argument(held is not None)})"
+    system_text = f"ir__system.system_of(globals(){_held_argument(held is not None)})"
     if rests:
-        made = f"{bundled_name(_RESTING)}.started({made})"
+        system_text = f"{bundled_name(_RESTING)}.started({system_text})"
     blocks = [
         _head(title, about, imports, metadata),
         _FRONT.format(options=engine.options.__name__).strip(),
@@ -54,7 +54,7 @@ def standalone_source(
         _RUNTIME.strip(),
         *bundle(roots),
         *([] if held is None else [block(_HELD, held)]),
-        _end(engine, bundled_name(home), metadata, made),
+        _end(engine, bundled_name(home), metadata, system_text),
     ]
     return "\n\n\n".join(blocks) + "\n"
 

@@ -141,10 +141,10 @@ class CheckedProblem(ProblemContent):
         initial = {state: closed(start) for state, start in initial.items()}
         if rest is not None:
             initial = {state: initial.get(state, sp.S.Zero) for state in symbols.states}
-        known, moving = moving_jumps(self.jumps, symbols)
+        at_numbers, moving = moving_jumps(self.jumps, symbols)
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
-            for at, reset in check_jumps(known, symbols).items()
+            for at, reset in check_jumps(at_numbers, symbols).items()
         }
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
         events = check_events([*self.events, *moving] if moving else self.events, symbols)
@@ -225,10 +225,10 @@ class CheckedProblem(ProblemContent):
         highest = dict(zip(self.mass.leading, zip(solved, origins, strict=True), strict=True))
         pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in symbols.states]
         rates, numbers = [rate for rate, _ in pairs], [number for _, number in pairs]
-        found, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
-        if not found:
+        deltas, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
+        if not deltas:
             return
-        gone = dict.fromkeys(found, sp.S.Zero)
+        gone = dict.fromkeys(deltas, sp.S.Zero)
         residuals = tuple(residual.xreplace(gone) for residual in self.residuals)
         self._keep(
             equations=tuple(equation.xreplace(gone) for equation in self.equations),

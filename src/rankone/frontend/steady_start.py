@@ -155,10 +155,10 @@ def _condition(symbol: sp.Symbol, value: Any, written: Mapping[str, Any]) -> sp.
     """What stands for a constant or parameter before the start."""
     subject, remedy = f"the condition of {quote(symbol)}", "give a number, for example {dose: 0}"
     expression = as_expression(value, subject, remedy)
-    known = {*written["parameters"], *(written["constants"] or {})}
+    declared = {*written["parameters"], *(written["constants"] or {})}
     if expression.atoms(AppliedUndef) or expression.has(sp.nan, sp.oo, -sp.oo, sp.zoo, sp.I):
         raise ProblemError(f"{subject} is {quote(expression)}", term=value, remedy=remedy)
-    for other in sorted(expression.free_symbols - known, key=str):
+    for other in sorted(expression.free_symbols - declared, key=str):
         raise ProblemError(
             f"{subject}, {quote(expression)}, has {quote(other)}, which is neither a parameter nor "
             "a constant",

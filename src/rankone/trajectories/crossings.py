@@ -129,13 +129,13 @@ class _Steps:
 
     def _divided(self, shares: Array) -> _Steps:
         """Both parts of all steps, divided at shares (S,) of their lengths."""
-        parts = self._chosen(np.repeat(np.arange(self.begin.size), 2))
+        divided = self._chosen(np.repeat(np.arange(self.begin.size), 2))
         border = self.begin + shares * (self.end - self.begin)
-        parts.end[::2] = parts.begin[1::2] = border
+        divided.end[::2] = divided.begin[1::2] = border
         before, after = shares[:, None] * NODES, shares[:, None] + (1.0 - shares[:, None]) * NODES
-        parts.nodal[::2] = np.matmul(_interpolation(before), self.nodal)
-        parts.nodal[1::2] = np.matmul(_interpolation(after), self.nodal)
-        return parts
+        divided.nodal[::2] = np.matmul(_interpolation(before), self.nodal)
+        divided.nodal[1::2] = np.matmul(_interpolation(after), self.nodal)
+        return divided
 
 
 def _nearest_to_zero(heights: Array) -> tuple[Array, Array]:

@@ -35,8 +35,8 @@ def growth_rate(matrix: Matrix) -> float:
     try:
         start = np.random.default_rng(20149).random(matrix.shape[0])
         options = {"which": "LR", "v0": start, "tol": _TOLERANCE, "maxiter": _MOST_RESTARTS}
-        found = eigs(matrix, k=1, return_eigenvectors=False, **options)
-        return float(found.real.max())
+        fastest = eigs(matrix, k=1, return_eigenvectors=False, **options)
+        return float(fastest.real.max())
     except ArpackError:  # the bound is never too small
         diagonal = matrix.diagonal()
         return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())

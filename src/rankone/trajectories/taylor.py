@@ -244,8 +244,8 @@ class TaylorPiece(Piece):
     def parts(self) -> int:  # type: ignore[override]
         missed = interpolation_errors((self.t - self.t_old) / self.h, self.rows)
         shares = np.divide(missed, self.allowed, out=np.zeros_like(missed), where=missed > 0.0)
-        parts = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
-        return int(max(_LEAST_PARTS, math.ceil(parts)))
+        enough = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
+        return int(max(_LEAST_PARTS, math.ceil(enough)))
 
     def weights(self, shares: Array) -> Array:
         factors = np.broadcast_to(shares, (self.order, shares.size))
