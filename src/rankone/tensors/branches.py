@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
 from rankone.tensors.evaluator import Rows
+from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 
@@ -48,8 +49,8 @@ class Decision:
     undecided: NDArray[np.bool_]
 
 
-class BranchEvaluator:
-    """States at clock times, with the methods of :class:`TimelineEvaluator`.
+class BranchEvaluator(ClockEvaluator):
+    """States at clock times, of the branch that holds at each point.
 
     Values are NaN, with a warning, where it is undecided which branch holds: where guards are
     within a ``width`` of their signs, and states of the branches differ by more than
@@ -107,19 +108,7 @@ class BranchEvaluator:
         start = np.zeros((1, 1))
         return np.asarray(evaluator.trains.curves(start, points, np.array([row]))[0, 0])
 
-    def one(self, point: Sequence[float], rows: Rows) -> Array:
-        """States at one point, 1 + d numbers: shape (rows,)."""
-        return self.many(np.array(point, dtype=float)[:, None], rows)[:, 0]
-
-    def many(self, points: Array, rows: Rows) -> Array:
-        """States at paired points (1 + d, N): shape (rows, N)."""
-        return self.curves(points[:1], points[1:], rows)[:, 0]
-
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
-        """States at several times for each point of the parameters: shape (rows, T, N).
-
-        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
-        """
         states, doubtful = self.with_doubts(times, points, rows)
         _warn_of(doubtful)
         return states
@@ -127,7 +116,7 @@ class BranchEvaluator:
     def with_doubts(
         self, times: Array, points: Array, rows: Rows
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """The same, and where it is undecided which branch holds (T, N)."""
+        """Curves, and where it is undecided which branch holds (T, N)."""
         times = np.broadcast_to(times, (len(times), points.shape[1]))
 
         def states(k: int, here: NDArray[np.intp]) -> Array:
@@ -169,14 +158,6 @@ class BranchEvaluator:
         slopes[:, doubtful] = math.nan
         _warn_of(doubtful)
         return merged, slopes
-
-    def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
-        """States on a tensor grid of 1 + d axes: (rows, *sizes of the axes)."""
-        sizes = [axis.size for axis in axes]
-        mesh = np.meshgrid(*axes[1:], indexing="ij")
-        points = np.stack([each.ravel() for each in mesh]) if mesh else np.empty((0, 1))
-        states = self.curves(np.asarray(axes[0])[:, None], points, rows)
-        return states.reshape(len(states), *sizes)
 
     def _merged(
         self,

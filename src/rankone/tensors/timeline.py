@@ -9,18 +9,18 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
 
 _ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
 
 
-class TimelineEvaluator:
-    """States at clock times, with the methods of :class:`TrainEvaluator`.
+class TimelineEvaluator(ClockEvaluator):
+    """States at clock times, of slabs over pseudo-time: stretch i is [i, i + 1].
 
-    The slabs are over pseudo-time: stretch i is [i, i + 1]. The last two of their states are the
-    clock and the length of the stretch. ``affine_borders`` maps borders, 0 for the start of the
-    first stretch, to the constant and the slopes of their times, where these are known. Values are
-    NaN where no stretch reaches.
+    The last two of their states are the clock and the length of the stretch. ``affine_borders``
+    maps borders, 0 for the start of the first stretch, to the constant and the slopes of their
+    times, where these are known. Values are NaN where no stretch reaches.
     """
 
     def __init__(
@@ -55,19 +55,7 @@ class TimelineEvaluator:
                 times[border] += slopes[j] * points[j]
         return times
 
-    def one(self, point: Sequence[float], rows: Rows) -> Array:
-        """States at one point, 1 + d numbers: shape (rows,)."""
-        return self.many(np.array(point, dtype=float)[:, None], rows)[:, 0]
-
-    def many(self, points: Array, rows: Rows) -> Array:
-        """States at paired points (1 + d, N): shape (rows, N)."""
-        return self.curves(points[:1], points[1:], rows)[:, 0]
-
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
-        """States at several times for each point of the parameters: shape (rows, T, N).
-
-        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
-        """
         times = np.broadcast_to(times, (len(times), points.shape[1]))
         borders = self.borders_as_solved(points)
         pseudo, outside = self._pseudo_times(times, borders)
@@ -133,14 +121,6 @@ class TimelineEvaluator:
         for border, (_, *slopes) in self.affine_borders.items():
             at[border, :, 1:] = [slopes[j] if slopes else 0.0 for j in free]
         return at
-
-    def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
-        """States on a tensor grid of 1 + d axes: (rows, *sizes of the axes)."""
-        sizes = [axis.size for axis in axes]
-        mesh = np.meshgrid(*axes[1:], indexing="ij")
-        points = np.stack([each.ravel() for each in mesh]) if mesh else np.empty((0, 1))
-        states = self.curves(np.asarray(axes[0])[:, None], points, rows)
-        return states.reshape(len(states), *sizes)
 
     def _pseudo_times(self, times: Array, borders: Array) -> tuple[Array, Array]:
         """Pseudo-times (T, N) of clock times, and which are in no stretch."""
