@@ -21,6 +21,7 @@ from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.trajectories.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
+from rankone.trajectories.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.paths import Path, Paths
 from rankone.trajectories.shares import SeparateRun, share_paths
 
@@ -94,11 +95,11 @@ def _share(elapsed: Array, whole: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class ForcedTrajectories:
+class ForcedTrajectories(PseudoTimeTrajectories):
     """Trajectories of a forced order, over the pseudo-time of its stretches.
 
-    Fulfils :class:`DenseTrajectories`. ``borders`` (m, stretches + 1) are clock times, which need
-    not ascend; ``guards`` (g, m) belong to the order.
+    ``borders`` (m, stretches + 1) are clock times, which need not ascend; ``guards`` (g, m) belong
+    to the order.
     """
 
     system: System
@@ -113,24 +114,8 @@ class ForcedTrajectories:
     avoided: float = 0.0
 
     @property
-    def start(self) -> float:
-        return 0.0
-
-    @property
     def end(self) -> float:
         return float(len(self.flows))
-
-    @property
-    def has_begun(self) -> bool:
-        return True
-
-    @property
-    def state(self) -> Array:
-        return self(np.array([self.end]))[:, :, 0]
-
-    @property
-    def last(self) -> Array:
-        return self.state
 
     @property
     def largest(self) -> Array:

@@ -24,6 +24,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
+from rankone.trajectories.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.paths import Path, Paths, joined
 from rankone.trajectories.sides import check_sides, times_to_check
 
@@ -31,8 +32,8 @@ _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted state
 
 
 @dataclass(frozen=True)
-class StretchTrajectories:
-    """Trajectories over the pseudo-time of stretches. Fulfils :class:`DenseTrajectories`.
+class StretchTrajectories(PseudoTimeTrajectories):
+    """Trajectories over the pseudo-time of stretches, integrated over clock time.
 
     ``borders`` (m, stretches + 1) are the clock times at which stretches begin and end; ``points``
     are (m, d). Lifted states of the ``system`` are what they stand for.
@@ -48,28 +49,12 @@ class StretchTrajectories:
     avoided: float = 0.0
 
     @property
-    def start(self) -> float:
-        return 0.0
-
-    @property
     def end(self) -> float:
         return float(self.clock.order.stretches)
 
     @property
     def steps(self) -> int:
         return max(each.steps for each in self.trajectories)
-
-    @property
-    def has_begun(self) -> bool:
-        return True
-
-    @property
-    def state(self) -> Array:
-        return self(np.array([self.end]))[:, :, 0]
-
-    @property
-    def last(self) -> Array:
-        return self.state
 
     @property
     def largest(self) -> Array:
