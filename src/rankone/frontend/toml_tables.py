@@ -71,7 +71,7 @@ _OPTIONAL = (
     *("parameters", "name", "jumps", "units", "events", "constants", "definitions", "atol"),
     *("equations", "unknowns", "tail", "correlation"),
 )
-_AS_THEY_ARE = ("name", "tail", "equations", "unknowns")
+_AS_THEY_ARE = ("name", "tail", "equations", "unknowns")  # Taken over without a check
 SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -88,9 +88,9 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
                 f"known are {listing(keys)}",
                 term=key,
             )
-    given = {*content, *(["rhs"] if "equations" in content else [])}
-    given |= {"initial"} if "steady_state" in content else set()
-    missing = [key for key in _REQUIRED if key not in given]
+    present = {*content, *(["rhs"] if "equations" in content else [])}
+    present |= {"initial"} if "steady_state" in content else set()
+    missing = [key for key in _REQUIRED if key not in present]
     if missing:
         misplaced = [
             f"; `{key}` in [{name}] belongs above the first table"
@@ -116,9 +116,7 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
         "units": dict(_table(content, "units")),
         "events": _events(content.get("events", [])),
         "correlation": _correlation(content.get("correlation", [])),
-        **{
-            key: content[key] for key in ("name", "tail", "equations", "unknowns") if key in content
-        },
+        **{key: content[key] for key in _AS_THEY_ARE if key in content},
     }
 
 

@@ -111,12 +111,6 @@ class Paths:
         states = np.matmul(weights, self.nodal[chosen])
         return np.moveaxis(states.reshape(*times.shape, -1), 2, 0)
 
-    @property
-    def ends(self) -> Array:
-        """The last of the breaks of each, (m,)."""
-        steps = np.isfinite(self.breaks).sum(axis=1) - 1
-        return np.take_along_axis(self.breaks, steps[:, None], axis=1)[:, 0]
-
     def chosen(self, places: NDArray[np.intp]) -> Paths:
         """Some of them."""
         return replace(self, breaks=self.breaks[places], first=self.first[places])
