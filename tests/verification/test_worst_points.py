@@ -7,7 +7,8 @@ import pytest
 
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
-from rankone.verification.measure import ReferenceSet, worst_points
+from rankone.verification.measure import ReferenceSet
+from rankone.verification.worst_points import worst_points
 
 
 @pytest.fixture(scope="module")

@@ -36,8 +36,9 @@ from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work
 from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.trajectories.choice import tell_fallback
-from rankone.verification.measure import ReferenceSet, worst_points
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import safe_intervals
+from rankone.verification.worst_points import worst_points
 
 EXPLANATION_OPERATIONS = 5e9
 """Most operations kept back to explain a failure: a search for the steep parameter needs them."""

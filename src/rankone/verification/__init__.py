@@ -2,12 +2,15 @@
 
 Read in this order:
 
-=============  ====================================================================================
-``measure``    the reference set of a solve, the error measured against it, the worst points
-``reference``  reference trajectories, and the intervals on which they reach the end
-``coverage``   coordinates in which the points of a box are spread, decades included
-``points``     where they begin: the points of the box at which a solution is checked
-``cuts``       where known functions of one coordinate are not smooth or narrow
-``search``     climbing, by which the others find points
-=============  ====================================================================================
+================  =================================================================================
+``measure``       the reference set of a solve, and the error measured against it
+``clock``         errors at clock times, where slabs are over stretches between events
+``branches``      errors where several orders of events hold, and the share left undecided
+``worst_points``  where the error is expected to be above the tolerance
+``reference``     reference trajectories, and the intervals on which they reach the end
+``coverage``      coordinates in which the points of a box are spread, decades included
+``points``        where they begin: the points of the box at which a solution is checked
+``cuts``          where known functions of one coordinate are not smooth or narrow
+``search``        climbing, by which the others find points
+================  =================================================================================
 """
