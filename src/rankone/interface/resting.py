@@ -11,9 +11,7 @@ from rankone.support.budget import limited
 from rankone.support.errors import ProblemError
 from rankone.support.wording import listing
 from rankone.trajectories.resting_start import RestingStart
-from rankone.verification.points import FEW_PARAMETERS, check_points
-
-_BRANCH_POINTS = 32  # Points of the box, besides corners, that have to be on one branch
+from rankone.verification.points import branch_points
 
 
 def check_totals(problem: Problem, system: System) -> None:
@@ -37,7 +35,6 @@ def check_totals(problem: Problem, system: System) -> None:
 def check_rest(system: System, request: SolveRequest) -> None:
     """Raise a ConvergenceError unless steady states at the start are on one branch in the box."""
     if isinstance(system.at_rest, RestingStart):
-        few = len(system.box) <= FEW_PARAMETERS
-        points = check_points(request.domain.bounds, _BRANCH_POINTS, every_corner=few)
+        points = branch_points(request.domain)
         with limited(request.limits.operations, request.limits.seconds):
             system.at_rest.check(points)

@@ -27,13 +27,12 @@ from rankone.symbolic import FirstOrderSystem
 from rankone.tensors.slab import at_one_time
 from rankone.trajectories.branches import check_one_branch
 from rankone.trajectories.rest import SteadyStates, at_rest
-from rankone.verification.points import FEW_PARAMETERS, check_points
+from rankone.verification.points import branch_points
 
 _SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle
 _USUAL_HORIZONS = 100.0  # Horizons of the problem that trajectories may take to settle
 _FINER = 0.01  # Factor of the tolerance until gradients are within it
 _LEAST_RTOL = 1e-10
-_BRANCH_POINTS = 32  # Points of the box, besides corners, that have to be on one branch
 
 
 def steady_state(
@@ -113,8 +112,7 @@ def steady_state(
             max_seconds=max_seconds,
             integrator="stack",
         )
-        few = len(system.box) <= FEW_PARAMETERS
-        points = check_points(request.domain.bounds, _BRANCH_POINTS, every_corner=few)
+        points = branch_points(request.domain)
         try:
             with limited(request.limits.operations, request.limits.seconds):
                 check_one_branch(steady, points)

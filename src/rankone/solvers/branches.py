@@ -39,7 +39,9 @@ from rankone.verification.branches import (
     undecided_share,
 )
 from rankone.verification.coverage import Coverage
-from rankone.verification.points import FEW_PARAMETERS, check_points
+from rankone.verification.measure import SAFE_QUANTILE
+from rankone.verification.points import FEW_PARAMETERS, check_points, covers_corners
+from rankone.verification.reference import reference_accuracy
 
 MOST_UNDECIDED = 0.01
 """Largest share of the box that may be undecided."""
@@ -49,13 +51,10 @@ _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, o
 _MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
 _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
 _MOST_MISSED = 10.0  # Error over the tolerance from which more accurate branches are no remedy
-_ACCURACY = 3e-3  # Tolerance of trajectories over that of the solve
-_LEAST_ACCURACY = 3e-13
 _FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
 _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
 _SAME_TIME = 0.1  # Difference of lengths of stretches that end at once, in horizons, over rtol
-_SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 _WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
@@ -108,7 +107,7 @@ def solve_in_branches(
 def order_search(timed: System, request: SolveRequest) -> OrderSearch:
     """Trajectories of their own orders, evenly spread over the box."""
     domain = request.domain
-    accuracy = max(_ACCURACY * request.rtol, _LEAST_ACCURACY)
+    accuracy = reference_accuracy(request.rtol)
     chosen = span_integrator_for(timed, request.integrator, accuracy=accuracy)
     shares = spread(_POINTS, len(domain.box), np.random.default_rng(20143))
     points = Coverage.of_domain(domain).points(_INSIDE + (1.0 - 2.0 * _INSIDE) * shares)
@@ -270,9 +269,7 @@ class _BranchSolve:
     @property
     def _whole_box(self) -> bool:
         """Whether corners count."""
-        cover = self.request.check.cover
-        few = len(self.request.domain.box) <= FEW_PARAMETERS
-        return few if cover is None else cover == "box"
+        return covers_corners(self.request)
 
     def _check_points(self, evaluator: BranchEvaluator) -> tuple[Array, int]:
         """The centre, corners, interior points and those next to changes (m, d); the corners."""
@@ -323,7 +320,7 @@ def _measured(
         points=len(points),
         method="DOP853",
         cover="box" if whole_box else "interior",
-        quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
+        quantile=float(np.quantile(of_points, SAFE_QUANTILE, method="higher")),
         worst=tuple(points[counts][np.argmax(of_points)].tolist()),
         counted=counted,
         time_error=errors.time,

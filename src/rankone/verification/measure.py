@@ -27,13 +27,12 @@ from rankone.verification.points import (
     active_points,
     cell_points,
     check_points,
+    covers_corners,
     inside_jumps,
     surface_points,
 )
-from rankone.verification.reference import Reference, integrate_reference
+from rankone.verification.reference import Reference, integrate_reference, reference_accuracy
 
-_REFERENCE_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
-_LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
 _IN_STEP = 4  # Stretches between markers over which it is as accurate: phases drift over more
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
@@ -45,7 +44,7 @@ _CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked tim
 _GROWTH_STEPS = 32  # Steps over the horizon by which the growth of errors is followed
 _GROWTH_TRAJECTORIES = 5  # Check points at which it is followed, the centre first
 _BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
-_SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 # Operations of a least change that satisfies constraints, for each entry of their slopes
 _CONSTRAINT_COST = Cost(50e3, 400.0)
 _DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
@@ -86,7 +85,7 @@ class ReferenceSet:
         """Integrate the reference for a solve, and with it trajectories on ``lines`` (m, d)."""
         domain, check = request.domain, request.check
         few = len(domain.box) <= FEW_PARAMETERS
-        whole_box = few if check.cover is None else check.cover == "box"
+        whole_box = covers_corners(request)
         in_time, *parameter_cuts = system_cuts(system, domain)
         cuts = _with_jumps(in_time.points, system, domain)
         if system.clock is not None:
@@ -112,7 +111,7 @@ class ReferenceSet:
             active, surfaces = active_points(system, domain), surface_points(system, domain)
             cells = cell_points(domain, all_cuts)
             points = np.concatenate([points, active, surfaces, cells])
-        accuracy = max(_REFERENCE_ACCURACY * request.rtol, _LEAST_ACCURACY)
+        accuracy = reference_accuracy(request.rtol)
         if system.clock is not None and system.clock.markers:
             accuracy *= min(_IN_STEP / system.clock.order.stretches, 1.0)
         reference_set = cls(
@@ -295,7 +294,7 @@ class ReferenceSet:
             points=m,
             method=reference.method,
             cover="box" if self.whole_box else "interior",
-            quantile=float(np.quantile(of_points[spread[counts]], _SAFE_QUANTILE, method="higher")),
+            quantile=float(np.quantile(of_points[spread[counts]], SAFE_QUANTILE, method="higher")),
             worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
             counted=self.counted,
             integrator=reference.integrator,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D
 from rankone.discretization.scales import Scale
-from rankone.ir.request import Domain
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain
@@ -23,6 +23,7 @@ from rankone.verification.coverage import Coverage
 from rankone.verification.search import Climb, climbed
 
 FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
+_BRANCH_POINTS = 32  # Points, besides corners, that have to be on one branch of steady states
 _FEW_CORNERS = 8  # Corners where they do not count: all of three parameters
 _MOST_CORNERS = 256  # Corners where they count: all of eight parameters
 _BESIDE = 4e-9  # Distance from cuts, in widths of the interval: at a jump the state is ambiguous
@@ -74,6 +75,18 @@ def check_points(
             beside[:, j] = places + side * width[j]
             points.append(beside)
     return np.concatenate(points)
+
+
+def covers_corners(request: SolveRequest) -> bool:
+    """Whether errors at corners count: as asked, otherwise with few parameters."""
+    cover = request.check.cover
+    return len(request.domain.box) <= FEW_PARAMETERS if cover is None else cover == "box"
+
+
+def branch_points(domain: Domain) -> Array:
+    """Points (m, d) that have to be on one branch of steady states."""
+    few = len(domain.box) <= FEW_PARAMETERS
+    return check_points(domain.bounds, _BRANCH_POINTS, every_corner=few)
 
 
 def inside_jumps(points: Array, system: System, domain: Domain) -> Array:

@@ -37,6 +37,8 @@ from rankone.trajectories.spectra import first_jacobian, growth_rate, jacobian_b
 from rankone.trajectories.stacks import has_smooth_rates
 from rankone.verification.points import check_points
 
+_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
+_LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
 _NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
 _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
 _BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
@@ -139,6 +141,11 @@ class Reference:
             zero=self.zero & second.zero,
             blown=blown,
         )
+
+
+def reference_accuracy(rtol: float) -> float:
+    """The relative tolerance of trajectories against which a solve to ``rtol`` is measured."""
+    return max(_ACCURACY * rtol, _LEAST_ACCURACY)
 
 
 def integrate_reference(
