@@ -4,6 +4,7 @@ Every import counts, also those inside functions and those for type checkers alo
 """
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -171,3 +172,20 @@ def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert float(done.stdout) == float(solution(t=1.0, k=2.0)[0])
+
+
+ROOMS = [
+    path
+    for path in sorted(SOURCE.glob("*/__init__.py"))
+    if "===" in (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "")
+]
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda path: path.parent.name)
+def test_rooms_list_their_modules(room):
+    """Each module of a room that has a table of its modules is in it."""
+    table = ast.get_docstring(ast.parse(room.read_text(encoding="utf-8")))
+    listed = set(re.findall(r"``(\w+)``|~\.(\w+)", table))
+    names = {name for pair in listed for name in pair}
+    modules = {path.stem for path in room.parent.glob("*.py")} - {"__init__"}
+    assert not modules - names

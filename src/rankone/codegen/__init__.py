@@ -7,6 +7,7 @@
 ``factors``             all known functions of a coordinate
 ``kernels``             the separated right-hand side of a group, on many columns at once
 ``rates``               right-hand sides and Jacobians, of systems that separate or do not
+``arrays``              those of many states, as sparse array code
 ``constraints``         what vanishes on all trajectories
 ``rest``                rates before a start at a steady state
 ``pointwise``           the one writer of pointwise functions, and the printer that it takes

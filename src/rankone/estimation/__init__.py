@@ -1,12 +1,13 @@
 """Parameters from data, posterior distributions, designs and best values: methods of a solution.
 
-======================  ==========================================================================
+======================  ============================================================================
 ``tables``              tables of measurements, cut into experiments
 ``observations``        measured data, checked, and what was measured
 ``formulas``            arithmetic of named quantities, from text or symbols
 ``duals``               arrays with their derivatives
 ``noise``               kinds of noise, and what a datum adds to a likelihood
 ``experiments``         experiments, and what their solutions predict
+``models``              solutions at the times of data, with derivatives
 ``free_parameters``     free parameters, their bounds, scales and starts
 ``ranges``              intervals of parameters that belong to no solution
 ``likelihood``          the likelihood of all experiments, on a unit cube
@@ -30,7 +31,7 @@
 ``objective``           objectives and constraints on a unit cube, with derivatives
 ``minimize``            ``minimize``
 ``expressions``         quantities of parameters: functions, text, or symbols
-======================  ==========================================================================
+======================  ============================================================================
 """
 
 from rankone.estimation import design as _design

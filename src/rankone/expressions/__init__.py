@@ -3,6 +3,7 @@
 ========================  ==========================================================================
 :mod:`~.parsing`          text to expressions
 :mod:`~.notation`         exact numbers in place of floating-point ones; text and LaTeX for people
+:mod:`~.unknowns`         unknowns as functions of time, and their derivatives
 :mod:`~.named_constants`  numbers that keep their name up to generated code
 :mod:`~.admissible`       where an expression is defined: poles, roots, gaps between branches
 :mod:`~.boundaries`       where an expression kinks or jumps

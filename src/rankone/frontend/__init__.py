@@ -1,6 +1,6 @@
 """What users write, validated here: problems in SymPy or text, and problem files.
 
-======================  ==========================================================================
+======================  ============================================================================
 :mod:`~.problem`        :class:`rankone.Problem`, what users build, change, save and integrate
 :mod:`~.checked`        its arguments validated, by all the checks below
 :mod:`~.box`            the time interval, the intervals or distributions of parameters, units
@@ -18,6 +18,7 @@
 :mod:`~.steady_start`   starts at the steady state of other conditions
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
 :mod:`~.events`         what happens where an expression crosses zero
+:mod:`~.markers`        expressions that users give to end stretches of time
 :mod:`~.text`           formulas by name as the expressions that the checks take
 :mod:`~.numeric`        the equations as functions of numbers
 :mod:`~.integration`    the integration of one trajectory, by SciPy
@@ -26,5 +27,5 @@
 :mod:`~.toml_tables`    tables of a TOML file as arguments in text
 :mod:`~.saving`         problems as TOML text
 :mod:`~.problem_files`  problems from Python and TOML files
-======================  ==========================================================================
+======================  ============================================================================
 """

@@ -1,12 +1,14 @@
 """What users hold: compiled problems and solutions.
 
-==============  ==================================================================================
+==============  ====================================================================================
 ``compiled``    the pipeline from a problem to a generated module, and ``solve``
 ``stages``      what was derived from a problem, and the forms that methods take
 ``resting``     checks of starts at steady states
 ``renumbered``  a compiled problem with other numbers of its run-time constants
 ``lifted``      the lifted form of a problem, for methods that need separated terms
+``stretched``   the form over stretches, for the same methods
+``held``        the form with each switch of the rates held on a side
 ``steady``      steady states as solutions of the parameters alone
 ``solution``    the solution with its statistics, outputs, fits, exports and files
-==============  ==================================================================================
+==============  ====================================================================================
 """

@@ -1,8 +1,10 @@
 """A solution: evaluation, smaller solutions, tables with labels, summaries.
 
-================  ================================================================================
+================  ==================================================================================
 ``core``          evaluation, errors and files; all that an exported solver needs of a solution
+``timeline``      times of events
+``branches``      the evaluator where several orders of events hold
 ``smaller``       parameters fixed, the box restricted, derivatives
 ``presentation``  the printed summary; xarray and pandas
-================  ================================================================================
+================  ==================================================================================
 """

@@ -1,6 +1,6 @@
 """Statistics of a solution over its box: every integral is a product of one-dimensional ones.
 
-=======================  =========================================================================
+=======================  ===========================================================================
 ``distributions``        distributions of one parameter: scipy.stats, text, quadrature
 ``joint_distribution``   all parameters together, joined by a Gaussian copula
 ``moments``              means, variances and sensitivities of one train
@@ -8,5 +8,6 @@
 ``densities``            densities and probabilities, from evenly spread points
 ``solution_statistics``  statistics of states at given times, and how certain they are
 ``over_box``             the methods of a solution
-=======================  =========================================================================
+``timeline_statistics``  those of solutions with events, from evenly spread points
+=======================  ===========================================================================
 """

@@ -1,16 +1,17 @@
 """What every room uses: the version, errors, wording, files, progress, the budget of work.
 
-==============  ==================================================================================
+==============  ====================================================================================
 ``arrays``      the array type, points of a cube, corners, bisection
 ``errors``      errors and warnings: message and remedy
 ``wording``     quotes, lists, names, tables and equations in text
+``labelled``    results as tables of pandas, data sets of xarray, and in notebooks
 ``budget``      counted work, and a deadline where a user asked for one
 ``costs``       what numerical work costs, in operations
 ``options``     options of engines: declared with their ranges, checked in one place
 ``progress``    progress events, a bar, timings of stages
 ``files``       several files written together, all of them or none
 ``plain_data``  frozen dataclasses as plain data and back
-==============  ==================================================================================
+==============  ====================================================================================
 """
 
 from importlib.metadata import PackageNotFoundError, version
