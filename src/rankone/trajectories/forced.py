@@ -1,8 +1,8 @@
-"""Trajectories that follow an order of events wherever it holds or not.
+"""Trajectories that follow an order of events, whether it holds or not.
 
-Each stretch ends with a root of its event that is near to where it is expected, whatever comes
-before it. Where other events would come first it lies in the past, and the stretch is integrated
-backwards. So the trajectories depend smoothly on the parameters over the whole box.
+Each stretch ends at the root of its event that is nearest to where it is expected, whatever comes
+before it. Where other events would come first, that root lies in the past, and the stretch is
+integrated backwards. So the trajectories depend smoothly on the parameters over the whole box.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of s
 
 
 class ContinuationError(OrderError):
-    """An order of events cannot be continued to all points (m, d) at which it was asked for.
+    """An order of events cannot be continued to all of the points (m, d).
 
-    It ``fails`` (m,) at some of them.
+    ``fails`` (m,) marks those at which it cannot.
     """
 
     fails: NDArray[np.bool_]
@@ -195,29 +195,18 @@ class _Follower:
     def trajectories(self) -> ForcedTrajectories:
         clock, forced = self.clock, self.clock.forced
         assert forced is not None
-        sided = clock.system
-        columns = np.ascontiguousarray(self.points.T)
         times = np.full(len(self.points), clock.horizon[0])
         expected = forced.lengths(self.points)
-        states = self._on_sides(sided.initial(columns), 0)
+        states = self._on_sides(clock.system.initial(np.ascontiguousarray(self.points.T)), 0)
         guards = np.ones((len(forced.guards), len(self.points)))
         self._guard(guards, -1, 0, times, states)
         flows, borders = list[_Flow](), [times]
-        before: tuple[int, ...] = ()
         for i, met in enumerate(forced.met):
-            event = sided.events[met[0]]
-            if event.at is not None:
-                elapsed = np.broadcast_to(event.at(columns), times.shape) - times
-                flow = self._flow(times, states, elapsed, np.zeros_like(elapsed))
-            else:
-                at_root = met[0] in before or not before
-                margin = forced.margins[i]
-                flow, elapsed = self._to_root(event, times, states, expected[:, i], margin, at_root)
+            flow, elapsed = self._stretch(i, times, states, expected[:, i])
             flows.append(flow)
             times = times + elapsed
             borders.append(times)
             states = self._reset(i, met, times, flow(elapsed[:, None])[:, :, 0], guards)
-            before = met
         if clock.order.ending is Ending.HORIZON:
             elapsed = clock.horizon[1] - times
             flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
@@ -233,6 +222,19 @@ class _Follower:
             "stack",
             "DOP853",
         )
+
+    def _stretch(self, i: int, times: Array, states: Array, expected: Array) -> tuple[_Flow, Array]:
+        """The flow of a stretch from times (m,) to its event, and the elapsed times (m,)."""
+        forced = self.clock.forced
+        assert forced is not None
+        (first, *_), before = forced.met[i], forced.met[i - 1] if i else ()
+        event = self.clock.system.events[first]
+        if event.at is None:
+            at_root = first in before or not before
+            return self._to_root(event, times, states, expected, forced.margins[i], at_root)
+        at = event.at(np.ascontiguousarray(self.points.T))
+        elapsed = np.broadcast_to(at, times.shape) - times
+        return self._flow(times, states, elapsed, np.zeros_like(elapsed)), elapsed
 
     def _reset(
         self, instant: int, met: tuple[int, ...], times: Array, states: Array, guards: Array
@@ -371,7 +373,10 @@ def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Ar
 def _refined(
     height: Callable[[Array], Array], a: Array, b: Array, at_a: Array, at_b: Array, starts: Array
 ) -> Array:
-    """Roots between a and b (m,), where heights have other signs; by the Illinois method."""
+    """Roots between a and b (m,), where heights have opposite signs.
+
+    By the Illinois method (Dowell & Jarratt, BIT 11 (1971), 168).
+    """
     for _ in range(_REFINEMENTS):
         width = np.abs(b - a)
         done = (width <= _EXACT * (np.abs(starts) + np.abs(a))) | (at_b == 0.0)

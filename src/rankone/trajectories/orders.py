@@ -41,7 +41,7 @@ _SAFETY = 4.0  # The same over the errors of what was expected before
 
 @dataclass(frozen=True)
 class Order:
-    """What a trajectory meets before the end: events in the order in which they happen, and sides.
+    """The events that a trajectory meets before the end, in their order, and its sides.
 
     The first event at an instant ends the stretch. The ``sides`` of switches are those on each
     stretch; nothing follows the last event if that is ``terminal``.
@@ -251,9 +251,9 @@ class OrderSearch:
         first: NDArray[np.intp],
         second: NDArray[np.intp],
     ) -> tuple[Guard, float, float]:
-        """What tells trajectories of two sets of points apart that part at an instant.
+        """The guard that tells two sets of trajectories apart which part at an instant.
 
-        With its sign at the first ones, and its size. An OrderError if nothing does.
+        With its sign on the first set, and its size. An OrderError if there is none.
         """
         for guard in self._guards(instant):
             heights = [self._heights(guard, places) for places in (first, second)]
@@ -272,7 +272,7 @@ class OrderSearch:
         )
 
     def _guards(self, instant: int) -> list[Guard]:
-        """What may tell trajectories apart at an instant."""
+        """The guards that may tell trajectories apart at an instant."""
         guards: list[Guard] = []
         for k, event in enumerate(self.system.events):
             if event.at is not None:

@@ -1,7 +1,8 @@
 """How fast small changes of the states grow and decay, by the Jacobian.
 
-The eigenvalues of many states are not computed: one at an end of the spectrum, by Arnoldi's method
-(ARPACK), to a few per cent, and where that does not converge the bound of Gershgorin's circles.
+Of many states one eigenvalue is computed, at an end of the spectrum and to a few per cent, by
+Arnoldi's method (ARPACK; Lehoucq, Sorensen & Yang, 1998). Where that does not converge, the bound
+of Gershgorin's circles stands in for it.
 """
 
 from __future__ import annotations
