@@ -84,33 +84,11 @@ class ReferenceSet:
     def of(cls, system: System, request: SolveRequest, lines: Array | None = None) -> ReferenceSet:
         """Integrate the reference for a solve, and with it trajectories on ``lines`` (m, d)."""
         domain, check = request.domain, request.check
-        few = len(domain.box) <= FEW_PARAMETERS
-        whole_box = covers_corners(request)
         in_time, *parameter_cuts = system_cuts(system, domain)
         cuts = _with_jumps(in_time.points, system, domain)
         if system.clock is not None:
             cuts = tuple(map(float, range(1, system.clock.order.stretches)))
-        all_cuts = [each.points for each in parameter_cuts] if check.points else ()
-        beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in all_cuts]
-        every_corner = whole_box or few
-        points = check_points(
-            domain.bounds,
-            check.points,
-            cuts=beside,
-            every_corner=every_corner,
-            scales=domain.coordinates,
-        )
-        points = inside_jumps(points, system, domain)
-        interior = 1 + check.points + 2 * sum(map(len, beside))
-        corners = len(points) - interior if check.points and domain.box else 0
-        beside_corners = np.split(points, [1 + corners])
-        if lines is None or not check.points or system.clock is not None:
-            lines = points[:0]
-        points = np.concatenate([beside_corners[0], lines, beside_corners[1]])
-        if check.points:
-            active, surfaces = active_points(system, domain), surface_points(system, domain)
-            cells = cell_points(domain, all_cuts)
-            points = np.concatenate([points, active, surfaces, cells])
+        points, corners, on_lines = _points_of(system, request, parameter_cuts, lines)
         accuracy = reference_accuracy(request.rtol)
         if system.clock is not None and system.clock.markers:
             accuracy *= min(_IN_STEP / system.clock.order.stretches, 1.0)
@@ -120,14 +98,14 @@ class ReferenceSet:
             accuracy,
             integrate_reference(system, points, domain.horizon, accuracy, cuts, request.integrator),
             corners,
-            whole_box,
+            covers_corners(request),
             bool(check.points),
             cuts,
             tuple(parameter_cuts),
             check.states,
             request.integrator,
             request.rtol,
-            len(lines),
+            on_lines,
         )
         reference_set._check_sizes()
         return reference_set
@@ -388,6 +366,34 @@ class ReferenceSet:
                     "numbers",
                     remedy="change its unit",
                 )
+
+
+def _points_of(
+    system: System, request: SolveRequest, parameter_cuts: Sequence[Cuts], lines: Array | None
+) -> tuple[Array, int, int]:
+    """Points (m, d) of a reference set; how many of them are corners, and how many on lines."""
+    domain, count = request.domain, request.check.points
+    few = len(domain.box) <= FEW_PARAMETERS
+    cuts = [each.points for each in parameter_cuts] if count else ()
+    beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in cuts]
+    points = check_points(
+        domain.bounds,
+        count,
+        cuts=beside,
+        every_corner=few or covers_corners(request),
+        scales=domain.coordinates,
+    )
+    points = inside_jumps(points, system, domain)
+    interior = 1 + count + 2 * sum(map(len, beside))
+    corners = len(points) - interior if count and domain.box else 0
+    if not count:
+        return points, corners, 0
+    if lines is None or system.clock is not None:
+        lines = points[:0]
+    outer, inner = np.split(points, [1 + corners])
+    active, surfaces = active_points(system, domain), surface_points(system, domain)
+    points = np.concatenate([outer, lines, inner, active, surfaces, cell_points(domain, cuts)])
+    return points, corners, len(lines)
 
 
 def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[float, ...]:
