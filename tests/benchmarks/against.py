@@ -23,8 +23,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.benchmarks.report import BARS  # noqa: E402
-
 SECONDS = 1.5
 """How long a process repeats a solve; three times at least."""
 
@@ -34,10 +32,11 @@ def main() -> None:
     parser.add_argument("commit")
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--only", help="problems whose name starts so")
-    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
-        print(json.dumps(least(given.one[0], float(given.one[1]))))
+        place, name, rtol = given.one
+        print(json.dumps(least(Path(place), name, float(rtol))))
         return
     with tempfile.TemporaryDirectory() as folder:
         other = Path(folder) / "other"
@@ -51,6 +50,8 @@ def main() -> None:
 
 def compare(other: Path, given: argparse.Namespace) -> None:
     """Print a row for each problem, and the geometric mean."""
+    from tests.benchmarks.report import BARS  # puts these sources before all others
+
     ratios = []
     print(f"| problem | rtol | ms, {given.commit} | ms, now | ratio |")
     print("| --- | ---: | ---: | ---: | ---: |")
@@ -71,15 +72,19 @@ def compare(other: Path, given: argparse.Namespace) -> None:
 
 def elsewhere(place: Path, commit: str, name: str, rtol: float) -> float:
     """The least time with the sources in a place."""
-    command = [sys.executable, str(Path(__file__)), commit, "--one", name, repr(rtol)]
-    environment = {**os.environ, "PYTHONPATH": str(place / "src")}
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    one = ["--one", str(place), name, repr(rtol)]
+    command = [sys.executable, str(Path(__file__)), commit, *one]
+    run = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return float(json.loads(run.stdout))
 
 
-def least(name: str, rtol: float) -> float:
-    """The least time of a solve, repeated in this process."""
+def least(place: Path, name: str, rtol: float) -> float:
+    """The least time of a solve with the sources in a place, repeated in this process."""
+    sys.path.insert(0, str(place / "src"))
     import rankone as ro
+
+    if not Path(ro.__file__).is_relative_to(place):
+        raise SystemExit(f"{ro.__file__} is not in {place}")
     from tests.problems import MEASURED
 
     compiled = ro.compile(MEASURED[name]())
