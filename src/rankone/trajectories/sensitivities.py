@@ -129,7 +129,7 @@ def _propagators(
     size = _STAGES * n
     charge(2.0 * steps * size**2 * (size / 3.0 + n + k))
     flat = right.reshape(steps, size, n + k)
-    solved: Array = np.linalg.solve(left.reshape(steps, size, size), flat)
+    solved = np.asarray(np.linalg.solve(left.reshape(steps, size, size), flat), dtype=float)
     return solved[:, -n:, :n], solved[:, -n:, n:]
 
 
