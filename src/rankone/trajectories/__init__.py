@@ -14,7 +14,7 @@ Read in this order:
 ``elimination``         sparse factors: in bands, or by SuperLU
 ``spectra``             how fast small changes grow and decay
 ``single``              SciPy's LSODA, one trajectory after the other
-``sensitivities``       one trajectory with its derivatives with respect to parameters
+``sensitive_paths``     one trajectory with its derivatives with respect to parameters
 ``paths``               trajectories that each have steps of their own, as piecewise polynomials
 ``dense_paths``         dense trajectories made of them, and the control of their steps
 ``shares``              a stack whose trajectories each begin and end at a time of their own

@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.sensitivities import sensitivities
+from rankone.trajectories.sensitive_paths import sensitivities
 
 
 def test_stiff_kinetics_agree_with_differences_of_tight_trajectories():
