@@ -6,23 +6,26 @@ from rankone.discretization.time_grid import Polynomials, TimeGrid, resolving_br
 
 
 def test_slabs_are_halved_where_functions_are_steep():
-    breaks = resolving_breaks(lambda t: np.tanh(50 * (t - 0.3))[None], (0.0, 1.0), 9, 1e-6, 100)
+    breaks = resolving_breaks(lambda t: np.tanh(50 * (t - 0.3))[None], (0.0, 1.0), 9, 1e-6, 100, 1)
     widths = np.diff(breaks)
     assert breaks[0] == 0.0
     assert breaks[-1] == 1.0
     assert widths.min() < 0.1 < widths.max()
     grid = TimeGrid(breaks, 9)
     assert grid.times.size == 9 * grid.slabs
-    assert resolving_breaks(lambda t: np.tanh(50 * (t - 0.3))[None], (0.0, 1.0), 9, 1e-6, 3) is None
+    assert (
+        resolving_breaks(lambda t: np.tanh(50 * (t - 0.3))[None], (0.0, 1.0), 9, 1e-6, 3, 50)
+        is None
+    )
 
 
 def test_a_layer_at_the_start_is_seen_between_the_nodes():
-    breaks = resolving_breaks(lambda t: np.exp(-1e5 * t)[None], (0.0, 1.0), 12, 1e-4, 100)
+    breaks = resolving_breaks(lambda t: np.exp(-1e5 * t)[None], (0.0, 1.0), 12, 1e-4, 100, 100)
     assert breaks[1] < 1e-3
 
 
 def test_cuts_are_kept():
-    breaks = resolving_breaks(lambda t: np.abs(t - 0.3)[None], (0.0, 0.3, 1.0), 6, 1e-8, 10)
+    breaks = resolving_breaks(lambda t: np.abs(t - 0.3)[None], (0.0, 0.3, 1.0), 6, 1e-8, 10, 10)
     assert breaks == (0.0, 0.3, 1.0)
 
 

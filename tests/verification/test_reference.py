@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.trajectories.choice import WatchedStack
+from rankone.verification import reference
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import _Resolution, integrate_reference
@@ -157,7 +158,7 @@ def test_a_state_that_passes_through_zero_is_no_dip(small, dips):
     states[small] = 1e-12
 
     class Sampled:
-        end = 90.0
+        end, state = 90.0, np.ones((1, 1))
 
         def samples(self, count):
             return list(zip(times.tolist(), states, strict=True))
@@ -167,3 +168,15 @@ def test_a_state_that_passes_through_zero_is_no_dip(small, dips):
 
     resolution = _Resolution(system, np.zeros((1, 0)), 0.0, 90.0, 1e-6, np.ones((1, 1)))
     assert resolution._grows_again(Sampled()).tolist() == [[dips]]
+
+
+def test_states_are_read_in_blocks_where_they_are_many(monkeypatch):
+    """Sizes, dips, slabs and errors are the same however few states are held at once."""
+    rhs = {"x": "-k*x", "y": "x - y*y"}
+    problem = ro.Problem.from_strings(rhs, {"x": "1", "y": "0"}, {"k": (1, 2)}, (0, 30))
+    whole = ro.solve(problem, rtol=1e-4, method="cross")
+    monkeypatch.setattr(reference, "_HELD_NUMBERS", 1)
+    in_blocks = ro.solve(problem, rtol=1e-4, method="cross")
+    assert len(whole.history) == len(in_blocks.history)
+    assert whole.history[0].slabs == in_blocks.history[0].slabs > 1
+    np.testing.assert_allclose(in_blocks.error, whole.error, rtol=1e-6)

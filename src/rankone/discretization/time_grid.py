@@ -72,11 +72,13 @@ def resolving_breaks(
     count: int,
     tolerance: float,
     most: int,
+    held: int,
 ) -> tuple[float, ...] | None:
     """Ends of at most ``most`` slabs on which ``count`` nodes resolve functions of time, or None.
 
-    The functions (..., T) are in units of their sizes. No slab crosses one of the ``edges``. Slabs
-    are halved until the polynomial through the nodes is close at the ends and in between.
+    The functions (..., T) are in units of their sizes, and read at so many times as are ``held`` at
+    once, or at those of one slab. No slab crosses one of the ``edges``. Slabs are halved until the
+    polynomial through the nodes is close at the ends and in between.
     """
     xi, to_modal = _nodes(count)
     at_probes = legendre_values(_PROBES, count) @ to_modal
@@ -87,9 +89,13 @@ def resolving_breaks(
     while waiting:
         if len(waiting) + len(done) > most:
             return None
-        times = np.concatenate([a + (b - a) * inside for a, b in waiting])
-        sampled = values(times).reshape(-1, len(waiting), inside.size)
-        errors = np.abs(sampled[..., count:] - sampled[..., :count] @ at_probes.T).max(axis=(0, 2))
+        errors, together = list[float](), max(held // inside.size, 1)
+        for first in range(0, len(waiting), together):
+            some = waiting[first : first + together]
+            times = np.concatenate([a + (b - a) * inside for a, b in some])
+            sampled = values(times).reshape(-1, len(some), inside.size)
+            missed = np.abs(sampled[..., count:] - sampled[..., :count] @ at_probes.T)
+            errors += missed.max(axis=(0, 2)).tolist()
         halves = []
         for (a, b), error in zip(waiting, errors, strict=True):
             shortest = max(_SHORTEST_AT_TIME * max(abs(a), abs(b)), _SHORTEST_OF_HORIZON * horizon)

@@ -77,6 +77,7 @@ _TIME_PROBES = 12  # Points whose functions of time are resolved, besides the co
 _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
 _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
+_HELD_NUMBERS = 2**22  # Integrands at several points and times that are held at once
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
 _BORDER_ROUNDING = 1e-12  # Part of the horizon within which borders of stretches are the same
 _CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
@@ -302,7 +303,8 @@ class OutputInterpolation:
             exact = coarse.at(times, points) / units
             return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
 
-        breaks = resolving_breaks(in_units, edges, count, level, max(_MAX_SLABS, 2 * len(edges)))
+        most, held = max(_MAX_SLABS, 2 * len(edges)), max(_HELD_NUMBERS // sampled[:, 0].size, 1)
+        breaks = resolving_breaks(in_units, edges, count, level, most, held)
         return TimeGrid(tuple(edges) if breaks is None else breaks, count)
 
     def _known_borders(self, points: Array) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -85,7 +85,7 @@ class DenseTrajectories(Protocol):
     def of(self, trajectories: slice) -> DenseTrajectories:
         """Some of the trajectories, which follow each other."""
 
-    def samples(self, count: int) -> list[tuple[float, Array]]:
+    def samples(self, count: int) -> Iterable[tuple[float, Array]]:
         """At least ``count`` ends of steps, if there are as many, with the states (n, m) there."""
 
 

@@ -7,7 +7,7 @@ pointwise right-hand side; by Radau where a trajectory is stiff.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import itemgetter
@@ -196,16 +196,14 @@ class StackedTrajectories:
         nodal[:, :-1, -1] = nodal[:, 1:, 0]  # after a jump, and the same to the last bit
         return tuple(Path(breaks, *each) for each in zip(nodal, self.state.T, strict=True))
 
-    def samples(self, count: int) -> list[tuple[float, Array]]:
+    def samples(self, count: int) -> Iterator[tuple[float, Array]]:
         """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
         ends = [(i, end) for i, piece in enumerate(self.pieces) for end in piece.ends.tolist()]
         chosen = ends[:: max(1, len(ends) // count)]
-        samples: list[tuple[float, Array]] = []
         for i, group in itertools.groupby(chosen, key=itemgetter(0)):
             times = [end for _, end in group]
             states = self.pieces[i].at(np.array(times)).reshape(-1, *self.state.shape)
-            samples += zip(times, states, strict=True)
-        return samples
+            yield from zip(times, states, strict=True)
 
 
 class _DenseRecord:

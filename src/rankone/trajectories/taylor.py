@@ -244,6 +244,7 @@ class TaylorPiece(Piece):
     def parts(self) -> int:  # type: ignore[override]
         missed = interpolation_errors((self.t - self.t_old) / self.h, self.rows)
         shares = np.divide(missed, self.allowed, out=np.zeros_like(missed), where=missed > 0.0)
+        self.allowed = np.zeros(0)  # needed no more, and as large as a row
         enough = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
         return int(max(_LEAST_PARTS, math.ceil(enough)))
 
@@ -370,5 +371,5 @@ class StackedTaylor(Stepper, _TaylorSolver):
         """The last step as a function of time."""
         slopes = np.abs(self.powers[1]) * ((self.t - self.t_old) / self.unit)
         sizes = np.maximum(np.maximum(np.abs(self.y_old), np.abs(self.y)), slopes)
-        step = self.t_old, self.t, self.y_old, self.powers[1:]
+        step = self.t_old, self.t, self.powers[0], self.powers[1:]
         return TaylorPiece(*step, self.unit, self.atol + self.rtol * sizes)

@@ -143,11 +143,13 @@ class ReferenceSet:
         times = np.linspace(start, end, _SIZE_SAMPLES)
         for a, b in itertools.pairwise([start, *self.system.jumps.inside(start, end), end]):
             times = np.concatenate([times, times_within(a, b, _JUMP_SHARES)])
-        states = self.system.with_products(self.reference(times))
+        blocks: Iterator[Array] = map(self.system.with_products, self.reference.blocks(times))
         if (clock := self.system.clock) is not None:  # what comes after the horizon does not count
+            states = np.concatenate([*blocks], axis=2)
             now = states[len(self.system.unknowns) - CLOCK_STATES]
-            states = np.where(now <= clock.horizon[1], states, 0.0)
-        sizes = np.abs(self._interior(states, axis=1)).max(axis=(1, 2))
+            blocks = iter([np.where(now <= clock.horizon[1], states, 0.0)])
+        largest = np.max([np.abs(block).max(axis=2) for block in blocks], axis=0)
+        sizes = np.asarray(self._interior(largest, axis=1).max(axis=1))
         if clock is not None and clock.markers:
             self._size_clock(sizes, times, states)
         n = self.system.n_differential
@@ -196,8 +198,13 @@ class ReferenceSet:
         with unlimited():
             errors, largest = np.zeros((self.states.size, m)), self.states
             off = np.zeros_like(errors)
-            all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
             carried = with_contractions(slabs, reference.points)
+            count = _CHECK_SHARES.size
+            all_exact = (
+                exact
+                for block in reference.blocks(np.concatenate(all_times), count)
+                for exact in np.split(block, block.shape[2] // count, axis=2)
+            )
             for (slab, contraction), times, exact in zip(
                 carried, all_times, all_exact, strict=True
             ):

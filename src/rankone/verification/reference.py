@@ -5,6 +5,7 @@ Each state is resolved relative to its own size, down to a small part of it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -51,6 +52,9 @@ _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below th
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
+_HELD_NUMBERS = (
+    2**22
+)  # Numbers of states at several times that are held at once, unless one has more
 _MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
 
 _FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
@@ -113,6 +117,19 @@ class Reference:
         charge(len(self.batches) * _DENSE_COST(size))
         states = [batch(times) for batch in self.batches]
         return states[0] if len(states) == 1 else np.concatenate(states, axis=1)
+
+    @property
+    def times_held(self) -> int:
+        """At how many times the states are held at once: one at least."""
+        return max(_HELD_NUMBERS // (self.floor.size * len(self.points)), 1)
+
+    def blocks(self, times: Array, together: int = 1) -> Iterator[Array]:
+        """States at consecutive parts of the times, as many as are held: shape (n, m, T) each.
+
+        Of so many times ``together`` all are in one part.
+        """
+        most = max(self.times_held // together, 1) * together
+        yield from (self(part) for part in np.split(times, range(most, times.size, most)))
 
     def of(self, trajectories: slice) -> Reference:
         """Some of the trajectories, which follow each other."""
@@ -212,7 +229,7 @@ class _Resolution:
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
         largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
-        samples = dense.samples(_SAMPLES)
+        samples = list(dense.samples(_SAMPLES))
         before, self.rounding = self.rounding, self._rounding(samples, largest)
         zero, finest = self.rounding.zero, self.rtol * _NEGLIGIBLE * largest
         coarse = before.floor > np.maximum(self.rounding.floor, finest)
@@ -239,14 +256,9 @@ class _Resolution:
         own block of the Jacobian, whatever the others do. An integration that does not resolve them
         makes noise of them, which grows as well.
         """
-        times, states = zip(*dense.samples(_DIP_SAMPLES), strict=True)
-        sizes = np.abs(states)
-        staying = np.maximum(sizes[:-1], sizes[1:])
-        below = staying < _NEGLIGIBLE * np.maximum.accumulate(sizes, axis=0)[:-1]
-        dips = np.asarray(below.any(axis=(0, 2)))
+        dips, least, first = _dips(dense)
         if not dips.any():
             return dips[:, None]
-        first = times[int(np.argmax(below.any(axis=(1, 2))))]
         later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
@@ -256,7 +268,7 @@ class _Resolution:
                 growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
         if growth * (dense.end - first) <= MOST_GROWTH:
             return np.zeros_like(dips)[:, None]
-        lost = dips & (sizes.min(axis=(0, 2)) < _LEAST_SIZE)
+        lost = dips & (least < _LEAST_SIZE)
         if lost.any():
             name = self.system.states[int(np.argmax(lost))]
             raise ConvergenceError(
@@ -299,6 +311,29 @@ class _Resolution:
         if switch is None:
             return replace(reference, blown=blown, large=large)
         return replace(reference, blown=switch[1], switching=switch[0])
+
+
+def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
+    """States (n,) that fall to a negligible part of what they were, and their least sizes.
+
+    Also the time at which the first of them is there.
+    """
+    n, first = len(dense.state), math.inf
+    dips, least = np.zeros(n, dtype=bool), np.full(n, math.inf)
+    before, largest = np.zeros((0, *dense.state.shape)), np.zeros_like(dense.state)
+    earlier: tuple[float, ...] = ()
+    samples, most = iter(dense.samples(_DIP_SAMPLES)), max(_HELD_NUMBERS // dense.state.size, 1)
+    while sampled := list(itertools.islice(samples, most)):
+        times, states = zip(*sampled, strict=True)
+        sizes, times = np.concatenate([before, np.abs(states)]), (*earlier, *times)
+        running = np.maximum(np.maximum.accumulate(sizes, axis=0), largest)
+        staying = np.maximum(sizes[:-1], sizes[1:])
+        below = (staying < _NEGLIGIBLE * running[:-1]).any(axis=2)
+        if below.any():
+            first = min(first, times[int(np.argmax(below.any(axis=1)))])
+        dips, least = dips | below.any(axis=0), np.minimum(least, sizes.min(axis=(0, 2)))
+        before, largest, earlier = sizes[-1:], running[-1], times[-1:]
+    return dips, least, first
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:

@@ -195,7 +195,8 @@ class CrossMarcher:
             def in_units(times: Array, reference: Reference = reference) -> Array:
                 return reference(times) / units
 
-            finer = resolving_breaks(in_units, breaks, count, tolerance, self.options.max_slabs)
+            most, held = self.options.max_slabs, reference.times_held
+            finer = resolving_breaks(in_units, breaks, count, tolerance, most, held)
             if finer is None:
                 return None
             breaks = finer
