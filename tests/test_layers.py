@@ -93,6 +93,7 @@ def test_circles_are_found():
 
 FRONT_END = (
     "agreement",
+    "calibration",
     "codegen",
     "commands",
     "expressions",

@@ -20,6 +20,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rankone.calibration.problem import CalibrationProblem, read_petab
     from rankone.codegen.loading import load_module
     from rankone.codegen.lowering import quadratic_system
     from rankone.codegen.module import generate_source
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BlowUpError",
+    "CalibrationProblem",
     "CompiledProblem",
     "ConvergenceError",
     "CrossOptions",
@@ -121,6 +123,7 @@ __all__ = [
     "minimum",
     "posterior",
     "quadratic_system",
+    "read_petab",
     "read_sbml",
     "separate",
     "solve",
@@ -130,6 +133,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "calibration.problem": ("CalibrationProblem", "read_petab"),
     "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
     "codegen.module": ("generate_source",),

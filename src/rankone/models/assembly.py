@@ -62,6 +62,11 @@ class Assembly:
         self.definitions = self._all_definitions()
         self.initial = {symbol: self._initial(name) for name, symbol in self._states.items()}
 
+    @property
+    def start_numbers(self) -> dict[str, sp.Symbol]:
+        """The symbols of the numbers at which ids start; there is none where a formula decides."""
+        return self._givens
+
     def happenings(self) -> tuple[Happening, ...]:
         """The events, which reset states.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import sympy as sp
 from rankone.models.algebraic import solved
 from rankone.models.happenings import Happening, happenings_of
 from rankone.models.mathml import Vocabulary, members
-from rankone.models.quantities import Quantity, quantities_of
+from rankone.models.quantities import Quantity, Species, quantities_of
 from rankone.models.reactions import Reactions, reactions_of, unused
 from rankone.models.rules import Rules, rules_of
 
@@ -62,3 +62,22 @@ def elements_of(model: Any) -> Elements:
     solutions, implicit = solved(rules, reactions, quantities, reset)
     rules = replace(rules, assigned={**rules.assigned, **solutions}, algebraic=implicit)
     return Elements(quantities, vocabulary, rules, reactions, happenings, taken)
+
+
+def with_free_starts(elements: Elements, ids: Collection[str]) -> Elements:
+    """The same with a number for the start of each of some ids, and no initial assignment.
+
+    The number means what the id means in formulas. There is none yet where the file gives a formula
+    or a number in other units.
+    """
+    rules = elements.rules
+    quantities = dict(elements.quantities)
+    for name in quantities.keys() & set(ids):
+        quantity = quantities[name]
+        if name in rules.starts:
+            quantity = replace(quantity, start=None)
+        if isinstance(quantity, Species) and quantity.starts_as_amount != quantity.only_amounts:
+            quantity = replace(quantity, start=None, starts_as_amount=quantity.only_amounts)
+        quantities[name] = quantity
+    starts = {name: e for name, e in rules.starts.items() if name not in ids}
+    return replace(elements, quantities=quantities, rules=replace(rules, starts=starts))

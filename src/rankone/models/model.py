@@ -101,6 +101,23 @@ class Model:
             return self._functions[symbol]
         return self._full(symbol)
 
+    def in_states(self, expression: sp.Expr) -> sp.Expr:
+        """An expression of names of the model in states and numbers, which are symbols.
+
+        Names that the model does not have stay as they are; the time is the symbol ``time``.
+        """
+        symbols = {s.name: s for s in (*self._states, *self.definitions, *self.numbers)}
+        written = {s: symbols[s.name] for s in expression.free_symbols if s.name in symbols}
+        full = expression.xreplace(written).xreplace(self._expanded)
+        return full.xreplace({self.time: sp.Symbol("time"), self.start: sp.S.Zero})
+
+    @cached_property
+    def used(self) -> frozenset[str]:
+        """Names of the parameters that rates or initial values depend on."""
+        formulas = [*self.rates.values(), *self.constraints.values(), *self.initial.values()]
+        symbols = {s for e in formulas for s in e.xreplace(self._expanded).free_symbols}
+        return frozenset(symbol.name for symbol in symbols & set(self.numbers))
+
     @cached_property
     def _expanded(self) -> dict[sp.Symbol, sp.Expr]:
         return expanded(self.definitions)

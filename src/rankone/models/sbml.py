@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from os import PathLike
 
 from rankone.models.assembly import Assembly
 from rankone.models.document import open_document
-from rankone.models.elements import elements_of
+from rankone.models.elements import elements_of, with_free_starts
 from rankone.models.model import Model
 from rankone.models.units import units_of
 from rankone.support.errors import bounded_depth
@@ -35,9 +36,20 @@ def read_sbml(path: str | PathLike[str]) -> Model:
     ProblemError
         If the file cannot be read, or an element is not supported.
     """
+    return read_with_starts(path, ())[0]
+
+
+def read_with_starts(
+    path: str | PathLike[str], ids: Collection[str]
+) -> tuple[Model, dict[str, str]]:
+    """Read a model in which some ids start at numbers of their own, without initial assignments.
+
+    Such a number means what the id means in formulas. Returns the model and the parameter of each
+    of the ids; there is none for an id that a rule determines, or that the model does not have.
+    """
     document, model = open_document(path)
     with bounded_depth():
-        assembly = Assembly(elements_of(model))
+        assembly = Assembly(with_free_starts(elements_of(model), ids))
         read = Model(
             name=model.getName() or model.getId() or None,
             time=assembly.time,
@@ -51,4 +63,5 @@ def read_sbml(path: str | PathLike[str]) -> Model:
             start=assembly.start,
         )
     del document  # the model lives as long as its document
-    return read
+    starts = assembly.start_numbers
+    return read, {name: starts[name].name for name in ids if name in starts}

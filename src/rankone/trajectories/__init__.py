@@ -35,6 +35,7 @@ Read in this order:
 ``forced``              those that follow an order wherever it holds or not
 ``orders``              orders that hold in parts of a box, each continued to all of it
 ``markers``             crossings that all pass in step, where they get out of phase
+``sensitivities``       derivatives of trajectories with respect to parameters
 ``rest``                steady states that trajectories reach
 ``conservation``        sums of states that no rate changes, which steady states keep
 ``resting_start``       starts at the steady states of other conditions

@@ -231,7 +231,7 @@ class SteadyStates:
         self, states: Array, points: Array, start: float, end: float
     ) -> tuple[Array, Array]:
         """States at the end of trajectories from states (n, m) on, and their largest values."""
-        system = _from_states(self.system, (start, end))
+        system = from_states(self.system, (start, end))
         moved = np.column_stack([points, states.T])
         sizes = np.maximum(np.abs(states), _LEAST_SIZE * np.abs(states).max(axis=0))
         size = sizes.max(axis=1, keepdims=True)
@@ -265,7 +265,7 @@ class SteadyStates:
         return f" at {', '.join(f'{name} = {x:.6g}' for name, x in pairs)}" if point.size else ""
 
 
-def _from_states(system: System, horizon: tuple[float, float]) -> System:
+def from_states(system: System, horizon: tuple[float, float]) -> System:
     """The system from states on that follow the parameters, over a horizon."""
     d, n = len(system.parameters), system.n_differential
     return replace(

@@ -1,0 +1,115 @@
+"""Parameters of a calibration problem: their scales, bounds and priors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_LOG10 = math.log(10.0)
+SCALES = ("lin", "log", "log10")
+"""The coordinates in which a parameter may be estimated."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A prior density of a parameter, in one coordinate of it.
+
+    Attributes
+    ----------
+    shape : {"uniform", "normal", "laplace"}
+    scale : {"lin", "log", "log10"}
+        The coordinate z in which the density has this shape.
+    location, width : float
+        Mean and standard deviation of a normal density, centre and scale of a Laplace density,
+        both ends of a uniform one.
+    of_value : bool
+        Whether it is a density of the value, as a log-normal one is, and not of z.
+    """
+
+    shape: str
+    scale: str
+    location: float
+    width: float
+    of_value: bool
+
+    def cost(self, value: float) -> tuple[float, float]:
+        """Minus the logarithm of the density at a value, and its derivative by the value."""
+        z, slope = scaled(value, self.scale), 1.0 / slope_of_scale(value, self.scale)
+        if self.shape == "uniform":
+            inside = self.location <= z <= self.width
+            return (math.log(self.width - self.location) if inside else math.inf), 0.0
+        away = (z - self.location) / self.width
+        if self.shape == "normal":
+            cost = 0.5 * away**2 + math.log(self.width * math.sqrt(2.0 * math.pi))
+            gradient = away / self.width * slope
+        else:
+            cost = abs(away) + math.log(2.0 * self.width)
+            gradient = math.copysign(1.0, away) / self.width * slope
+        if self.of_value and self.scale != "lin":
+            cost, gradient = cost - math.log(slope), gradient + 1.0 / value
+        return cost, gradient
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a calibration problem; all numbers are values, and not on its scale.
+
+    Attributes
+    ----------
+    name : str
+    scale : {"lin", "log", "log10"}
+        The coordinate in which it is estimated.
+    lower, upper : float
+        Bounds; NaN where a parameter that is not estimated has none.
+    nominal : float
+        The value of the file; NaN if it has none.
+    estimated : bool
+    prior : Prior or None
+        What the objective adds for it.
+    """
+
+    name: str
+    scale: str
+    lower: float
+    upper: float
+    nominal: float
+    estimated: bool
+    prior: Prior | None = None
+
+    def scaled(self, value: float) -> float:
+        """The coordinate of a value: itself, its logarithm, or that to base 10."""
+        return scaled(value, self.scale)
+
+    def value(self, coordinate: float) -> float:
+        """The value at a coordinate."""
+        if self.scale == "lin":
+            return coordinate
+        return math.exp(coordinate) if self.scale == "log" else 10.0**coordinate
+
+    def slope(self, value: float) -> float:
+        """The derivative of the value by its coordinate."""
+        return slope_of_scale(value, self.scale)
+
+
+def scaled(value: float, scale: str) -> float:
+    """The coordinate of a value on a scale; minus infinity or NaN where it has none."""
+    if scale == "lin":
+        return value
+    if value <= 0.0:
+        return -math.inf if value == 0.0 else math.nan
+    return math.log(value) if scale == "log" else math.log10(value)
+
+
+def slope_of_scale(value: float, scale: str) -> float:
+    """The derivative of a value by its coordinate on a scale."""
+    return {"lin": 1.0, "log": value, "log10": value * _LOG10}[scale]
+
+
+def parameter_rows(parameters: Sequence[Parameter]) -> list[list[str]]:
+    """Cells of a table: name, scale, bounds, nominal value, and whether it is estimated."""
+    return [
+        [p.name, p.scale, f"{p.lower:g}", f"{p.upper:g}", f"{p.nominal:.6g}",
+         "yes" if p.estimated else "no"]
+        for p in parameters
+    ]  # fmt: skip

@@ -1,0 +1,306 @@
+"""Files of a PEtab problem, read and checked by the package ``petab``.
+
+PEtab: Schmiester et al., PEtab - Interoperable specification of parameter estimation problems in
+systems biology, PLOS Computational Biology 17 (2021) e1008646; version 1 of the format.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rankone.calibration.parameters import SCALES, Parameter, Prior
+from rankone.calibration.records import (
+    Assigned,
+    Condition,
+    Experiment,
+    Observable,
+    Records,
+    Series,
+)
+from rankone.estimation.formulas import Formula, formula_of
+from rankone.models.model import Model
+from rankone.models.sbml import read_with_starts
+from rankone.support.errors import OptionError, ProblemError, optional_module
+from rankone.support.files import as_path
+from rankone.support.wording import listing, quote
+
+_PRIORS = {
+    "uniform": ("uniform", "lin"),
+    "normal": ("normal", "lin"),
+    "laplace": ("laplace", "lin"),
+    "logNormal": ("normal", "log"),
+    "logLaplace": ("laplace", "log"),
+    "parameterScaleUniform": ("uniform", None),
+    "parameterScaleNormal": ("normal", None),
+    "parameterScaleLaplace": ("laplace", None),
+}
+"""For each type of prior its shape, and the coordinate; None is the scale of the parameter."""
+_DISTRIBUTIONS = ("normal", "laplace")
+_MOST_FAULTS = 5  # Faults of the files that a message lists
+_LOADERS = "petab"  # Logger of the package
+
+
+def petab_library() -> Any:
+    """Version 1 of the package ``petab``; a ProblemError says how to install it."""
+    return optional_module(
+        "petab.v1",
+        "reading PEtab problems needs petab",
+        'pip install petab, or pip install "rankone[petab]"',
+        ProblemError,
+    )
+
+
+def open_petab(path: str | PathLike[str]) -> Any:
+    """The problem of ``petab`` that a YAML file names, checked by its linter."""
+    file = as_path(path, ProblemError)
+    if not file.is_file():
+        raise ProblemError(f"there is no file `{file}`", term=file)
+    petab = petab_library()
+    with _messages() as messages:
+        try:
+            problem = petab.Problem.from_yaml(str(file))
+        except Exception as error:  # whatever the package or pandas raises on a broken file
+            raise _broken(file, "readable", str(error)) from None
+        problem.visualization_df = None
+        try:
+            faulty = petab.lint_problem(problem)
+        except Exception as error:  # the linter stops at what it does not expect
+            raise _broken(file, "valid", str(error)) from None
+    if faulty:
+        faults = [text for text in messages if text != "Not OK"][:_MOST_FAULTS]
+        raise _broken(file, "valid", "; ".join(faults))
+    for name in ("measurement_df", "condition_df", "observable_df", "parameter_df", "model"):
+        if getattr(problem, name) is None:
+            raise ProblemError(f"`{file}` names no {name.removesuffix('_df')} table", term=file)
+    if problem.mapping_df is not None and len(problem.mapping_df):
+        raise ProblemError("the mapping table is not supported", term=file)
+    return problem
+
+
+def _broken(file: Path, what: str, fault: str) -> ProblemError:
+    return ProblemError(
+        f"`{file}` is not a {what} PEtab problem: {fault}",
+        term=file,
+        remedy="`petablint` lists all faults",
+    )
+
+
+@contextmanager
+def _messages() -> Iterator[list[str]]:
+    """Errors that the package logs, which are not shown, nor its warnings."""
+    messages: list[str] = []
+
+    class Keeper(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.levelno >= logging.ERROR:
+                messages.append(record.getMessage())
+
+    logger, keeper = logging.getLogger(_LOADERS), Keeper()
+    before = logger.propagate, logger.handlers[:]
+    inner = [
+        logging.getLogger(n) for n in logging.root.manager.loggerDict if n.startswith(_LOADERS)
+    ]
+    kept = [(each, each.propagate, each.handlers[:]) for each in inner]
+    for each in inner:
+        each.propagate, each.handlers = each is not logger, []
+    logger.propagate, logger.handlers = False, [keeper]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield messages
+    finally:
+        for each, propagate, handlers in kept:
+            each.propagate, each.handlers = propagate, handlers
+        logger.propagate, logger.handlers = before
+
+
+def records_of(problem: Any, path: str | PathLike[str]) -> Records:
+    """The records of a problem of ``petab``."""
+    parameters = tuple(_parameters(problem.parameter_df))
+    conditions = _conditions(problem.condition_df)
+    ids = {*problem.parameter_df.index, *(i for c in conditions.values() for i in c.assigned)}
+    model, starts = read_with_starts(_model_file(path), sorted(ids))
+    for column in dict.fromkeys(i for c in conditions.values() for i in c.assigned):
+        if column not in starts:
+            raise ProblemError(
+                f"the condition table sets {quote(column)}, which is no parameter, species or "
+                "compartment with a value of its own in the model",
+                term=column,
+                remedy="remove the column, or the rule that determines it",
+            )
+    experiments = _experiments(problem.measurement_df, conditions)
+    observables = {
+        name: _observable(str(name), row, model) for name, row in problem.observable_df.iterrows()
+    }
+    return Records(
+        name=Path(path).stem,
+        model=model,
+        starts=starts,
+        parameters=parameters,
+        experiments=tuple(experiments.values()),
+        series=tuple(_series(problem.measurement_df, observables, [*experiments])),
+    )
+
+
+def _model_file(path: str | PathLike[str]) -> Path:
+    """The one SBML file of a problem."""
+    yaml = optional_module("yaml", "reading PEtab problems needs PyYAML", "pip install pyyaml")
+    content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    problems = content["problems"]
+    if len(problems) != 1 or len(problems[0]["sbml_files"]) != 1:
+        raise ProblemError(
+            f"`{path}` has several problems or models", term=path, remedy="give one file for each"
+        )
+    return Path(path).parent / str(problems[0]["sbml_files"][0])
+
+
+# -- parameters and conditions --------------------------------------------------------------------
+
+
+def _is_empty(cell: Any) -> bool:
+    return cell is None or cell == "" or (isinstance(cell, float) and math.isnan(cell))
+
+
+def _number(row: Any, column: str) -> float:
+    return math.nan if _is_empty(row.get(column)) else float(row[column])
+
+
+def _parameters(table: Any) -> Iterator[Parameter]:
+    for name, row in table.iterrows():
+        scale = "lin" if _is_empty(row.get("parameterScale")) else str(row["parameterScale"])
+        if scale not in SCALES:
+            raise ProblemError(
+                f"the parameter table gives {quote(name)} the scale {quote(scale)}", term=name
+            )
+        estimated = bool(int(row["estimate"]))
+        bounds = _number(row, "lowerBound"), _number(row, "upperBound")
+        nominal = _number(row, "nominalValue")
+        prior = _prior(str(name), row, scale) if estimated else None
+        yield Parameter(str(name), scale, *bounds, nominal, estimated, prior)
+
+
+def _prior(name: str, row: Any, scale: str) -> Prior | None:
+    """What the objective adds for a parameter; nothing unless a prior of the objective is named."""
+    kind = row.get("objectivePriorType")
+    if _is_empty(kind):
+        return None
+    if kind not in _PRIORS:
+        raise ProblemError(
+            f"the parameter table gives {quote(name)} the prior {quote(kind)}",
+            term=name,
+            remedy=f"choose from {listing(_PRIORS)}",
+        )
+    numbers = row.get("objectivePriorParameters")
+    if _is_empty(numbers) and kind == "parameterScaleUniform":
+        return None
+    first, second = map(float, str(numbers).split(";"))
+    shape, coordinate = _PRIORS[kind]
+    return Prior(shape, coordinate or scale, first, second, of_value=coordinate is not None)
+
+
+def _assigned(cell: Any) -> Assigned:
+    """A number, or the name of a parameter."""
+    try:
+        return float(cell)
+    except ValueError:
+        return str(cell).strip()
+
+
+def _conditions(table: Any) -> dict[str, Condition]:
+    columns = [column for column in table.columns if column != "conditionName"]
+    return {
+        str(name): Condition(
+            str(name), {c: None if _is_empty(row[c]) else _assigned(row[c]) for c in columns}
+        )
+        for name, row in table.iterrows()
+    }
+
+
+def _experiment_keys(table: Any) -> list[tuple[str, str]]:
+    """For each measurement its conditions; the first is empty where there is none before."""
+    before = ["" if _is_empty(row.get("preequilibrationConditionId")) else
+              str(row["preequilibrationConditionId"]) for _, row in table.iterrows()]  # fmt: skip
+    return [*zip(before, map(str, table["simulationConditionId"]), strict=True)]
+
+
+def _experiments(table: Any, conditions: dict[str, Condition]) -> dict[tuple[str, str], Experiment]:
+    return {
+        key: Experiment(conditions[key[1]], conditions[key[0]] if key[0] else None)
+        for key in dict.fromkeys(_experiment_keys(table))
+    }
+
+
+# -- observables and measurements -----------------------------------------------------------------
+
+
+def _observable(name: str, row: Any, model: Model) -> Observable:
+    distribution = "normal" if _is_empty(row.get("noiseDistribution")) else row["noiseDistribution"]
+    cell = row.get("observableTransformation")
+    transformation = "lin" if _is_empty(cell) else str(cell)
+    if distribution not in _DISTRIBUTIONS or transformation not in SCALES:
+        raise ProblemError(
+            f"the observable table, row {quote(name)}: noise {quote(distribution)} on the scale "
+            f"{quote(transformation)} is not supported",
+            term=name,
+            remedy=f"noise is {listing(_DISTRIBUTIONS)}, scales are {listing(SCALES)}",
+        )
+    formula, noise = (_formula(name, row[f"{c}Formula"], c, model) for c in ("observable", "noise"))
+    return Observable(name, formula, noise, transformation, str(distribution))
+
+
+def _formula(name: str, text: Any, column: str, model: Model) -> Formula:
+    """A formula in states, numbers of the model, parameters and time."""
+    sympify = optional_module("petab.v1.math", "formulas of PEtab need petab", "").sympify_petab
+    expression = model.in_states(sympify(text))
+    try:
+        return formula_of(expression)
+    except OptionError as error:
+        raise ProblemError(
+            f"the observable table, row {quote(name)}, {column} formula: {error.message}",
+            term=name,
+            remedy=error.remedy,
+        ) from None
+
+
+def _series(
+    table: Any, observables: dict[str, Observable], experiments: Sequence[tuple[str, str]]
+) -> Iterator[Series]:
+    """The measurements of each observable that has some."""
+    keys = _experiment_keys(table)
+    for name, observable in observables.items():
+        rows = [k for k, other in enumerate(table["observableId"]) if other == name]
+        if not rows:
+            continue
+        some = table.iloc[rows]
+        placeholders: dict[str, list[Assigned]] = {}
+        for word in ("observable", "noise"):
+            cells = [row.get(f"{word}Parameters") for _, row in some.iterrows()]
+            for cell in cells:
+                texts = [] if _is_empty(cell) else str(cell).split(";")
+                for i, text in enumerate(texts, 1):
+                    column = placeholders.setdefault(f"{word}Parameter{i}_{name}", [])
+                    column.append(_assigned(text))
+        for placeholder, column in placeholders.items():
+            if len(column) != len(rows):
+                raise ProblemError(
+                    f"the measurement table gives {quote(placeholder)} in {len(column)} of "
+                    f"{len(rows)} rows",
+                    term=placeholder,
+                )
+        yield Series(
+            observable,
+            rows,
+            np.array([experiments.index(keys[k]) for k in rows]),
+            np.array(some["time"], dtype=float),
+            np.array(some["measurement"], dtype=float),
+            placeholders,
+        )

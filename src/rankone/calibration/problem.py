@@ -1,0 +1,244 @@
+"""Calibration problems: what users hold."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rankone.calibration.conditions import Settings
+from rankone.calibration.dynamics import Dynamics
+from rankone.calibration.likelihood import Evaluation, terms
+from rankone.calibration.outputs import Outputs
+from rankone.calibration.parameters import Parameter, parameter_rows
+from rankone.calibration.petab_files import open_petab, records_of
+from rankone.calibration.records import Records
+from rankone.calibration.simulation import Simulation
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ACCURACY = 1e-9  # Relative tolerance of trajectories
+_HEADER = ("parameter", "scale", "lower", "upper", "nominal", "estimated")
+_LABELS = 2  # Columns on the left
+
+
+class CalibrationProblem:
+    """A model, experiments, measurements and parameters to estimate, as read from files.
+
+    Made by :func:`rankone.read_petab`. The model is compiled when a number is first asked for, once
+    for all conditions.
+
+    Attributes
+    ----------
+    name : str
+        The name of the file.
+    parameters : mapping of str to Parameter
+        By name, each with ``.scale``, ``.lower``, ``.upper``, ``.nominal``, ``.estimated``.
+    conditions, observables, measurements : DataFrame
+        The tables, as the package ``petab`` reads them.
+    """
+
+    def __init__(self, records: Records, tables: Mapping[str, pd.DataFrame]) -> None:
+        self._records, self._tables = records, dict(tables)
+        self.name = records.name
+        self.parameters: dict[str, Parameter] = {p.name: p for p in records.parameters}
+        self._settings = Settings(records)
+
+    @property
+    def conditions(self) -> pd.DataFrame:
+        """The condition table."""
+        return self._tables["conditions"].copy()
+
+    @property
+    def observables(self) -> pd.DataFrame:
+        """The observable table."""
+        return self._tables["observables"].copy()
+
+    @property
+    def measurements(self) -> pd.DataFrame:
+        """The measurement table."""
+        return self._tables["measurements"].copy()
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the parameters to estimate, in the order of the table."""
+        return tuple(name for name, p in self.parameters.items() if p.estimated)
+
+    def objective(
+        self, values: Mapping[str, float] | None = None, *, rtol: float = _ACCURACY
+    ) -> float:
+        """Minus the logarithm of the likelihood of the measurements, and of the priors.
+
+        It is what PEtab defines, with all constants: of each measurement y with prediction f and
+        noise s, after the transformation of its observable, log(2 pi s^2)/2 + ((f - y)/s)^2/2 for
+        normal noise and log(2 s) + abs(f - y)/s for Laplace's, plus log(y) for the transformation
+        ``log`` and log(y log 10) for ``log10``. Of each estimated parameter that has an
+        ``objectivePriorType`` it adds minus the logarithm of that density, in the coordinate that
+        the type names, not cut at the bounds.
+
+        Parameters
+        ----------
+        values : mapping of str to float, optional
+            Values of parameters, not on their scales; others are nominal.
+        rtol : float
+            Relative tolerance of the trajectories.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or one has no value.
+        BlowUpError, ConvergenceError
+            If a trajectory does not reach the last measurement, or no steady state.
+        ProblemError
+            If noise is not positive.
+        """
+        return self._evaluated(values, (), rtol).objective
+
+    def evaluate(
+        self, values: Mapping[str, float] | None = None, *, rtol: float = _ACCURACY
+    ) -> Evaluation:
+        """The objective with its gradient, residuals and their Jacobian.
+
+        Derivatives are forward sensitivities of the trajectories, by the coordinates of the
+        estimated parameters: by their logarithms where the table says so.
+
+        Parameters and errors are those of :meth:`objective`.
+        """
+        return self._evaluated(values, self.estimated, rtol)
+
+    def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Values of all parameters: those given, and nominal ones."""
+        numbers = {name: p.nominal for name, p in self.parameters.items()}
+        given: Mapping[Any, Any] = {} if values is None else values
+        if not isinstance(given, Mapping):
+            raise OptionError(
+                f"values are {shown(values)}, not a mapping",
+                term=values,
+                remedy='write {"k1": 0.1}',
+            )
+        for name, value in given.items():
+            if name not in numbers:
+                raise OptionError(
+                    f"there is no parameter {quote(name)}{did_you_mean(str(name), numbers)}",
+                    term=name,
+                )
+            numbers[name] = checked_number(str(name), value, -math.inf, math.inf, float)
+        for name, number in numbers.items():
+            if math.isnan(number):
+                raise OptionError(
+                    f"{quote(name)} has no nominal value", term=name, remedy="give its value"
+                )
+        return numbers
+
+    # -- evaluation -------------------------------------------------------------------------------
+
+    @cached_property
+    def _dynamics(self) -> Dynamics:
+        return Dynamics(self._records, self._settings)
+
+    @cached_property
+    def _simulation(self) -> Simulation:
+        return Simulation(self._records, self._settings, self._dynamics)
+
+    @cached_property
+    def _outputs(self) -> Outputs:
+        return Outputs(self._records, self._settings, self._dynamics.system.states)
+
+    def _evaluated(
+        self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
+    ) -> Evaluation:
+        point = self.point(values)
+        accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
+        active = [name for name in self._simulation.active if name in by]
+        columns = [by.index(name) for name in active]
+        each = self._simulation.states(point, active, accuracy)
+        total, residuals, jacobians = 0.0, list[Array](), list[Array]()
+        standardised = np.empty(len(self._tables["measurements"]))
+        for series, states in zip(self._records.series, each, strict=True):
+            wide = np.zeros((*states.states.shape, len(by)))
+            wide[..., columns] = states.slopes
+            full = type(states)(states.states, wide)
+            predicted, noise = self._outputs.predicted(series, full, point, by)
+            self._outputs.check_noise(series, noise.value)
+            observable = series.observable
+            added = terms(observable.distribution, observable.transformation,
+                          series.measurements, predicted, noise)  # fmt: skip
+            total += float(added.costs.sum())
+            residuals.append(added.residuals)
+            jacobians.append(added.jacobian)
+            standardised[list(series.rows)] = added.standardised
+        slopes = np.array([self.parameters[name].slope(point[name]) for name in by])
+        jacobian = np.concatenate(jacobians) * slopes
+        residual = np.concatenate(residuals)
+        gradient = jacobian.T @ residual
+        for name in self.estimated:
+            if (prior := self.parameters[name].prior) is not None:
+                cost, slope = prior.cost(point[name])
+                total += cost
+                if name in by:
+                    gradient[by.index(name)] += slope * slopes[by.index(name)]
+        return Evaluation(by, total, gradient, residual, jacobian, standardised)
+
+    # -- text -------------------------------------------------------------------------------------
+
+    @property
+    def _summary(self) -> str:
+        records = self._records
+        return (
+            f"CalibrationProblem {self.name}: {count(len(records.experiments), 'experiment')}, "
+            f"{count(len(self._tables['measurements']), 'measurement')} of "
+            f"{count(len(records.series), 'observable')}, "
+            f"{len(self.estimated)} of {count(len(self.parameters), 'parameter')} to estimate"
+        )
+
+    def __repr__(self) -> str:
+        rows = parameter_rows(self._records.parameters)
+        lines = text_table(self._summary, _HEADER, rows, right=_HEADER[_LABELS:]).splitlines()
+        return "\n".join([lines[0], *(f"  {line}" for line in lines[1:])])
+
+    def _repr_html_(self) -> str:
+        return html_table(
+            html.escape(self._summary), _HEADER, parameter_rows(self._records.parameters)
+        )
+
+
+def read_petab(path: str | PathLike[str]) -> CalibrationProblem:
+    """Read a calibration problem from the YAML file of a PEtab problem.
+
+    Version 1 of the format is read, with a model in SBML, by the package ``petab``, whose linter
+    checks all tables. The model is followed from time 0; where the measurement table names a
+    ``preequilibrationConditionId``, from the steady state under that condition.
+
+    Parameters
+    ----------
+    path : path
+        The YAML file, which names the tables and the model.
+
+    Returns
+    -------
+    CalibrationProblem
+
+    Raises
+    ------
+    ProblemError
+        If ``petab`` is not installed, a file cannot be read or is not valid, or something is not
+        supported; the message names the table and the row.
+    """
+    problem = open_petab(path)
+    records = records_of(problem, path)
+    tables = {
+        "conditions": problem.condition_df,
+        "observables": problem.observable_df,
+        "measurements": problem.measurement_df,
+    }
+    return CalibrationProblem(records, tables)

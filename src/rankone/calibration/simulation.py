@@ -1,0 +1,276 @@
+"""States of a calibration problem at the times of its measurements, with their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.calibration.conditions import Settings
+from rankone.calibration.dynamics import Dynamics
+from rankone.calibration.records import Assigned, Condition, Records
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
+from rankone.support.wording import quote
+from rankone.trajectories.rest import SteadyStates, from_states
+from rankone.trajectories.sensitivities import Forcing, sensitivities
+from rankone.verification.reference import Reference, integrate_reference
+
+_SETTLE = 1e8  # Longest time to a steady state, in horizons
+_LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same
+_SAME_RATES = 1e-9  # Their change, over the largest rate of change of any state
+_ALL_STEPS = 10**9  # More steps than any trajectory has
+
+
+@dataclass(frozen=True)
+class States:
+    """States (n, m) at m measurements, and derivatives (n, m, w) by w values; none are asked for
+    where w is zero."""
+
+    states: Array
+    slopes: Array
+
+
+@dataclass(frozen=True)
+class _Started:
+    """Experiments at the start: points (E, d), directions (E, d, w), states (n, E), (n, w, E)."""
+
+    points: Array
+    directions: Array
+    states: Array
+    slopes: Array
+
+    def some(self, which: Sequence[int]) -> _Started:
+        return _Started(
+            self.points[which],
+            self.directions[which],
+            self.states[:, which],
+            self.slopes[:, :, which],
+        )
+
+
+class Simulation:
+    """Simulates the experiments of a calibration problem, all at once.
+
+    Attributes
+    ----------
+    active : tuple of str
+        The parameters of the table that states depend on, in its order.
+    """
+
+    def __init__(self, records: Records, settings: Settings, dynamics: Dynamics) -> None:
+        self.records, self.settings, self.dynamics = records, settings, dynamics
+        named = {
+            assigned
+            for numbers in settings.at.values()
+            for name, assigned in numbers.items()
+            if name in dynamics.inputs and isinstance(assigned, str)
+        }
+        self.active = tuple(p.name for p in records.parameters if p.name in named)
+
+    def states(
+        self, values: Mapping[str, float], by: Sequence[str], accuracy: float
+    ) -> list[States]:
+        """The states at the measurements of each series, with derivatives by some parameters.
+
+        ``values`` are those of all parameters of the table.
+
+        Raises
+        ------
+        BlowUpError, ConvergenceError
+            If a trajectory does not reach the last measurement, or no steady state.
+        """
+        self._check_smooth(by)
+        started = self._started(values, by)
+        pairs = [(series, np.isfinite(series.times)) for series in self.records.series]
+        grid = np.unique(np.concatenate([series.times[f] for series, f in pairs]))
+        path, slopes = self._trajectories(started, grid, accuracy)
+        resting = sorted({int(e) for series, f in pairs for e in series.experiments[~f]})
+        at_rest = self._at_rest(started, resting)
+        each = []
+        for series, here in pairs:
+            n, w = len(started.states), len(by)
+            states, own = np.empty((n, here.size)), np.empty((n, w, here.size))
+            which, places = series.experiments[here], np.searchsorted(grid, series.times[here])
+            states[:, here], own[:, :, here] = path[:, which, places], slopes[:, :, which, places]
+            last = [resting.index(int(e)) for e in series.experiments[~here]]
+            states[:, ~here], own[:, :, ~here] = at_rest.states[:, last], at_rest.slopes[:, :, last]
+            each.append(States(states, np.moveaxis(own, 1, 2)))
+        return each
+
+    def _check_smooth(self, by: Sequence[str]) -> None:
+        """Raise if a parameter that derivatives are asked for decides where rates jump."""
+        for condition in self.settings.conditions:
+            numbers = self.settings.at[condition.name]
+            for name in sorted(self.dynamics.decisive):
+                if numbers[name] in by:
+                    raise ProblemError(
+                        f"rates jump where {quote(name)} says, and it is estimated: nothing can be "
+                        "differentiated by it yet",
+                        term=numbers[name],
+                        remedy="fix it (estimate 0 in the parameter table)",
+                    )
+
+    # -- points -----------------------------------------------------------------------------------
+
+    def _point(self, condition: Condition, values: Mapping[str, float]) -> Array:
+        numbers = self.settings.at[condition.name]
+
+        def number(assigned: Assigned) -> float:
+            return values[assigned] if isinstance(assigned, str) else assigned
+
+        return np.array([number(numbers[name]) for name in self.dynamics.inputs], dtype=float)
+
+    def _directions(self, condition: Condition, by: Sequence[str]) -> Array:
+        """Derivatives (d, w) of the inputs by the values of parameters."""
+        numbers = self.settings.at[condition.name]
+        assigned = [numbers[name] for name in self.dynamics.inputs]
+        return np.array([[float(a == name) for name in by] for a in assigned]).reshape(
+            len(assigned), len(by)
+        )
+
+    # -- starts -----------------------------------------------------------------------------------
+
+    def _initial(
+        self, conditions: Sequence[Condition], values: Mapping[str, float], by: Sequence[str]
+    ) -> _Started:
+        """Conditions at their initial values."""
+        points = np.array([self._point(c, values) for c in conditions])
+        directions = np.array([self._directions(c, by) for c in conditions])
+        states = self.dynamics.system.initial(np.ascontiguousarray(points.T))
+        slopes = np.zeros((len(states), len(by), len(points)))
+        if by:
+            inner = self.dynamics.initial_slopes(points)
+            slopes = np.einsum("ndm,mdw->nwm", inner, directions)
+        return _Started(points, directions, states, slopes)
+
+    def _started(self, values: Mapping[str, float], by: Sequence[str]) -> _Started:
+        """All experiments at time 0."""
+        experiments = self.records.experiments
+        started = self._initial([each.condition for each in experiments], values, by)
+        befores = {e.before.name: e.before for e in experiments if e.before is not None}
+        if not befores:
+            return started
+        before = self._initial([*befores.values()], values, by)
+        rested = self._at_rest(before, range(len(befores)))
+        states, slopes, names = started.states.copy(), started.slopes.copy(), [*befores]
+        for e, experiment in enumerate(experiments):
+            if experiment.before is None:
+                continue
+            k = names.index(experiment.before.name)
+            kept = ~self._reset(experiment.condition)
+            states[kept, e], slopes[kept, :, e] = rested.states[kept, k], rested.slopes[kept, :, k]
+        return replace(started, states=states, slopes=slopes)
+
+    def _reset(self, condition: Condition) -> NDArray[np.bool_]:
+        """The states (n,) that a condition sets after a steady state."""
+        assigned = {name for name, number in condition.assigned.items() if number is not None}
+        return np.array([name in assigned for name in self.dynamics.system.states])
+
+    # -- steady states ----------------------------------------------------------------------------
+
+    def _at_rest(self, started: _Started, which: Sequence[int]) -> _Started:
+        """Where some experiments come to rest."""
+        some = started.some(list(which))
+        states, slopes = some.states.copy(), some.slopes.copy()
+        horizon = self.dynamics.system.horizon[1]
+        for k in range(len(some.points)):
+            moved = np.concatenate([some.points[k], some.states[:, k]])
+            system = self._starting(moved, _SETTLE * horizon)
+            steady = SteadyStates(system, horizon, _SETTLE * horizon)
+            states[:, k] = steady(moved[:, None])[:, 0]
+            self._check_rest(some.points[k], states[:, k])
+            if slopes.shape[1]:
+                slopes[:, :, k] = self._slopes_at_rest(steady, some, k, states[:, k])
+        return replace(some, states=states, slopes=slopes)
+
+    def _starting(self, moved: Array, end: float) -> System:
+        """The system that starts at the states behind the parameters."""
+        whole = from_states(self.dynamics.system, (0.0, end))
+        names = (*whole.parameters, *(f"{name}_start" for name in whole.states))
+        box = tuple((float(x), float(x)) for x in moved)
+        return replace(whole, parameters=names, box=box)
+
+    def _check_rest(self, point: Array, states: Array) -> None:
+        """Raise if rates at rest depend on the time."""
+        system, columns = self.dynamics.system, (states[:, None], point[:, None])
+        horizon = system.horizon[1]
+        rates = [system.rhs(at, *columns) for at in (0.0, *(f * horizon for f in _LATER))]
+        sizes = np.abs(states).max(initial=0.0) / horizon
+        if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > _SAME_RATES * sizes:
+            raise ProblemError(
+                "rates at a steady state depend on the time",
+                remedy="give a condition before the start in which nothing depends on the time",
+            )
+
+    def _slopes_at_rest(self, steady: SteadyStates, some: _Started, k: int, states: Array) -> Array:
+        """Derivatives (n, w) of a steady state: rates vanish and conserved sums are kept."""
+        dynamics, point = self.dynamics, some.points[k]
+        n = len(states)
+        jacobian = dynamics.system.jacobian(0.0, states[:, None], point[:, None])
+        matrix = np.broadcast_to(jacobian, (n, n, 1))[:, :, 0]
+        forced = dynamics.rate_slopes(np.zeros(1), states[:, None], point[None])[:, :, 0]
+        kept = steady.conserved(np.concatenate([point, some.states[:, k]])[:, None])[:, :, 0]
+        left = np.concatenate([matrix, kept])
+        right = np.concatenate([-forced @ some.directions[k], kept @ some.slopes[:, :, k]])
+        rows = np.abs(left).max(axis=1, keepdims=True)
+        rows = np.where(rows > 0.0, rows, 1.0)
+        return np.asarray(np.linalg.lstsq(left / rows, right / rows, rcond=None)[0])
+
+    # -- trajectories -----------------------------------------------------------------------------
+
+    def _trajectories(self, started: _Started, grid: Array, accuracy: float) -> tuple[Array, Array]:
+        """States (n, E, T) and derivatives (n, w, E, T) at ascending times."""
+        (n, w, count), end = started.slopes.shape, float(grid.max(initial=0.0))
+        if not end:
+            states = np.repeat(started.states[:, :, None], grid.size, axis=2)
+            return states, np.repeat(started.slopes[..., None], grid.size, axis=3)
+        system = from_states(self.dynamics.system, (0.0, end))
+        moved = np.concatenate([started.points, started.states.T], axis=1)
+        cuts = self._cuts(started.points, end)
+        reference = integrate_reference(system, moved, (0.0, end), accuracy, cuts)
+        if reference.end < end:
+            raise self._ended(reference)
+        states = reference(grid)
+        if not w:
+            return states, np.empty((n, 0, count, grid.size))
+        directions = started.directions
+
+        def rates(times: Array, at: Array, which: NDArray[np.intp]) -> Array:
+            inner = self.dynamics.rate_slopes(times, at, started.points[which])
+            return np.asarray(np.einsum("ndk,kdw->nwk", inner, directions[which]))
+
+        steps = self._steps(reference, [0.0, *cuts, end])
+        forcing = Forcing(rates, started.slopes)
+        return states, sensitivities(system, moved, reference, steps, forcing, grid)
+
+    def _cuts(self, points: Array, end: float) -> list[float]:
+        """Times inside the horizon at which rates may jump, at any of the points."""
+        features = self.dynamics.system.features
+        times = [float(at) for at in features.cuts[0]]
+        if features.n_moving_cuts:
+            times += np.ravel(features.moving_cuts(np.ascontiguousarray(points.T))).tolist()
+        return sorted({at for at in times if 0.0 < at < end})
+
+    def _steps(self, reference: Reference, edges: Sequence[float]) -> list[float]:
+        """Ends of steps of the trajectories, and of pieces in which rates are smooth."""
+        ends = {t for batch in reference.batches for t, _ in batch.samples(_ALL_STEPS)}
+        inside = [t for t in ends if edges[0] < t < edges[-1]]
+        return sorted({*edges, *inside})
+
+    def _ended(self, reference: Reference) -> BlowUpError | ConvergenceError:
+        """The error for a trajectory that does not reach the last measurement."""
+        which = 0 if reference.blown is None else reference.blown
+        experiment = self.records.experiments[which]
+        return BlowUpError(
+            f"the trajectory of {quote(experiment.name)} cannot be continued beyond "
+            f"t = {reference.end:.6g}",
+            time=reference.end,
+            parameters=dict(
+                zip(self.dynamics.inputs, reference.points[which].tolist(), strict=False)
+            ),
+            remedy="the parameters are probably far from those of the data",
+        )

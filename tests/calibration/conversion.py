@@ -1,0 +1,122 @@
+"""A small PEtab problem: a conversion A <-> B with a dose, written to files from a fixed seed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+MODEL = """<?xml version="1.0" encoding="UTF-8"?>
+<sbml xmlns="http://www.sbml.org/sbml/level3/version1/core" level="3" version="1">
+<model id="conversion">
+<listOfCompartments>
+<compartment id="cell" size="2" constant="true" spatialDimensions="3"/>
+</listOfCompartments>
+<listOfSpecies>
+<species id="A" compartment="cell" initialConcentration="1" hasOnlySubstanceUnits="false"
+ boundaryCondition="false" constant="false"/>
+<species id="B" compartment="cell" initialConcentration="0.2" hasOnlySubstanceUnits="false"
+ boundaryCondition="false" constant="false"/>
+</listOfSpecies>
+<listOfParameters>
+<parameter id="k1" value="1" constant="true"/>
+<parameter id="k2" value="1" constant="true"/>
+<parameter id="dose" value="0" constant="true"/>
+<parameter id="a0" value="1" constant="true"/>
+</listOfParameters>
+<listOfInitialAssignments>
+<initialAssignment symbol="A"><math xmlns="http://www.w3.org/1998/Math/MathML"><ci>a0</ci></math>
+</initialAssignment>
+</listOfInitialAssignments>
+<listOfReactions>
+<reaction id="there" reversible="false" fast="false">
+<listOfReactants><speciesReference species="A" stoichiometry="1" constant="true"/></listOfReactants>
+<listOfProducts><speciesReference species="B" stoichiometry="1" constant="true"/></listOfProducts>
+<kineticLaw><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>cell</ci>
+<apply><plus/><ci>k1</ci><ci>dose</ci></apply><ci>A</ci></apply></math></kineticLaw>
+</reaction>
+<reaction id="back" reversible="false" fast="false">
+<listOfReactants><speciesReference species="B" stoichiometry="1" constant="true"/></listOfReactants>
+<listOfProducts><speciesReference species="A" stoichiometry="1" constant="true"/></listOfProducts>
+<kineticLaw><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>cell</ci>
+<ci>k2</ci><ci>B</ci></apply></math></kineticLaw>
+</reaction>
+</listOfReactions>
+</model>
+</sbml>
+"""
+NOMINAL = {"k1": 0.8, "k2": 0.6, "a0": 1.5, "scale": 2.0, "sd_B": 0.1, "sd_share": 0.05}
+DOSES = {"low": 0.5, "high": 3.0}
+TIMES = (0.0, 0.5, 1.0, 2.0)
+PARAMETERS = """parameterId	parameterScale	lowerBound	upperBound	nominalValue	estimate
+k1	log10	0.001	1000	0.8	1
+k2	log	0.001	1000	0.6	1
+a0	lin	0.1	10	1.5	1
+scale	log10	0.01	100	2	1
+sd_B	log10	0.001	10	0.1	1
+sd_share	lin	0.001	1	0.05	0
+"""
+CONDITIONS = "conditionId\tdose\nrest\t0\nlow\t0.5\nhigh\t3\n"
+OBSERVABLES = """observableId	observableFormula	noiseFormula	observableTransformation\
+	noiseDistribution
+obs_B	observableParameter1_obs_B * B + 0.1	noiseParameter1_obs_B	log10	normal
+obs_share	A / (A + B)	sd_share + 0.01 * A	lin	laplace
+obs_A	A	0.2	log	normal
+"""
+YAML = """format_version: 1
+parameter_file: parameters.tsv
+problems:
+- condition_files: [conditions.tsv]
+  measurement_files: [measurements.tsv]
+  observable_files: [observables.tsv]
+  sbml_files: [model.xml]
+"""
+
+
+def simulated(condition, before, times, values=NOMINAL):
+    """A and B (2, T) in closed form; at infinite times those at rest."""
+
+    def path(dose, start, at):
+        k1, k2, total = values["k1"] + dose, values["k2"], sum(start)
+        rest = total * k2 / (k1 + k2)
+        a = rest + (start[0] - rest) * np.exp(-(k1 + k2) * np.asarray(at))
+        return np.stack([a, total - a])
+
+    start = [values["a0"], 0.2]
+    return path(DOSES[condition], path(0.0, start, np.inf) if before else start, times)
+
+
+def rows():
+    """The measurement table: experiments from a start and from rest, one measured at rest."""
+    rng = np.random.default_rng(7)
+    lines = []
+    for before, condition in (("", "low"), ("rest", "high")):
+        times = [*TIMES, *([np.inf] if before else [])]
+        for at, (a, b) in zip(times, simulated(condition, before, times).T):
+            outputs = {"obs_B": 2.0 * b + 0.1, "obs_share": a / (a + b), "obs_A": a}
+            for name, output in outputs.items():
+                measured = float(output * np.exp(rng.normal(scale=0.1)))
+                placed = ("scale", "sd_B") if name == "obs_B" else ("", "")
+                lines.append((name, before, condition, repr(measured), str(at), *placed))
+    return lines
+
+
+HEADER = (
+    *("observableId", "preequilibrationConditionId", "simulationConditionId", "measurement"),
+    *("time", "observableParameters", "noiseParameters"),
+)
+
+
+def write(folder, **files):
+    """Write the problem to a folder, with other texts of some files, and return its YAML file."""
+    measurements = "\n".join("\t".join(line) for line in [HEADER, *rows()]) + "\n"
+    texts = {
+        "model.xml": MODEL,
+        "parameters.tsv": PARAMETERS,
+        "conditions.tsv": CONDITIONS,
+        "observables.tsv": OBSERVABLES,
+        "measurements.tsv": measurements,
+        "conversion.yaml": YAML,
+    }
+    for name, text in texts.items():
+        stem = name.partition(".")[0]
+        (folder / name).write_text(files.get(stem, text))
+    return folder / "conversion.yaml"
