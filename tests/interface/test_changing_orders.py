@@ -5,9 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.special import ndtr, ndtri
 
 import rankone as ro
 from rankone.ir.timeline import BranchedTimeline
+from rankone.statistics import timeline_statistics
+from rankone.statistics.line_averages import Accuracy
 
 RTOL = 1e-4
 END = 6.0
@@ -131,14 +135,64 @@ def test_derivatives_and_smaller_solutions():
     assert smaller(5.0, SWAPPED)[0] == pytest.approx(exact(5.0, **SWAPPED), rel=RTOL)
 
 
-@pytest.mark.slow
-def test_statistics_go_across_branches():
-    solution = washed()
-    at = points(solution, 200_000, 7)
-    sample = exact(5.0, **at)
-    assert solution.mean(5.0)[0] == pytest.approx(sample.mean(), rel=3e-3)
-    assert solution.std(5.0)[0] == pytest.approx(sample.std(), rel=1e-2)
-    assert np.isfinite(solution.sobol(5.0).first).all()
+def integral(function, time, k=0.4, density=lambda a, b: 0.25):
+    """The integral over a and b of a function of the amount at a time, by SciPy."""
+
+    def over_a(b):
+        def at(a):
+            return density(a, b) * function(exact(time, a, b, k))
+
+        return quad(at, 1.0, 3.0, points=sorted({x for x in (b, time) if 1 < x < 3}))[0]
+
+    ends = sorted({x for x in (3.0, time) if 1.5 < x < 3.5})
+    return quad(over_a, 1.5, 3.5, points=ends, epsrel=1e-7)[0]
+
+
+@pytest.mark.parametrize("time", [2.2, 5.0])
+def test_statistics_go_across_branches(time):
+    solution = washed().fix(k=0.4)
+    mean = integral(lambda x: x, time)
+    spread = np.sqrt(integral(lambda x: (x - mean) ** 2, time))
+    assert solution.mean(time)[0] == pytest.approx(mean, abs=1e-4 * spread)
+    assert solution.std(time)[0] == pytest.approx(spread, rel=1e-4)
+    assert solution.cov(time)[0, 0] == pytest.approx(spread**2, rel=2e-4)
+    third = integral(lambda x: (x - mean) ** 3, time) / spread**3
+    assert solution.skewness(time)[0] == pytest.approx(third, abs=1e-3)
+
+
+def test_sobol_indices_go_across_branches():
+    solution, time = washed().fix(k=0.4), 5.0
+    a, b = np.meshgrid(1 + (np.arange(2000) + 0.5) / 1000, 1.5 + (np.arange(2000) + 0.5) / 1000)
+    states = exact(time, a, b, 0.4)
+    of_a, of_b = states.mean(axis=0).var(), states.mean(axis=1).var()
+    first = np.array([of_a, of_b]) / states.var()
+    indices = solution.sobol([time])
+    assert indices.first[0, :, 0] == pytest.approx(first, abs=5e-3)
+    assert indices.total[0, :, 0] == pytest.approx(1.0 - first[::-1], abs=5e-3)
+    assert indices.second[0, 0, 1, 0] == pytest.approx(1.0 - first.sum(), abs=1e-2)
+
+
+def test_main_effects_follow_correlated_parameters():
+    solution, time, correlation = washed().fix(k=0.4), 5.0, 0.8
+    effects = solution.main_effects(time, count=3, correlation={("a", "b"): correlation})
+
+    def of_a(a):
+        middle = correlation * ndtri((a - 1.0) / 2.0)
+
+        def at(z):
+            b = 1.5 + 2.0 * ndtr(middle + np.sqrt(1.0 - correlation**2) * z)
+            return exact(time, a, b, 0.4) * np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+
+        swap = (ndtri((a - 1.5) / 2.0) - middle) / np.sqrt(1.0 - correlation**2)
+        return quad(at, -8.0, swap)[0] + quad(at, swap, 8.0)[0]
+
+    assert effects.means["a"][0, 1] == pytest.approx(of_a(2.0), rel=1e-3)
+
+
+def test_statistics_that_do_not_settle_say_so(monkeypatch):
+    monkeypatch.setattr(timeline_statistics, "MOMENTS", Accuracy(1e-9, 1e-8, 32))
+    with pytest.warns(ro.RankoneWarning, match="have settled to"):
+        washed().restrict(k=(0.35, 0.45)).mean(2.2)
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@
 ``densities``            densities and probabilities, from evenly spread points
 ``solution_statistics``  statistics of states at given times, and how certain they are
 ``over_box``             the methods of a solution
-``timeline_statistics``  those of solutions with events, from evenly spread points
+``timeline_statistics``  those of solutions with events, which jump over the parameters
+``line_averages``        averages along lines through the box, more and more until they settle
+``closed_lines``         quadrature for functions that jump across surfaces
 =======================  ===========================================================================
 """

@@ -58,7 +58,7 @@ class Copula:
     def joined(self, shares: Array) -> Array:
         """Shares (d, M) of all parameters: independent ones turned into correlated ones."""
         joined, rows = shares.copy(), list(self.positions)
-        joined[rows] = ndtr(self.root @ ndtri(np.clip(shares[rows], 1e-300, 1.0 - 2.0**-53)))
+        joined[rows] = ndtr(self.root @ _normals(shares[rows]))
         return joined
 
     def rules(self) -> list[tuple[Array, Array]]:
@@ -72,15 +72,29 @@ class Copula:
 
     def given(self, index: int, normal: float) -> list[tuple[Array, Array]]:
         """The same, conditional on the normal number of the parameter at ``index``."""
+        rules = _normal(len(self.positions) - 1)
+        return [(self._shares_given(index, normal, z), weights) for z, weights in rules]
+
+    def joined_given(self, shares: Array, index: int, normal: float) -> Array:
+        """Shares (d, M) as :meth:`joined` has them, conditional on the parameter at ``index``."""
+        joined, rows = shares.copy(), list(self.positions)
+        free = [j for i, j in enumerate(rows) if i != index]
+        joined[rows] = self._shares_given(index, normal, _normals(shares[free]))
+        return joined
+
+    def _shares_given(self, index: int, normal: float, z: Array) -> Array:
+        """Shares (k, M) of the correlated parameters from independent normal numbers (k - 1, M)."""
         matrix = np.array(self.matrix)
         free = [i for i in range(len(matrix)) if i != index]
         slope = matrix[free, index]
         root = np.linalg.cholesky(matrix[np.ix_(free, free)] - np.outer(slope, slope))
-        rules = []
-        for z, weights in _normal(len(free)):
-            all_z = np.insert(slope[:, None] * normal + root @ z, index, normal, axis=0)
-            rules.append((ndtr(all_z), weights))
-        return rules
+        every = np.insert(slope[:, None] * normal + root @ z, index, normal, axis=0)
+        return np.asarray(ndtr(every))
+
+
+def _normals(shares: Array) -> Array:
+    """Normal numbers whose probabilities are shares."""
+    return np.asarray(ndtri(np.clip(shares, 1e-300, 1.0 - 2.0**-53)))
 
 
 def _normal(count: int) -> list[tuple[Array, Array]]:
@@ -232,6 +246,18 @@ class JointDistribution:
             shares = self.copula.joined(shares)
         rows = [measure.sample(row) for measure, row in zip(self.measures, shares, strict=True)]
         return np.array(rows).reshape(len(self.measures), shares.shape[1])
+
+    def points_given(self, j: int, place: float, shares: Array) -> Array:
+        """Values (d, M) where one parameter has a value, at shares (d - 1, M) of the others."""
+        every = np.insert(shares, j, 0.5, axis=0)
+        if self.copula is not None and j in self.copula.positions:
+            normal = self.measures[j].normal(place)
+            every = self.copula.joined_given(every, self.copula.positions.index(j), normal)
+        elif self.copula is not None:
+            every = self.copula.joined(every)
+        rows = [measure.sample(row) for measure, row in zip(self.measures, every, strict=True)]
+        rows[j] = np.full(shares.shape[1], place)
+        return np.array(rows)
 
     def even_points(self, count: int, seed: int = 20144) -> Array:
         """Evenly spread values of the parameters, (d, count)."""

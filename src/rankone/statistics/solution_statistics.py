@@ -191,6 +191,10 @@ class Statistics:
         """Variances, (states, times)."""
         return self._squares(times, lambda moments: moments.covariance)[:, 0]
 
+    def root_mean_squares(self, times: Array) -> Array:
+        """Sizes of the states, (states, times)."""
+        return np.hypot(self.mean(times), np.sqrt(self.variance(times)))
+
     def first(self, times: Array) -> Array:
         """Variances of the means given one parameter, (states, parameters, times)."""
         return self._squares(times, lambda moments: moments.first)

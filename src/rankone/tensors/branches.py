@@ -41,12 +41,14 @@ class BranchFork(Protocol):
 class Decision:
     """Which branch holds at N points, and by how much it is ahead of each (branches, N).
 
-    Points are ``undecided`` if no branch is ahead of all others.
+    Points are ``undecided`` if no branch is ahead of all others. ``borders`` are those of the
+    stretches of each branch, as solved.
     """
 
     chosen: NDArray[np.intp]
     ahead: Array
     undecided: NDArray[np.bool_]
+    borders: list[Array]
 
 
 class BranchEvaluator(ClockEvaluator):
@@ -78,28 +80,47 @@ class BranchEvaluator(ClockEvaluator):
 
     def decided(self, points: Array) -> Decision:
         """The branches that hold at points (d, N)."""
+        return self._decided_by(self.deciders(points))
+
+    def deciders(self, points: Array) -> Array:
+        """Smooth functions (k, N) of points (d, N) that tell branches and stretches.
+
+        They are the borders of all branches, as solved, and then the guards of the forks.
+        """
+        borders = [branch.borders_as_solved(points) for branch in self.branches]
+        guards = [
+            self._guard(fork.first, fork.guard, points)[None]
+            for fork in self.forks
+            if fork.guard is not None
+        ]
+        return np.concatenate([*borders, *guards])
+
+    def _decided_by(self, deciders: Array) -> Decision:
+        """The branches that hold by deciders (k, N)."""
         count, start = len(self.branches), self.horizon[0]
         length = self.horizon[1] - start
-        borders = [branch.borders_as_solved(points) for branch in self.branches]
-        ahead = np.full((count, count, points.shape[1]), np.inf)
+        ends = np.cumsum([round(branch.slabs[-1].end) + 1 for branch in self.branches])
+        *borders, guards = np.split(deciders, ends)
+        guard = iter(guards)
+        ahead = np.full((count, count, deciders.shape[1]), np.inf)
         for fork in self.forks:
             a, b = fork.first, fork.second
             if fork.guard is not None:
-                margin = fork.sign * self._guard(a, fork.guard, points) / fork.scale
+                margin = fork.sign * next(guard) / fork.scale
             else:
                 one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
                 margin = _earlier(one, other, fork.may_be_past) / length
             ahead[a, b], ahead[b, a] = margin, -margin
         least = ahead.min(axis=1)
         chosen = least.argmax(axis=0)
-        columns = np.arange(points.shape[1])
+        columns = np.arange(deciders.shape[1])
         undecided = ~(least[chosen, columns] > -self.width)
         for k in np.unique(chosen):
             here = chosen == k
             times = borders[k][:, here]
             back = (np.diff(times, axis=0) < -self.width * length) & (times[:-1] < self.horizon[1])
             undecided[here] |= back.any(axis=0)
-        return Decision(chosen, ahead[chosen, :, columns].T, undecided)
+        return Decision(chosen, ahead[chosen, :, columns].T, undecided, borders)
 
     def _guard(self, branch: int, guard: int, points: Array) -> Array:
         """A guard of a branch at points (d, N)."""
@@ -123,6 +144,21 @@ class BranchEvaluator(ClockEvaluator):
             return self.branches[k].curves(times[:, here], points[:, here], rows)
 
         return self._merged(self.decided(points), times.shape, rows, states)
+
+    def smooth_pieces(self, times: Array, deciders: Array) -> NDArray[np.intp]:
+        """Branch and stretch, as one number, of times (T, 1) or (T, N) by deciders (k, N): (T, N).
+
+        Numbers below zero stand for no stretch.
+        """
+        times = np.broadcast_to(times, (len(times), deciders.shape[1]))
+        decision = self._decided_by(deciders)
+        pieces = np.full(times.shape, -1, dtype=np.intp)
+        for k in np.unique(decision.chosen).tolist():
+            here = np.flatnonzero(decision.chosen == k)
+            borders = decision.borders[k][:, here]
+            stretch, outside = self.branches[k].stretches(times[:, here], borders)
+            pieces[:, here] = np.where(outside, -1, stretch * len(self.branches) + k)
+        return pieces
 
     def borders(self, points: Array) -> Array:
         """Clock times (most stretches + 1, N) of the borders of the branch that holds at points.

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.tensors.evaluator import Rows, TrainEvaluator
@@ -62,6 +63,16 @@ class TimelineEvaluator(ClockEvaluator):
         states = self.trains.curves(pseudo, points, rows)
         states[:, outside] = math.nan
         return states
+
+    def deciders(self, points: Array) -> Array:
+        """Smooth functions (k, N) of points (d, N) that tell in which stretch a time is."""
+        return self.borders_as_solved(points)
+
+    def smooth_pieces(self, times: Array, deciders: Array) -> NDArray[np.intp]:
+        """The stretches (T, N) of times (T, 1) or (T, N) by deciders (k, N), -1 for none."""
+        times = np.broadcast_to(times, (len(times), deciders.shape[1]))
+        stretch, outside = self.stretches(times, deciders)
+        return np.where(outside, -1, stretch)
 
     def linearised(
         self, times: Array, points: Array, rows: Rows, free: Sequence[int]
@@ -122,15 +133,19 @@ class TimelineEvaluator(ClockEvaluator):
             at[border, :, 1:] = [slopes[j] if slopes else 0.0 for j in free]
         return at
 
-    def _pseudo_times(self, times: Array, borders: Array) -> tuple[Array, Array]:
+    def _pseudo_times(self, times: Array, borders: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Pseudo-times (T, N) of clock times, and which are in no stretch."""
-        stretch = np.zeros(times.shape, dtype=np.intp)
-        for border in np.maximum.accumulate(borders, axis=0)[1:-1]:  # none ends before it begins
-            stretch += times >= border
+        stretch, outside = self.stretches(times, borders)
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
         share = (times - begin) / np.where(length > 0.0, length, 1.0)
-        rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
-        outside = times > borders[-1] + rounding
         latest = np.minimum(np.nextafter(stretch + 1.0, 0.0), self._last)
         return np.clip(stretch + share, stretch, latest), outside
+
+    def stretches(self, times: Array, borders: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Stretches (T, N) of clock times, by the clock times of borders, and which are in none."""
+        stretch = np.zeros(times.shape, dtype=np.intp)
+        for border in np.maximum.accumulate(borders, axis=0)[1:-1]:  # none ends before it begins
+            stretch += times >= border
+        rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
+        return stretch, times > borders[-1] + rounding

@@ -1,0 +1,180 @@
+"""Averages of states at a clock time over lines through the box, divided where states jump."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.statistics.closed_lines import FIRST_LINES, Lines, refinements
+from rankone.support.arrays import Array
+from rankone.support.budget import check_time
+from rankone.support.errors import warn
+from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.timeline import TimelineEvaluator
+
+PointSets = Callable[[Array], Sequence[Array]]
+"""Parameters (d, M), one set or several, of points (D, M) of a unit cube."""
+Weighted = Callable[[Array, Array], tuple[Array, Array]]
+"""A statistic, and the unit of its changes, of states (rows, M) with weights (M,) of sum one."""
+
+_POINTS_AT_ONCE = 2**14
+# Chebyshev points of a segment, between which what decides about pieces is a polynomial
+_NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
+_BARYCENTRIC = np.sin(np.pi * (np.arange(9) + 0.5) / 9) * (-1.0) ** np.arange(9)
+_LASTING = 0.25  # Share of a change that is expected of the next one
+_MOST_PIECES = 10_000  # Smooth pieces of one evaluator
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """When to stop: changes by twice as many lines are relative to the unit of a statistic."""
+
+    settled: float
+    """Change that is small enough."""
+    warned: float
+    """Change above which a user is told."""
+    most_lines: int
+
+
+MOMENTS = Accuracy(1e-4, 1e-3, 512)
+"""Of means, relative to the standard deviation, and of variances, relative to themselves."""
+SENSITIVITIES = Accuracy(2e-3, 2e-2, 64)
+"""Of parts of the variance, relative to all of it."""
+EFFECTS = Accuracy(1e-3, 1e-2, 4 * FIRST_LINES)
+"""Of means given one parameter, relative to the standard deviation."""
+
+
+@dataclass
+class _Average:
+    """A statistic at one time, from the states (rows, M) at the points of all lines so far."""
+
+    states: list[Array] = field(default_factory=list)
+    weights: list[Array] = field(default_factory=list)
+    latest: Array | None = None
+    changes: tuple[float, float] = (np.inf, np.inf)
+    share: float = 1.0
+
+    @property
+    def change(self) -> float:
+        """The latest change, or what the one before lets expect: one may vanish by chance."""
+        return max(self.changes)
+
+    def refine(self, of: Weighted) -> None:
+        """The statistic of those that still run, their share, and what the latest lines changed."""
+        states, weights = np.hstack(self.states), np.concatenate(self.weights)
+        runs = np.isfinite(states).all(axis=0)
+        running = weights[runs]
+        self.share = float(running.sum() / weights.sum())
+        if not self.share:
+            return
+        statistic, unit = of(states[:, runs], running / running.sum())
+        if self.latest is not None:
+            apart = np.abs(statistic - self.latest)
+            ratios = np.divide(apart, unit, out=np.zeros_like(apart), where=unit > 0.0)
+            changes = (float(np.nan_to_num(ratios).max(initial=0.0)), _LASTING * self.changes[0])
+            self.changes = changes
+        self.latest = statistic
+
+
+@dataclass(frozen=True)
+class LineAverages:
+    """Averages of the states ``rows`` of an evaluator over clock time."""
+
+    evaluator: TimelineEvaluator | BranchEvaluator
+    rows: NDArray[np.intp]
+
+    def __call__(
+        self,
+        times: Array,
+        dimensions: int,
+        sets: PointSets,
+        of: Weighted,
+        accuracy: Accuracy,
+    ) -> tuple[Array, Array]:
+        """A statistic over a unit cube, (..., times), and the share (times,) that still runs.
+
+        Its rows are the states at the first set of points, then those at the next one. It is NaN
+        where nothing runs. A warning says how accurate it is if it does not settle.
+        """
+        averages = [_Average() for _ in range(times.size)]
+        for lines in refinements(dimensions, accuracy.most_lines):
+            left = [k for k, each in enumerate(averages) if each.change > accuracy.settled]
+            self._add(lines, times[left], sets, [averages[k] for k in left])
+            for k in left:
+                averages[k].refine(of)
+        reached = [each.changes[0] for each in averages if np.isfinite(each.changes[0])]
+        _warn_of_changes(max(reached, default=0.0), accuracy.warned)
+        count = len(sets(np.full((dimensions, 1), 0.5))) * self.rows.size
+        shape = of(np.zeros((count, 1)), np.ones(1))[0].shape
+        nothing = np.full(shape, np.nan)
+        columns = [nothing if each.latest is None else each.latest for each in averages]
+        table = np.stack(columns, axis=-1) if columns else np.empty((*shape, 0))
+        return table, np.array([each.share for each in averages])
+
+    def _add(
+        self, lines: Lines, times: Array, sets: PointSets, averages: Sequence[_Average]
+    ) -> None:
+        """Take the states at times (T,) at the points of lines into averages."""
+        tables = []
+        for points in sets(lines.on_all(_NODES)):
+            deciders = np.hstack(
+                [self.evaluator.deciders(points[:, here]) for here in _blocks(points.shape[1])]
+            )
+            tables.append(deciders.reshape(len(deciders), _NODES.size, -1))
+        for time, average in zip(times, averages, strict=True):
+            at = np.array([time])
+            points, weights = lines.rule(lambda *places, at=at: self._pieces(at, tables, *places))
+            average.states.append(np.concatenate([self._states(at, p) for p in sets(points)]))
+            average.weights.append(weights)
+
+    def _pieces(
+        self, time: Array, tables: Sequence[Array], segments: NDArray[np.intp], shares: Array
+    ) -> NDArray[np.intp]:
+        """Labels (M,) of the smooth pieces in which shares of segments lie.
+
+        ``tables`` (deciders, nodes, S) has what decides, for each set of points.
+        """
+        labels = np.zeros(segments.size, dtype=np.intp)
+        at = _interpolation(shares)
+        for table in tables:
+            deciders = np.einsum("fkm,mk->fm", table[:, :, segments], at)
+            labels = (
+                labels * _MOST_PIECES + self.evaluator.smooth_pieces(time[:, None], deciders)[0]
+            )
+        return labels
+
+    def _states(self, time: Array, points: Array) -> Array:
+        """States (rows, M) at one time."""
+        blocks = [
+            self.evaluator.curves(time[:, None], points[:, here], self.rows)[:, 0]
+            for here in _blocks(points.shape[1])
+        ]
+        return np.hstack(blocks)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Slices of points that are evaluated together."""
+    for start in range(0, count, _POINTS_AT_ONCE):
+        check_time()
+        yield slice(start, start + _POINTS_AT_ONCE)
+
+
+def _interpolation(shares: Array) -> Array:
+    """Weights (M, nodes) of values at nodes for polynomials at shares."""
+    apart = shares[:, None] - _NODES
+    apart = np.where(np.abs(apart) < 1e-14, 1e-14, apart)
+    weights = _BARYCENTRIC / apart
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _warn_of_changes(change: float, warned: float) -> None:
+    """Warn of a statistic that does not settle."""
+    if change > warned:
+        warn(
+            f"statistics have settled to {change:.1e} of the spread only: the solution jumps over "
+            "the parameters in many places",
+            remedy="compare with a sample: solution(t=t, **solution.sample(10**5))",
+        )
