@@ -226,9 +226,10 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
     mapping = experiment.times is None and isinstance(experiment.data, Mapping)
     if is_table(experiment.data) or mapping:
         blocks = blocks_of(solution, experiment.data, experiment.observe)
-        fixed = _fixed_by_label(solution, experiment.fixed, blocks)
+        fixed = fixed_by_label(solution, experiment.fixed, blocks)
         for block, held in zip(blocks, fixed, strict=True):
-            yield _of_block(solution, experiment, block, held)
+            name = ", ".join(filter(None, (experiment.name, block.name)))
+            yield trial_of(name, solution, held, observed_in(solution, experiment, block))
         return
     observations = observed(
         solution,
@@ -244,10 +245,8 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
     yield trial_of(experiment.name, solution, held, observations)
 
 
-def _of_block(
-    solution: SolutionCore, experiment: Experiment, block: Block, held: dict[str, float]
-) -> Trial:
-    """The trial of one experiment in a table."""
+def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) -> Observations:
+    """What was measured in one block of a table."""
     if block.sigma is not None and experiment.sigma is not None:
         raise OptionError("sigma is given, and the table has a column of it", remedy="give one")
     if experiment.weights is not None:
@@ -264,7 +263,7 @@ def _of_block(
     if observe is not None and not isinstance(observe, Mapping):
         keys = observe if isinstance(observe, list | tuple) else [observe]
         observe = {label(solution, key): key for key in keys}
-    observations = observed(
+    return observed(
         solution,
         block.times,
         block.data,
@@ -272,8 +271,6 @@ def _of_block(
         sigma=own(block.sigma if experiment.sigma is None else experiment.sigma),
         noise=own(experiment.noise),
     )
-    name = ", ".join(filter(None, (experiment.name, block.name)))
-    return trial_of(name, solution, held, observations)
 
 
 def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str, float]:
@@ -288,7 +285,7 @@ def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str,
     return held
 
 
-def _fixed_by_label(
+def fixed_by_label(
     solution: SolutionCore, fixed: Mapping[Any, Any], blocks: Sequence[Block]
 ) -> list[dict[str, float]]:
     """The parameters that each block of a table fixes."""

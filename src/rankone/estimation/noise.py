@@ -152,11 +152,17 @@ class Terms(NamedTuple):
 
 
 def terms(
-    noise: Noise, data: Array, prediction: Operand, sigma: Operand, width: int | None
+    noise: Noise,
+    data: Array,
+    prediction: Operand,
+    sigma: Operand,
+    width: int | None,
+    present: NDArray[np.bool_] | None = None,
 ) -> Terms:
     """What the data (m,) of an observable add to a fit.
 
     ``prediction`` and ``sigma`` have w = ``width`` derivatives; without any, the Jacobian is empty.
+    Data that are not ``present`` (m,) add nothing.
     """
     if noise.distribution == "log-normal":
         prediction, data = FUNCTIONS["log"](prediction), np.log(data)
@@ -172,16 +178,21 @@ def terms(
         each = (nu + 1.0) * np.log1p(squares / nu)
     if noise.estimated:
         each = each + 2.0 * np.log(s)
+    counted: Array | float = 1.0
+    if present is not None:
+        each, r, shares = (np.where(present, row, 0.0) for row in (each, r, shares))
+        counted = np.where(present, 1.0, 0.0)
     residuals = shares * r / location
     if noise.estimated:
-        residuals = np.concatenate([residuals, (1.0 - shares * r**2) / scale], axis=-1)
+        residuals = np.concatenate([residuals, (counted - shares * r**2) / scale], axis=-1)
     w = 0 if width is None else width
     jacobian = np.zeros((*residuals.shape, w))
     if w:
         m = r.shape[-1]
-        jacobian[..., :m, :] = location * slope_of(prediction, w) / s[..., None]
+        per_sigma = np.asarray(counted / s)[..., None]
+        jacobian[..., :m, :] = location * slope_of(prediction, w) * per_sigma
         if noise.estimated:
-            jacobian[..., m:, :] = scale * slope_of(sigma, w) / s[..., None]
+            jacobian[..., m:, :] = scale * slope_of(sigma, w) * per_sigma
     return Terms(each.sum(axis=-1), residuals, jacobian, r, shares)
 
 

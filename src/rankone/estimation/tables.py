@@ -77,12 +77,16 @@ def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> lis
     columns = columns_of(table)
     time = _time_column(solution, columns)
     measured = _measured(solution, columns, time, observe)
-    numbers = {name: _numbers(name, columns[name]) for name in measured}
-    clock = _numbers(time, columns[time])
-    held = {name: _numbers(name, columns[name]) for name in solution.parameters if name in columns}
+    numbers = {name: numbers_of(name, columns[name]) for name in measured}
+    clock = numbers_of(time, columns[time])
+    held = {
+        name: numbers_of(name, columns[name]) for name in solution.parameters if name in columns
+    }
     if len(held) == len(solution.parameters):
         held = {}  # a table that a page saved says everything
-    spreads = {name: _numbers(name, columns[name]) for name in columns if _is_sigma(name, measured)}
+    spreads = {
+        name: numbers_of(name, columns[name]) for name in columns if _is_sigma(name, measured)
+    }
     labels = _labels(columns, held, len(clock))
     blocks = []
     for group in dict.fromkeys(labels):
@@ -143,7 +147,7 @@ def _check_complete(observable: str, empty: NDArray[np.bool_]) -> None:
 def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) -> list[Group]:
     """For each row its labels, the name of its experiment, and its parameters."""
     groups = {
-        name: [_label(entry) for entry in columns[name]] for name in GROUPS if name in columns
+        name: [label_of(entry) for entry in columns[name]] for name in GROUPS if name in columns
     }
     labels: list[Group] = []
     for i in range(rows):
@@ -161,7 +165,7 @@ def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) ->
     return labels
 
 
-def _label(entry: object) -> str:
+def label_of(entry: object) -> str:
     number = isinstance(entry, float) and float(entry).is_integer()
     return str(int(entry)) if number else str(entry)  # type: ignore[call-overload]
 
@@ -221,7 +225,7 @@ def _is_sigma(name: str, measured: Sequence[str]) -> bool:
     return name == SIGMA or name in [f"{SIGMA}_{each}" for each in measured]
 
 
-def _numbers(name: str, column: NDArray[Any]) -> Array:
+def numbers_of(name: str, column: NDArray[Any]) -> Array:
     """A column of numbers, NaN where a cell is empty."""
     cells = [np.nan if str(cell).strip() in _EMPTY else cell for cell in column.tolist()]
     try:

@@ -14,6 +14,7 @@ from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
 from rankone.outputs.interpolation import samples_of, with_outputs
 from rankone.outputs.states import at_instant, derivative, over_clock_time
+from rankone.populations import PopulationsFromData
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Solution(DistributionOverBox, EstimationFromData, EventTimes):
+class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, EventTimes):
     """The unknowns as functions of time and of all parameters.
 
     It is evaluated like :class:`~rankone.solution.core.SolutionCore`, whose methods it has:

@@ -1,0 +1,283 @@
+"""Empirical Bayes: the most probable random effects of each subject.
+
+For each subject they minimise -2 log p(y | eta) + eta' Omega^-1 eta, by damped Gauss-Newton steps
+on the pseudo-residuals of the data with a secant correction, for many population parameters and all
+subjects at once. The parameters of subjects stay in the box of the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.estimation.duals import Dual, Operand, value_of, with_shape
+from rankone.estimation.noise import terms
+from rankone.populations.layout import Layout
+from rankone.populations.subjects import Subjects
+from rankone.support.arrays import Array
+
+_MOST_STEPS = 60
+_LEAST_DECREMENT = 1e-11  # Squared length of a step, in standard deviations of eta, that ends
+_DAMPING_FACTOR = 6.0
+_LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
+_ROUNDING = 1e-12  # Relative increase of the sum that is rounding
+_TRUSTED_CURVATURES = (0.2, 20.0)  # Second derivatives, in units of the expected ones
+_LEAST_COSINE = 1e-8  # Of the angle between a step and what a secant update adds
+
+
+class Start(NamedTuple):
+    """Random effects (n, q) to begin from, and a correction (n, q, q) of their information."""
+
+    eta: Array
+    correction: Array
+
+    @classmethod
+    def at(cls, eta: Array) -> Start:
+        """Random effects of which nothing more is known."""
+        return cls(eta, np.zeros((*eta.shape, eta.shape[-1])))
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The data of all subjects, linearised in their coordinates z.
+
+    ``cost`` (K, n) is -2 log p(y | eta) up to a constant, ``gradient`` (K, n, E) half of its
+    derivatives, ``information`` (K, n, E, E) the Fisher information, ``squares`` (K, n) the sums
+    of squared residuals in standard deviations.
+    """
+
+    cost: Array
+    gradient: Array
+    information: Array
+    squares: Array
+
+
+@dataclass(frozen=True)
+class Individuals:
+    """The most probable random effects ``eta`` (K, n, q), and the data linearised there.
+
+    ``penalty`` (K, n) is eta' Omega^-1 eta, ``correction`` (K, n, q, q) what the Fisher information
+    lacks of half the second derivatives. ``converged`` (K, n) tells where the search ended.
+    """
+
+    eta: Array
+    at: Linearised
+    penalty: Array
+    correction: Array
+    converged: NDArray[np.bool_]
+
+    def start(self, k: int = 0) -> Start:
+        """Where a search at similar population parameters begins."""
+        return Start(self.eta[k], self.correction[k])
+
+
+def linearised(subjects: Subjects, layout: Layout, psi: Array, coordinates: Array) -> Linearised:
+    """The data at coordinates (K, n, E) of the subjects, with levels of noise from psi (K, P)."""
+    values = layout.values(coordinates)[:, subjects.owner]
+    columns = {name: e for e, name in enumerate(layout.names)}
+    at = {name: values[..., e] for name, e in columns.items()}
+    order = [name for name in subjects.solution.parameters if name in columns]
+    places = [list(subjects.solution.parameters).index(name) for name in order]
+    states, moved = subjects.states.linearised(subjects.points(at), places)
+    slopes = np.zeros((*states.shape, len(columns)))
+    slopes[..., [columns[name] for name in order]] = moved
+    per_coordinate = layout.slopes(values)
+    column = Dual(states, slopes * per_coordinate[:, :, None, :])
+    operands = {**_levels(layout, psi), **_parameters(columns, values, per_coordinate)}
+    return _collected(subjects, operands, column, len(psi), len(columns))
+
+
+def _levels(layout: Layout, psi: Array) -> dict[str, Operand]:
+    levels = np.exp(psi[:, layout.noise])
+    zeros = dict.fromkeys(layout.zero_levels, 0.0)
+    return {**zeros, **{name: levels[:, j, None, None] for j, name in enumerate(layout.levels)}}
+
+
+def _parameters(
+    columns: Mapping[str, int], values: Array, per_coordinate: Array
+) -> dict[str, Operand]:
+    """The parameters of all records with their derivatives, (K, n, 1) each."""
+    parameters: dict[str, Operand] = {}
+    for name, e in columns.items():
+        slope = np.zeros((*values.shape[:2], 1, len(columns)))
+        slope[..., 0, e] = per_coordinate[..., e]
+        parameters[name] = Dual(values[..., e, None], slope)
+    return parameters
+
+
+def _collected(
+    subjects: Subjects, operands: Mapping[str, Operand], column: Dual, count: int, width: int
+) -> Linearised:
+    """What all observables of each subject add."""
+    records = subjects.owner.size
+    cost, gradient = np.zeros((count, records)), np.zeros((count, records, width))
+    information = np.zeros((count, records, width, width))
+    squares = np.zeros((count, records))
+    with np.errstate(all="ignore"):
+        for i, one in enumerate(subjects.measured):
+            own = subjects.operands(i, operands, column)
+            prediction = one.formula(own)
+            sigma = one.noise.sigma({**own, one.name: prediction})
+            shape = (count, *one.data.shape)
+            full = with_shape(prediction, shape, width)
+            spread = with_shape(sigma, shape, width) if one.noise.estimated else value_of(sigma)
+            each = terms(one.noise, one.data, full, spread, width, one.present)
+            cost += each.cost
+            squares += np.sum(each.weights * each.standardised**2, axis=-1)
+            gradient += (each.residuals[..., None, :] @ each.jacobian)[..., 0, :]
+            information += each.jacobian.swapaxes(-1, -2) @ each.jacobian
+    cost = np.where(np.isfinite(cost), cost, np.inf)
+    sums = (subjects.over_records(rows, 1) for rows in (cost, gradient, information, squares))
+    return Linearised(*sums)
+
+
+class EmpiricalBayes:
+    """The search for the random effects of all subjects."""
+
+    def __init__(self, subjects: Subjects, layout: Layout) -> None:
+        self.subjects, self.layout = subjects, layout
+        box = subjects.solution.parameters
+        ends = np.array([box[name] for name in layout.names]).T
+        self.lower, self.upper = layout.coordinates(ends)
+
+    def __call__(self, psi: Array, start: Start) -> Individuals:
+        """The random effects at psi (K, P)."""
+        descent = _Descent(self, psi, start)
+        for _ in range(_MOST_STEPS):
+            if not descent.advance():
+                break
+        return Individuals(
+            descent.eta, descent.here, descent.penalty, descent.correction, descent.converged
+        )
+
+    def at_ends(self, psi: Array, eta: Array) -> NDArray[np.int_]:
+        """For each subject and parameter -1 or 1 at an end of the box, else 0: (n, E)."""
+        place = self.layout.typical(psi[None])[0]
+        place[:, list(self.layout.random)] += eta
+        slack = 1e-9 * (self.upper - self.lower)
+        at_upper, at_lower = place >= self.upper - slack, place <= self.lower + slack
+        return np.asarray(at_upper.astype(int) - at_lower.astype(int))
+
+
+class _Descent:
+    """The steps of :class:`EmpiricalBayes`, for all subjects at all population parameters."""
+
+    def __init__(self, search: EmpiricalBayes, psi: Array, start: Start) -> None:
+        self.search, self.psi = search, psi
+        self.random = list(search.layout.random)
+        factor = search.layout.cholesky(psi)
+        self.precision = np.asarray(np.linalg.inv(factor @ factor.swapaxes(-1, -2)))[:, None]
+        self.typical = search.layout.typical(psi)
+        middle = self.typical[..., self.random]
+        self.lower = search.lower[self.random] - middle
+        self.upper = search.upper[self.random] - middle
+        self.eta = np.clip(np.broadcast_to(start.eta, middle.shape), self.lower, self.upper)
+        self.here, self.penalty = self._at(self.eta)
+        self.correction = np.broadcast_to(start.correction, (*middle.shape, len(self.random)))
+        self.damping = np.zeros(self.penalty.shape)
+        self.converged = np.zeros(self.penalty.shape, dtype=bool)
+
+    def advance(self) -> bool:
+        """Take a step where it lowers the sum; False once all have converged."""
+        gradient = self._gradient(self.here, self.eta)
+        step, decrement = self._step(gradient)
+        self.converged |= (decrement < _LEAST_DECREMENT) & np.isfinite(self.here.cost)
+        if self.converged.all():
+            return False
+        there, penalty = self._at(self.eta + step)
+        before = self.here.cost + self.penalty
+        better = there.cost + penalty <= before + _ROUNDING * np.abs(before)
+        better &= np.isfinite(there.cost)
+        change = self._gradient(there, self.eta + step) - gradient
+        self.correction = _secant(
+            self.correction, self._fisher(there), step, change, better & (decrement > 0.0)
+        )
+        self.eta = np.where(better[..., None], self.eta + step, self.eta)
+        self.penalty = np.where(better, penalty, self.penalty)
+        self.here = _chosen(better, there, self.here)
+        eased = np.where(self.damping > _LEAST_DAMPING, self.damping / _DAMPING_FACTOR**2, 0.0)
+        raised = np.clip(self.damping * _DAMPING_FACTOR, _LEAST_DAMPING, _MOST_DAMPING)
+        self.damping = np.where(better, eased, raised)
+        return True
+
+    def _at(self, eta: Array) -> tuple[Linearised, Array]:
+        """The data at random effects (K, n, q), and the penalty of these."""
+        place = self.typical.copy()
+        place[..., self.random] += eta
+        place = np.clip(place, self.search.lower, self.search.upper)
+        one = linearised(self.search.subjects, self.search.layout, self.psi, place)
+        return one, (eta * (self.precision @ eta[..., None])[..., 0]).sum(axis=-1)
+
+    def _gradient(self, at: Linearised, eta: Array) -> Array:
+        """Half of the derivatives of the sum (K, n, q)."""
+        return np.asarray(at.gradient[..., self.random] + (self.precision @ eta[..., None])[..., 0])
+
+    def _fisher(self, at: Linearised) -> Array:
+        """Half of the expected second derivatives of the sum (K, n, q, q)."""
+        return np.asarray(at.information[..., self.random, :][..., self.random] + self.precision)
+
+    def _step(self, gradient: Array) -> tuple[Array, Array]:
+        """A damped step (K, n, q) inside of the ends, and its squared length (K, n).
+
+        Effects at an end that the gradient pushes outwards stay.
+        """
+        identity = np.eye(len(self.random))
+        fisher = self._fisher(self.here)
+        held = (self.eta <= self.lower) & (gradient > 0.0)
+        held |= (self.eta >= self.upper) & (gradient < 0.0)
+        free = ~held
+        usable = np.isfinite(fisher).all(axis=(-1, -2)) & np.isfinite(gradient).all(axis=-1)
+        free &= np.asarray(usable)[..., None]
+        pairs = free[..., :, None] & free[..., None, :]
+        fisher = np.where(pairs, fisher, identity)
+        correction = np.where(pairs, self.correction, 0.0)
+        push = np.where(free, gradient, 0.0)
+        full = -_solved(fisher, correction, self.damping, push)
+        step = np.asarray(np.clip(self.eta + full, self.lower, self.upper) - self.eta)
+        return step, np.asarray((step * (fisher @ step[..., None])[..., 0]).sum(axis=-1))
+
+
+def _solved(fisher: Array, correction: Array, damping: Array, right: Array) -> Array:
+    """The solution (..., q) of a system with the information, corrected and damped.
+
+    In the metric of the Fisher information, the corrected one is kept between two factors.
+    """
+    root = np.linalg.cholesky(fisher)
+    across = np.linalg.solve(root, np.linalg.solve(root, correction).swapaxes(-1, -2))
+    curvatures, vectors = np.linalg.eigh(np.eye(fisher.shape[-1]) + across)
+    curvatures = np.clip(curvatures, *_TRUSTED_CURVATURES) + damping[..., None]
+    to_vectors = np.linalg.solve(root, right[..., None])
+    along = (vectors.swapaxes(-1, -2) @ to_vectors)[..., 0] / curvatures
+    there = np.linalg.solve(root.swapaxes(-1, -2), vectors @ along[..., None])
+    return np.asarray(there[..., 0])
+
+
+def _secant(
+    correction: Array, fisher: Array, step: Array, change: Array, taken: NDArray[np.bool_]
+) -> Array:
+    """The symmetric update of rank one that meets the change of the gradient along a step.
+
+    What the Fisher information lacks of the second derivatives (Dennis, Gay & Welsch, ACM Trans.
+    Math. Softw. 7, 1981, with the update of Davidon).
+    """
+    with np.errstate(all="ignore"):
+        lacking = change - ((fisher + correction) @ step[..., None])[..., 0]
+        along = (lacking * step).sum(axis=-1)
+        lengths = np.linalg.norm(lacking, axis=-1) * np.linalg.norm(step, axis=-1)
+        update = lacking[..., :, None] * lacking[..., None, :] / along[..., None, None]
+        sound = taken & (np.abs(along) > _LEAST_COSINE * lengths)
+        sound &= np.asarray(np.isfinite(update).all(axis=(-1, -2)))
+    return np.where(sound[..., None, None], correction + update, correction)
+
+
+def _chosen(better: NDArray[np.bool_], there: Linearised, here: Linearised) -> Linearised:
+    return Linearised(
+        np.where(better, there.cost, here.cost),
+        np.where(better[..., None], there.gradient, here.gradient),
+        np.where(better[..., None, None], there.information, here.information),
+        np.where(better, there.squares, here.squares),
+    )

@@ -1,0 +1,220 @@
+"""The population parameters of largest likelihood.
+
+The search begins with the best of many points of the box for each subject. A few steps of
+expectation and maximisation then bring means, covariance and noise near the optimum (Lindstrom &
+Bates, Biometrics 46, 1990, for the means), and quasi-Newton steps on differences of the marginal
+likelihood end the search: all displaced population parameters and all subjects are one call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.populations.individuals import EmpiricalBayes, Individuals, Start, linearised
+from rankone.populations.layout import Layout
+from rankone.populations.marginal import Marginal
+from rankone.populations.subjects import Subjects
+from rankone.support.arrays import Array, spread
+
+_SCREENED_POINTS = 512  # Points of the box that are tried for each subject
+_EXPECTATIONS = 12  # Steps of expectation and maximisation
+_START_SPREAD = 0.15  # Standard deviation of random effects at the start, in widths of the box
+_START_RELATIVE = 0.2  # Levels of noise at the start, in shares of the data
+_LEAST_SPREAD = 1e-3  # Least standard deviation of a random effect in the first steps
+_MOST_ITERATIONS = 40
+_CONVERGED = 1e-6  # Expected gain in -2 log L that ends the search
+_GRADIENT_STEP, _HESSIAN_STEP = 0.02, 0.15  # Displacements in standard errors
+_SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 1e-3])  # Shares of a step that are tried
+_LONGEST_STEP = 3.0  # Longest step in standard errors of any parameter
+_CURVATURE_FLOOR = 1e-4
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where -2 log L is least: psi (P,), the random effects, and the Hessian (P, P) of -2 log L."""
+
+    psi: Array
+    value: float
+    individuals: Individuals
+    hessian: Array
+    converged: bool
+
+
+def start_of(
+    subjects: Subjects, search: EmpiricalBayes, given: dict[int, float]
+) -> tuple[Array, Start]:
+    """Population parameters (P,) and random effects to begin with.
+
+    ``given`` are coordinates of means by position.
+    """
+    layout = search.layout
+    shares = spread(_SCREENED_POINTS, len(layout.names), np.random.default_rng(7))
+    places = search.lower + shares * (search.upper - search.lower)
+    for position, coordinate in given.items():
+        places[:, position] = coordinate
+    psi = np.zeros((1, layout.size))
+    psi[:, layout.noise] = _noise_start(subjects, layout)
+    n = len(subjects.names)
+    repeated = np.broadcast_to(places[:, None], (len(places), n, len(layout.names)))
+    cost = linearised(subjects, layout, np.repeat(psi, len(places), 0), repeated).cost
+    best = places[np.argmin(cost, axis=0)]
+    psi = psi[0]
+    psi[: len(layout.names)] = np.median(best, axis=0)
+    width = (search.upper - search.lower)[list(layout.random)]
+    psi[layout.factors] = layout.factored(np.diag((_START_SPREAD * width) ** 2))
+    random = list(layout.random)
+    return psi, Start.at(best[:, random] - layout.typical(psi[None])[0][:, random])
+
+
+def _noise_start(subjects: Subjects, layout: Layout) -> Array:
+    """Logarithms of levels: relative ones a share, others that share of the typical datum."""
+    levels = {}
+    for one in subjects.measured:
+        typical = float(np.median(np.abs(one.data[one.present]))) or 1.0
+        for name in one.noise.levels:
+            relative = name in one.noise.relative
+            levels[name] = np.log(_START_RELATIVE * (1.0 if relative else typical))
+    return np.array([levels[name] for name in layout.levels])
+
+
+def expectation_steps(marginal: Marginal, psi: Array, start: Start) -> tuple[Array, Start]:
+    """Population parameters (P,) and random effects near the optimum."""
+    for _ in range(_EXPECTATIONS):
+        _, individuals = marginal.at(psi[None], start)
+        psi, eta = _maximised(marginal, psi, individuals)
+        start = Start(eta, individuals.correction[0])
+    return psi, start
+
+
+def _maximised(marginal: Marginal, psi: Array, individuals: Individuals) -> tuple[Array, Array]:
+    """The parameters that the linearised model makes most likely, and the effects there."""
+    layout, eta = marginal.search.layout, individuals.eta[0]
+    random = list(layout.random)
+    at = psi[None]
+    covariance = marginal.posterior_covariance(at, individuals)[0]
+    step = _mean_step(marginal, at, individuals)
+    moved = psi.copy()
+    moved[layout.means] += step
+    shift = layout.typical(moved[None])[0][:, random] - layout.typical(at)[0][:, random]
+    eta = eta - shift
+    omega = np.einsum("nq,nr->qr", eta, eta) / len(eta) + covariance.mean(axis=0)
+    moved[layout.factors] = layout.factored(omega + _LEAST_SPREAD**2 * np.eye(len(random)))
+    moved[layout.noise] += _noise_step(marginal, individuals, covariance)
+    return moved, eta
+
+
+def _mean_step(marginal: Marginal, psi: Array, individuals: Individuals) -> Array:
+    """The step of means and coefficients by generalised least squares."""
+    layout = marginal.search.layout
+    random = list(layout.random)
+    whole, gradient = individuals.at.information[0], individuals.at.gradient[0]
+    working = gradient - (whole[..., random] @ individuals.eta[0][..., None])[..., 0]
+    covariance = marginal.posterior_covariance(psi, individuals)[0]
+    pull = whole[..., random] @ (covariance @ working[:, random, None])
+    right = np.einsum("nep,ne->p", layout.designs, working - pull[..., 0])
+    information = marginal.information_of_means(psi, individuals)[0]
+    return -np.asarray(np.linalg.lstsq(information, right, rcond=1e-10)[0])
+
+
+def _noise_step(marginal: Marginal, individuals: Individuals, covariance: Array) -> Array:
+    """Changes of the logarithms of levels: squares of residuals have the mean one."""
+    subjects, layout = marginal.search.subjects, marginal.search.layout
+    random = list(layout.random)
+    if not layout.levels:
+        return np.zeros(0)
+    information = individuals.at.information[0][..., random, :][..., random]
+    spent = float(np.einsum("nqr,nrq->", information, covariance))
+    squares = float(individuals.at.squares[0].sum())
+    factor = np.sqrt(squares / max(subjects.size - spent, 0.1 * subjects.size))
+    return np.full(len(layout.levels), np.log(factor))
+
+
+def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
+    """The optimum by quasi-Newton steps from psi (P,) and a start of the random effects."""
+    scale = np.full(psi.size, 0.1)
+    value, individuals = marginal.at(psi[None], start)
+    least, start = float(value[0]), individuals.start()
+    hessian = hessian_of(marginal, psi, start, scale)
+    fresh, converged = True, False
+    gradient = gradient_of(marginal, psi, start, standard_steps(hessian))
+    for _ in range(_MOST_ITERATIONS):
+        step, gain = _newton_step(hessian, gradient)
+        if gain < _CONVERGED:
+            converged = True
+            break
+        trials = psi + _SHARES[:, None] * step
+        values = marginal.values(trials, start)
+        k = int(np.argmin(values))
+        if values[k] >= least:
+            if fresh:
+                converged = gain < 1e3 * _CONVERGED
+                break
+            hessian, fresh = hessian_of(marginal, psi, start, standard_steps(hessian)), True
+            continue
+        moved = trials[k]
+        value, individuals = marginal.at(moved[None], start)
+        least, start = float(value[0]), individuals.start()
+        slope = gradient_of(marginal, moved, start, standard_steps(hessian))
+        hessian, fresh = _updated(hessian, moved - psi, slope - gradient), False
+        psi, gradient = moved, slope
+    if not fresh:
+        hessian = hessian_of(marginal, psi, start, standard_steps(hessian))
+    return Optimum(psi, least, individuals, hessian, converged)
+
+
+def standard_steps(hessian: Array) -> Array:
+    """Standard errors (P,) by a Hessian of -2 log L with the other parameters held."""
+    return np.sqrt(2.0 / np.maximum(np.abs(np.diag(hessian)), 1e-2))
+
+
+def gradient_of(marginal: Marginal, psi: Array, start: Start, scale: Array) -> Array:
+    """Derivatives (P,) of -2 log L by central differences."""
+    steps = np.diag(_GRADIENT_STEP * scale)
+    values = marginal.values(np.concatenate([psi + steps, psi - steps]), start)
+    return (values[: psi.size] - values[psi.size :]) / (2.0 * _GRADIENT_STEP * scale)
+
+
+def hessian_of(marginal: Marginal, psi: Array, start: Start, scale: Array) -> Array:
+    """Second derivatives (P, P) of -2 log L by differences."""
+    size = psi.size
+    h = _HESSIAN_STEP * scale
+    steps = np.diag(h)
+    rows, columns = np.triu_indices(size, 1)
+    both = steps[rows] + steps[columns]
+    points = [psi[None], psi + steps, psi - steps, psi + both, psi - both]
+    values = marginal.values(np.concatenate(points), start)
+    here, rest = values[0], values[1:]
+    more, less = rest[:size], rest[size : 2 * size]
+    plus, minus = np.split(rest[2 * size :], 2)
+    hessian = np.diag((more + less - 2.0 * here) / h**2)
+    mixed = plus + minus - more[rows] - more[columns] - less[rows] - less[columns] + 2.0 * here
+    hessian[rows, columns] = hessian[columns, rows] = mixed / (2.0 * h[rows] * h[columns])
+    return np.where(np.isfinite(hessian), hessian, 0.0)
+
+
+def _newton_step(hessian: Array, gradient: Array) -> tuple[Array, float]:
+    """A step downhill (P,) and the gain that it promises."""
+    scale = standard_steps(hessian)
+    eigenvalues, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
+    curvatures = np.maximum(np.abs(eigenvalues), _CURVATURE_FLOOR)
+    along = vectors.T @ (gradient * scale)
+    step = -vectors @ (along / curvatures)
+    gain = 0.5 * float(np.sum(along**2 / curvatures))
+    step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+    return step * scale, gain
+
+
+def _updated(hessian: Array, step: Array, change: Array) -> Array:
+    """The update of Broyden, Fletcher, Goldfarb and Shanno, where the curvature is positive."""
+    curvature = float(step @ change)
+    if curvature <= 1e-8 * np.linalg.norm(step) * np.linalg.norm(change):
+        return hessian
+    product = hessian @ step
+    along = float(step @ product)
+    if along <= 0.0:
+        return hessian
+    return np.asarray(
+        hessian + np.outer(change, change) / curvature - np.outer(product, product) / along
+    )

@@ -1,0 +1,126 @@
+"""How sure population parameters are: standard errors, degrees of freedom, intervals.
+
+Variances of maximum likelihood are too small in small populations, since means were fitted to the
+same subjects. So they are corrected by one step towards the restricted likelihood, which adds
+log |I| of the information I about the means (Lindstrom & Bates, 1990). Intervals of means are
+Student's, those of standard deviations chi-squared ones, with degrees of freedom after
+Satterthwaite (Biometrics Bulletin 2, 1946): twice the square of a variance over its own variance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from rankone.populations.marginal import Marginal
+from rankone.populations.search import Optimum, standard_steps
+from rankone.support.arrays import Array
+
+_STEP = 0.1  # Displacements in standard errors for differences
+_LARGEST_CORRECTION = 0.5  # Largest change of the logarithm of a standard deviation
+_LEAST_FREEDOM = 1.0
+# Ratio of eigenvalues of the scaled information below which a direction is not identified
+_FLAT = 1e-6
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """The covariance (P, P) of population parameters psi, and what intervals take.
+
+    ``corrected`` (P,) are the parameters with the correction of the spreads, ``inflation`` (B,)
+    the ratio of variances of means with and without it, ``freedom`` (B,) their degrees of freedom.
+    ``flat`` are directions (P, k) of psi that the data do not identify.
+    """
+
+    covariance: Array
+    corrected: Array
+    inflation: Array
+    freedom: Array
+    flat: Array
+
+    def errors_of_means(self) -> Array:
+        """Standard errors (B,) of means and coefficients."""
+        count = self.inflation.size
+        return np.sqrt(np.diag(self.covariance)[:count] * self.inflation)
+
+    def interval_of_mean(self, position: int, estimate: float, level: float) -> tuple[float, float]:
+        """Student's interval of a mean or coefficient, in its coordinate."""
+        q = scipy.stats.t.ppf(0.5 + 0.5 * level, self.freedom[position])
+        half = float(q * self.errors_of_means()[position])
+        return estimate - half, estimate + half
+
+    def interval_of_logarithm(
+        self, shift: float, variance: float, estimate: float, level: float
+    ) -> tuple[float, float]:
+        """Chi-squared interval of a standard deviation.
+
+        ``shift`` is the correction of its logarithm, ``variance`` that of the logarithm.
+        """
+        if not (math.isfinite(variance) and variance > 0.0):
+            return 0.0, math.inf
+        freedom = max(0.5 / variance * math.exp(-2.0 * shift), _LEAST_FREEDOM)
+        corrected = estimate * math.exp(shift)
+        low, high = scipy.stats.chi2.ppf([0.5 - 0.5 * level, 0.5 + 0.5 * level], freedom)
+        return corrected * math.sqrt(freedom / high), corrected * math.sqrt(freedom / low)
+
+
+def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
+    """The uncertainty at an optimum."""
+    layout = marginal.search.layout
+    covariance, flat = _covariance(optimum.hessian)
+    means, spreads = layout.means, layout.spreads
+    scale = standard_steps(optimum.hessian)
+    among = covariance[spreads, spreads]
+    slope = _slopes_of_information(marginal, optimum, scale)
+    shift = -0.5 * among @ slope[:, 0]
+    shift = np.clip(shift, -_LARGEST_CORRECTION, _LARGEST_CORRECTION)
+    corrected = optimum.psi.copy()
+    corrected[spreads] += shift
+    psi = np.stack([optimum.psi, corrected])
+    _, individuals = marginal.at(psi, optimum.individuals.start())
+    with np.errstate(all="ignore"):
+        before, after = np.diagonal(
+            _inverse(marginal.information_of_means(psi, individuals)), 0, 1, 2
+        )
+        inflation = np.nan_to_num(after / before, nan=1.0, posinf=1.0)
+        variances = np.einsum("vb,vw,wb->b", slope[:, 1:], among, slope[:, 1:])
+        freedom = np.maximum(2.0 / variances / np.maximum(inflation, 1e-3), _LEAST_FREEDOM)
+    freedom = np.where(variances > 0.0, freedom, 1e9)
+    assert inflation.size == means.stop
+    return Uncertainty(covariance, corrected, inflation, freedom, flat)
+
+
+def _covariance(hessian: Array) -> tuple[Array, Array]:
+    """Twice the inverse of the Hessian of -2 log L, infinite along directions that are flat."""
+    scale = standard_steps(hessian)
+    eigenvalues, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
+    steep = eigenvalues > _FLAT * max(float(eigenvalues.max()), 1e-300)
+    kept = vectors[:, steep] * scale[:, None]
+    covariance = 2.0 * (kept / eigenvalues[steep]) @ kept.T
+    return covariance, vectors[:, ~steep] * scale[:, None]
+
+
+def _inverse(matrices: Array) -> Array:
+    return np.asarray(np.linalg.pinv(matrices, rcond=1e-12, hermitian=True))
+
+
+def _slopes_of_information(marginal: Marginal, optimum: Optimum, scale: Array) -> Array:
+    """Derivatives with respect to the spreads of log |I|, and of logarithms of variances of means.
+
+    Shape (V, 1 + B), by central differences.
+    """
+    layout, psi = marginal.search.layout, optimum.psi
+    size = layout.spreads.stop - layout.spreads.start
+    steps = np.zeros((size, psi.size))
+    h = _STEP * scale[layout.spreads]
+    steps[range(size), range(layout.spreads.start, layout.spreads.stop)] = h
+    points = np.concatenate([psi + steps, psi - steps])
+    _, individuals = marginal.at(points, optimum.individuals.start())
+    information = marginal.information_of_means(points, individuals)
+    logarithms = np.linalg.slogdet(information)[1]
+    variances = np.log(np.maximum(np.diagonal(_inverse(information), 0, 1, 2), 1e-300))
+    columns = np.concatenate([logarithms[:, None], variances], axis=1)
+    return np.asarray((columns[:size] - columns[size:]) / (2.0 * h[:, None]))
