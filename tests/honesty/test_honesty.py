@@ -37,7 +37,6 @@ QUICK = {
     ("passages", 2),
     ("surfaces", 3),
     ("peaks", 0),
-    ("data", 0),
     ("doses", 3),
     ("events", 2),
     ("switches", 0),

@@ -63,6 +63,7 @@ def test_an_error_beyond_both_is_none_that_is_allowed():
     assert solution.errors["y"] * (sizes[1] + 1e-12 / RTOL) >= 0.3 * absolute[1]
 
 
+@pytest.mark.slow
 def test_events_take_them():
     of = problem({"y": 1e-6}, events=[ro.Event(x - 0.5, "falling", then={x: x + 0.25})])
     solution = ro.solve(of, rtol=RTOL)

@@ -97,6 +97,7 @@ def test_others_are_written_in(name):
     assert "separation" in assert_right(first.set(SECOND), equations, initial).timings
 
 
+@pytest.mark.slow
 def test_the_train_and_exports_take_them(tmp_path):
     equations, initial = SMOOTH["second order"]
     first = problem(FIRST, equations, initial)

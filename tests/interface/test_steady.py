@@ -136,6 +136,7 @@ def test_initial_values_choose_the_branch():
     assert "the branch with x = 0.08" in low.message
 
 
+@pytest.mark.slow
 def test_a_fold_inside_the_box_is_named():
     """At the fold k is the slope of x**2/(1 + x**2), and a follows from x."""
     with pytest.raises(ro.ConvergenceError, match="ends in a fold at") as caught:

@@ -63,6 +63,7 @@ def test_an_ideal_relay_slides():
         assert abs(reached + np.log(1 - c / 2)) < 3 * RTOL
 
 
+@pytest.mark.slow
 def test_no_time_beside_a_crossing_is_left_out():
     clipped = problem(
         {"x": "-x + 3*Max(0, y - c)", "y": "cos(t)"}, {"x": 1, "y": 0}, {"c": (0.4, 0.5)}, 8

@@ -145,6 +145,7 @@ def test_switches_that_move_with_a_parameter_end_stretches(rate):
     np.testing.assert_allclose(solution["x"](times, k=0.83), exact, atol=1e-3 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_switches_that_change_their_order_are_solved():
     rate = "-x + Piecewise((0, t < a), (t - a, True)) + Heaviside(t - b)*(t - b)"
     box = {"a": (1, 2), "b": (1, 2)}

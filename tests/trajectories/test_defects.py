@@ -123,6 +123,7 @@ def test_pulses_that_move_are_seen_at_any_time(rate):
     assert not solution.outcome.slabs or solution.error > 0.1
 
 
+@pytest.mark.slow
 def test_a_parameter_carried_by_a_state_is_seen():
     rates = {"y": "0*x", "x": "-x + 1 + Piecewise((1, Abs(y - 0.612) < 1e-3), (0, True))"}
     starts = {"x": "0", "y": "k"}

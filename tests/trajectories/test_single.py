@@ -131,6 +131,7 @@ def test_both_sides_of_a_narrow_peak_are_seen():
     np.testing.assert_allclose(reference(times), exact(times), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_stack_that_stalls_goes_on_as_single_trajectories():
     system = van_der_pol(1000, 2000)
     points = check_points(np.array(system.box), 12)

@@ -44,6 +44,7 @@ def test_a_solution_that_vanishes(rate):
     assert float(solution["x"](t=0.5, k=1.2, c=1.7)) == 0.0
 
 
+@pytest.mark.slow
 def test_a_tiny_state_is_measured_in_its_own_size():
     rates = {"x": "1e-12*cos(20*k*t)", "y": "-y"}
     tiny = problem(rates, {"x": 0, "y": 1}, {"k": (1, 2)}, 5)
