@@ -10,5 +10,6 @@ shares nothing with the printer of generated code.
 :class:`~.comparison.Comparison`       residuals, and whether they are more than rounding
 :func:`~.problems.check_problem`       rates, their Jacobian, initial values and jumps of a problem
 :func:`~.problems.check_outputs`       quantities of interest
+:func:`~.tables.check_table`           the same of problems that came as tables of terms
 =====================================  ============================================================
 """

@@ -8,8 +8,11 @@ gathered products. The Jacobian has the entries of its pattern alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+
 from rankone.codegen.rates import SeparatedWriter
-from rankone.codegen.text import docstring
+from rankone.codegen.text import Formula, docstring, literal, nested, table
 
 _HELPERS = '''\
 def _matrices(terms, rows):
@@ -66,6 +69,47 @@ RATES = _matrices(TERMS, N_DIFFERENTIAL)
 SLOPE_TERMS, JACOBIAN_PLACES = _derivatives(TERMS)
 SLOPES = _matrices(SLOPE_TERMS, len(JACOBIAN_PLACES))
 '''
+
+
+_READER = '''\
+def _table(text):
+    """Rows of a coefficient, a state and lists of numbers; a list of none is a dash."""
+    rows = []
+    for line in text.split("\\n"):
+        coefficient, state, *lists = line.split()
+        above, *below = coefficient.split("/")
+        number = int(above) / int(*below) if below else float(above)
+        lists = (() if x == "-" else tuple(map(int, x.split(","))) for x in lists)
+        rows.append((number, int(state), *lists))
+    return tuple(rows)
+'''
+Row = tuple[Fraction | float | Formula, int, *tuple[tuple[int, ...], ...]]
+"""Coefficient, state, and lists of numbers."""
+
+
+def long_tables(tables: Mapping[str, tuple[str, Sequence[Row]]]) -> list[str]:
+    """Tables of terms, each with a comment, as texts: Python takes long to compile long tuples.
+
+    Rows with formulas are tuples.
+    """
+    lines = ["", "", *_READER.splitlines(), "", ""]
+    for name, (comment, rows) in tables.items():
+        lines.append(comment)
+        written: dict[object, str] = {}
+        if not rows or any(isinstance(coefficient, Formula) for coefficient, *_ in rows):
+            lines += table(name, nested(rows))
+            continue
+        for coefficient, *_ in rows:
+            if coefficient not in written:
+                written[coefficient] = literal(coefficient).replace(" / ", "/")
+        texts = (_line(written[c], state, lists) for c, state, *lists in rows)
+        lines += [f'{name} = _table("""\\', *texts]
+        lines[-1] += '""")'
+    return lines
+
+
+def _line(coefficient: str, state: int, lists: Iterable[tuple[int, ...]]) -> str:
+    return " ".join([coefficient, str(state), *(",".join(map(str, x)) or "-" for x in lists)])
 
 
 class ArrayWriter(SeparatedWriter):

@@ -18,6 +18,9 @@ from rankone.symbolic.first_order import FirstOrderSystem, RestForm
 
 # Above this many unknowns, the first line gives their number in place of their names
 _MAX_NAMED_STATES = 10
+# Above this many unknowns, the table of terms is what says the equations
+_MAX_WRITTEN_EQUATIONS = 100
+_TABULATED = "The rates are the sums of the rows of TERMS, the initial values of those of INITIAL."
 
 
 def header(
@@ -29,8 +32,10 @@ def header(
 ) -> list[str]:
     """Lines of the module's docstring; ``scipy`` says whether it imports SciPy."""
     title = title or f"Separated right-hand side of {_named(system.differential)}."
-    lines = _opening(title, system.coordinates, equation_texts(system, rest), scipy)
-    if system.products:
+    many = len(system.differential) > _MAX_WRITTEN_EQUATIONS
+    texts = [_TABULATED] if many else equation_texts(system, rest)
+    lines = _opening(title, system.coordinates, texts, scipy)
+    if system.products and not many:
         lines += ["", *paragraph(f"Products (auxiliary states): {', '.join(system.definitions)}")]
     lines += ["", *paragraph(f"Terms: {len(system.terms)}, grouped by their parameter factor")]
     for group in system.groups:

@@ -104,7 +104,10 @@ def lower(f: Sequence[Term], n_states: int) -> tuple[tuple[Pair, ...], tuple[Ter
     high = list(dict.fromkeys(term.monomial for term in f if len(term.monomial) > 2))
     products, lowered = extract_pairs(high, n_states, degree=2)
     rewritten = dict(zip(high, lowered, strict=True))
-    terms = [replace(term, monomial=rewritten.get(term.monomial, term.monomial)) for term in f]
+    terms = [
+        replace(term, monomial=rewritten[term.monomial]) if term.monomial in rewritten else term
+        for term in f
+    ]
     for k, pair in enumerate(products, start=n_states):
         one = (0,) * len(f[0].factors)
         terms += [Term(k, Fraction(1), one, pair), Term(k, Fraction(-1), one, (k,))]

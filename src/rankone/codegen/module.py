@@ -8,7 +8,7 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.arrays import ArrayWriter
+from rankone.codegen.arrays import ArrayWriter, long_tables
 from rankone.codegen.constraints import constraint_blocks
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import general_header, header, sum_text
@@ -115,12 +115,16 @@ def generate_source(
     rates = [(t.coefficient, t.equation, t.factors, t.monomial) for t in system.rhs]
     starts = [(_start(t, system), t.equation, t.factors[1:]) for t in system.initial]
     tables = _tables(True, system.states, n, system.products, system.coordinates)
-    tables.append("# coefficient, state, row of the factor of each coordinate, states multiplied")
-    tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
-    tables.append("# coefficient, state, row of the factor of each parameter")
-    tables += described_table(
-        "INITIAL", starts, _term_texts(system.initial, f"{{}}({start})", system)
-    )
+    of_rates = "# coefficient, state, row of the factor of each coordinate, states multiplied"
+    of_starts = "# coefficient, state, row of the factor of each parameter"
+    if large:
+        tables += long_tables({"TERMS": (of_rates, rates), "INITIAL": (of_starts, starts)})
+    else:
+        tables.append(of_rates)
+        tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
+        tables.append(of_starts)
+        texts = _term_texts(system.initial, f"{{}}({start})", system)
+        tables += described_table("INITIAL", starts, texts)
     printed = [*expressions, *writer.printed, *printed_before]
     return _module(
         lambda scipy: header(system, writer.operations, title, scipy, rest),

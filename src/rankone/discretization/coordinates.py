@@ -41,9 +41,8 @@ def name_of(key: object, time: str | None = None) -> str:
         if time is None or variables == {time}:
             return name_of(getattr(key, "expr", None), time) + "_" + "t" * int(order)
     elif isinstance(getattr(key, "args", None), tuple) and key.args:  # type: ignore[attr-defined]
-        arguments = [str(argument) for argument in key.args]  # type: ignore[attr-defined]
         name = getattr(getattr(key, "func", None), "__name__", None)
-        if isinstance(name, str) and (time is None or arguments == [time]):
+        if isinstance(name, str) and (time is None or [*map(str, key.args)] == [time]):  # type: ignore[attr-defined]
             return name
     else:
         name = getattr(key, "name", None)

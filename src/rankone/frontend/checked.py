@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence, Set
 from types import MappingProxyType
 from typing import Any
 
@@ -45,20 +45,30 @@ from rankone.frontend.equations import (
 )
 from rankone.frontend.events import check_events, impulse_events, moving_jumps, without_rates
 from rankone.frontend.jumps import check_jumps, moving_impulses
-from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.mass import check_mass
 from rankone.frontend.mistakes import check_symbols_as_unknowns
 from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.steady_start import SteadyState, check_autonomous, conditioned
+from rankone.frontend.term_table import TabulatedEquations, has_distinct_names
 from rankone.ir.functions import check_distinct
 from rankone.support.errors import ProblemError, RankoneWarning, warn
 from rankone.support.wording import is_line, quote, shown
 
 
+def warn_of_unused(parameters: Iterable[sp.Symbol], used: Set[sp.Basic]) -> None:
+    """Warn of parameters that are not among the symbols used."""
+    for symbol in parameters:
+        if symbol not in used:
+            warn(
+                f"parameter {quote(symbol)} appears nowhere in the problem",
+                remedy="remove it from `parameters`",
+            )
+
+
 class CheckedProblem(ProblemContent):
     """What checks the arguments of a :class:`rankone.Problem` and sets its other attributes."""
 
-    mass: MassForm
     shorthand: Shorthand
 
     def _check(self) -> None:
@@ -68,6 +78,9 @@ class CheckedProblem(ProblemContent):
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
+        if self._is_tabulated(time[0], box):
+            self._keep_table(time, box, distributions)
+            return
         equations = listed_equations(self.written["equations"])
         shorthand, residuals = self._put_in(equations, box, time[0])
         symbols = self._symbols(residuals, box, time, shorthand)
@@ -83,8 +96,7 @@ class CheckedProblem(ProblemContent):
             constants=MappingProxyType(dict(shorthand.constants)),
             definitions=MappingProxyType(dict(shorthand.definitions)),
             shorthand=shorthand,
-            units=MappingProxyType(check_units(self.units, time[0], declared, symbols.states)),
-            atol=MappingProxyType(check_tolerances(self.atol, symbols.states, time[0])),
+            **self._named(time[0], declared, symbols.states),
             unknowns=symbols.unknowns,
             residuals=tuple(residuals),
             **conditions,
@@ -97,6 +109,54 @@ class CheckedProblem(ProblemContent):
         self._keep(mass=check_mass(residuals, symbols.unknowns, self.coordinates))
         self._take_out_impulses(symbols, moving)
         self._take_out_rates()
+
+    def _is_tabulated(self, time: sp.Symbol, box: Box) -> bool:
+        """Whether the equations are a table of terms, with nothing besides.
+
+        Whatever else there is needs the equations as expressions, and so does what is not valid.
+        """
+        if not isinstance(self.equations, TabulatedEquations):
+            return False
+        table = self.equations.table
+        besides = self.jumps, self.events, self.constants, self.definitions
+        if any(map(bool, besides)) or not table.fits(time, box):
+            return False
+        if not has_distinct_names(table.states, time, box):
+            return False
+        return table.start(self.initial, box) is not None
+
+    def _keep_table(self, time: Time, box: Box, distributions: dict[str, str]) -> None:
+        """Set what follows from a table of terms, without the equations."""
+        assert isinstance(self.equations, TabulatedEquations)
+        table = self.equations.table
+        initial = table.start(self.initial, box)
+        assert initial is not None
+        starts = set().union(*(start.free_symbols for start in initial.values()))
+        warn_of_unused(box, table.symbols | starts)
+        self._keep(
+            time=time,
+            parameters=MappingProxyType(box),
+            distributions=MappingProxyType(distributions),
+            correlation=MappingProxyType(check_correlation(self.correlation, box)),
+            constants=MappingProxyType({}),
+            definitions=MappingProxyType({}),
+            shorthand=Shorthand(),
+            **self._named(time[0], [*box], table.states),
+            unknowns=table.states[: len(self.equations)],
+            table=table,
+            initial=MappingProxyType(initial),
+            jumps=MappingProxyType({}),
+            events=(),
+        )
+
+    def _named(
+        self, time: sp.Symbol, declared: Sequence[sp.Expr], states: Sequence[sp.Expr]
+    ) -> dict[str, Any]:
+        """Units and absolute tolerances by name."""
+        return {
+            "units": MappingProxyType(check_units(self.units, time, declared, states)),
+            "atol": MappingProxyType(check_tolerances(self.atol, states, time)),
+        }
 
     def _keep(self, **attributes: Any) -> None:
         """Set attributes; from outside they are frozen."""
@@ -154,13 +214,7 @@ class CheckedProblem(ProblemContent):
         check_distinct([*residuals, *further])
         before = [] if rest is None else rest.conditions.values()
         before = [expression for expression in before if isinstance(expression, sp.Basic)]
-        used = sp.Tuple(*residuals, *further, *before).free_symbols
-        for symbol in symbols.parameters:
-            if symbol not in used:
-                warn(
-                    f"parameter {quote(symbol)} appears nowhere in the problem",
-                    remedy="remove it from `parameters`",
-                )
+        warn_of_unused(symbols.parameters, sp.Tuple(*residuals, *further, *before).free_symbols)
         return {
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),

@@ -9,11 +9,14 @@ from typing import Any
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.expressions.admissible import closed
+from rankone.expressions.notation import exact, initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.algebraic import Reduction
 from rankone.frontend.events import Event, event_latex, event_texts
 from rankone.frontend.jumps import jump_latex, jump_texts, system_jumps
+from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.steady_start import rest_text
+from rankone.frontend.term_table import TermTable
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
@@ -39,10 +42,23 @@ class ProblemContent:
     atol: Mapping[Any, float] | None
     distributions: Mapping[str, str]
     unknowns: tuple[sp.Expr, ...]
-    residuals: tuple[sp.Expr, ...]
+    table: TermTable | None
     reduction: Reduction | None
     rest: Any
     written: Mapping[str, Any]
+
+    @cached_property
+    def residuals(self) -> tuple[sp.Expr, ...]:
+        """For each equation its left minus its right side, with constants and definitions put in.
+
+        Checks set them, except of a table of terms.
+        """
+        return tuple(closed(exact(e.lhs - e.rhs)) for e in self._shown())
+
+    @cached_property
+    def mass(self) -> MassForm:
+        """The residuals as mass matrix times highest derivatives, and the rest; likewise."""
+        return check_mass(self.residuals, self.unknowns, self.coordinates)
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import sympy as sp
@@ -19,6 +20,7 @@ from rankone.support.wording import count, did_you_mean, listing, name_defect, q
 
 _MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
+_KEPT = 20_000  # Residuals of which it is kept what they name
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
@@ -146,18 +148,29 @@ def algebraic_unknowns(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
     differentiated = highest_orders(residuals)
     first: dict[sp.Expr, int] = {}
     for i, residual in enumerate(residuals, 1):
-        for applied in _in_order(
-            applied for applied in residual.atoms(AppliedUndef) if applied not in differentiated
-        ):
+        for applied in _in_order(f for f in _functions_in(residual) if f not in differentiated):
             first.setdefault(applied, i)
     return first
+
+
+@lru_cache(_KEPT)
+def _functions_in(residual: sp.Expr) -> frozenset[sp.Expr]:
+    """The functions of time in a residual, which many checks look at."""
+    return frozenset(residual.atoms(AppliedUndef))
 
 
 def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, int]]:
     """Yield (equation from 0, unknown, order of the derivative), equation by equation."""
     for i, residual in enumerate(residuals):
-        for derivative in _in_order(residual.atoms(sp.Derivative)):
-            yield i, derivative.expr, int(derivative.derivative_count)
+        for unknown, order in _derivatives_in(residual):
+            yield i, unknown, order
+
+
+@lru_cache(_KEPT)
+def _derivatives_in(residual: sp.Expr) -> tuple[tuple[sp.Expr, int], ...]:
+    """The functions that a residual differentiates, and the orders."""
+    derivatives = _in_order(residual.atoms(sp.Derivative))
+    return tuple((d.expr, int(d.derivative_count)) for d in derivatives)
 
 
 def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
-import scipy.linalg
 import sympy as sp
 
-from rankone.expressions.notation import exact
 from rankone.expressions.unknowns import rate_of, unknown_of
+from rankone.frontend.addends import (
+    MOST_SYMBOLIC_ROWS,
+    Addends,
+    addends_of,
+    entries_of,
+    explicit,
+    inverse_of,
+    masses_of,
+    numbers_of,
+    off_diagonal,
+    product_of,
+)
+from rankone.frontend.term_table import (
+    FEWEST_TABULATED,
+    Entry,
+    TabulatedEquations,
+    TermTable,
+    fraction_of,
+)
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
-from rankone.support.wording import count, quote, shown
-
-Addends: TypeAlias = "list[tuple[sp.Expr, Any]]"
-"""Coefficients and the arrays, or SymPy matrices, that they multiply."""
-# Rows of a mass matrix that SymPy inverts in no time, whatever is in it
-_MOST_SYMBOLIC_ROWS = 6
-_LARGEST_CONDITION = 1e12  # Of a mass matrix of numbers: its inverse keeps four digits
-_FORMS = "a SymPy matrix, an array, a sparse matrix of SciPy, or {coefficient: array}"
-
+from rankone.support.wording import count, shown
 
 # -- equations ---------------------------------------------------------------------------------
 
@@ -39,28 +48,11 @@ def scalar_equations(equations: Iterable[Any]) -> tuple[Any, ...]:
         if not any(isinstance(side, sp.MatrixExpr | sp.MatrixBase) for side in sides):
             scalars.append(equation)
             continue
-        matrices = [_explicit(side, index) for side in sides]
+        matrices = [explicit(side, index) for side in sides]
         entries = [[*matrix] for matrix in matrices]
         for row in zip(*entries, strict=True):
             scalars.append(sp.Eq(*row, evaluate=False) if len(row) == 2 else row[0])
     return tuple(scalars)
-
-
-def _explicit(side: Any, index: int) -> sp.MatrixBase:
-    """One side of an equation as a matrix of expressions."""
-    try:
-        matrix = side.as_explicit() if isinstance(side, sp.MatrixExpr) else side
-        unknown = isinstance(matrix, sp.MatrixBase) and matrix.atoms(sp.MatrixSymbol)
-    except (TypeError, ValueError, AttributeError):
-        matrix, unknown = None, True
-    if unknown or not isinstance(matrix, sp.MatrixBase):
-        raise ProblemError(
-            f"the matrix {quote(side)} has entries that are not written out",
-            equation=index,
-            term=side,
-            remedy="write it out, sympy.Matrix([...]), of functions of time and parameters",
-        )
-    return matrix
 
 
 # -- systems of second order -------------------------------------------------------------------
@@ -87,7 +79,7 @@ class MatrixSystem:
         """The system of the matrices ``M``, ``C`` and ``K``; a ProblemError if they do not fit."""
         orders = {"M": 2, "C": 1, "K": 0}
         terms = {
-            orders[name]: _addends(matrix, f"the matrix {name}")
+            orders[name]: addends_of(matrix, f"the matrix {name}")
             for name, matrix in matrices.items()
             if matrix is not None
         }
@@ -102,12 +94,12 @@ class MatrixSystem:
                     term=name,
                     remedy=f"give {size} x {size} entries, as {named[0][0]} has",
                 )
-        if not any(True for _, array in terms[max(terms)] for _ in _entries(array)):
+        if not any(True for _, array in terms[max(terms)] for _ in entries_of(array)):
             message = f"the matrix {named[0][0]} is zero: the system has no highest derivatives"
             raise ProblemError(
                 message, term=named[0][0], remedy="leave it out, or give its entries"
             )
-        vector = [] if force is None else _addends(force, "the force")
+        vector = [] if force is None else addends_of(force, "the force")
         for _, array in vector:
             if array.shape not in ((size,), (size, 1)):
                 raise ProblemError(
@@ -123,7 +115,50 @@ class MatrixSystem:
         return max(self.terms)
 
     @property
-    def equations(self) -> list[sp.Eq]:
+    def equations(self) -> Sequence[sp.Basic]:
+        """One for each row, of many written out when they are read."""
+        table = self._table() if len(self.unknowns) >= FEWEST_TABULATED else None
+        if table is None:
+            return self._written()
+        return TabulatedEquations(len(self.unknowns), self._written, table)
+
+    def _table(self) -> TermTable | None:
+        """The terms of all rates; None if matrices have expressions, or masses are none of numbers.
+
+        Of a mass matrix that is not diagonal the rates are multiplied by its inverse.
+        """
+        arrays = [array for addends in (*self.terms.values(), self.force) for _, array in addends]
+        mass = self.terms[self.order]
+        symbolic = any(isinstance(array, sp.MatrixBase) for array in arrays)
+        if symbolic or not all(c.is_Rational for c, _ in mass):
+            return None
+        inverse, masses = None, [Fraction(1)] * len(self.unknowns)
+        if self._is_kept(mass):
+            masses = masses_of(mass, len(self.unknowns))
+            if not all(masses):
+                return None
+        else:
+            inverse = inverse_of(mass)
+        n, terms, functions = len(self.unknowns), list[Entry](), dict[sp.Expr, int]()
+        first = (self.order - 1) * n  # of the states whose rates the equations determine
+        terms += [(Fraction(1), i, 0, (n + i,)) for i in range(first)]
+        functions[sp.S.One] = 0
+        lower = [(order * n, -1, self.terms.get(order, ())) for order in range(self.order)]
+        for offset, sign, addends in (*lower, (None, 1, self.force)):
+            for coefficient, array in addends:
+                number = functions.setdefault(coefficient, len(functions))
+                for (i, *j), entry in numbers_of(product_of(inverse, array)):
+                    states = () if offset is None else (offset + j[0],)
+                    share = sign * fraction_of(entry) / masses[i]
+                    terms.append((share, first + i, number, states))
+        states = tuple(
+            rate_of(q, self.time, order) if order else q
+            for order in range(self.order)
+            for q in self.unknowns
+        )
+        return TermTable(states, tuple(functions), tuple(terms))
+
+    def _written(self) -> list[sp.Eq]:
         """One for each row; solved for the highest derivatives if M is dense and of numbers."""
         highest = [rate_of(q, self.time, self.order) for q in self.unknowns]
         mass = self.terms[self.order]
@@ -134,7 +169,7 @@ class MatrixSystem:
                 sp.Eq(row, f, evaluate=False)
                 for row, f in zip(left, self._forces(None), strict=True)
             ]
-        inverse = _inverse(mass)
+        inverse = inverse_of(mass)
         pulls, forces = self._rows(lower, inverse), self._forces(inverse)
         return [
             sp.Eq(q, f - pull, evaluate=False)
@@ -143,9 +178,9 @@ class MatrixSystem:
 
     def _is_kept(self, mass: Addends) -> bool:
         """Whether the mass matrix stays in the equations: it is diagonal, or small."""
-        if len(self.unknowns) <= _MOST_SYMBOLIC_ROWS:
+        if len(self.unknowns) <= MOST_SYMBOLIC_ROWS:
             return True
-        return all(not np.any(_numbers_off_diagonal(array)) for _, array in mass)
+        return all(not np.any(off_diagonal(array)) for _, array in mass)
 
     def _rows(self, terms: Iterable[tuple[int, Addends]], inverse: Array | None) -> list[sp.Expr]:
         """The sum of matrices times derivatives, perhaps times an inverse from the left."""
@@ -153,7 +188,7 @@ class MatrixSystem:
         for order, addends in terms:
             derivatives = [rate_of(q, self.time, order) if order else q for q in self.unknowns]
             for coefficient, array in addends:
-                for (i, j), entry in _entries(_times(inverse, array)):
+                for (i, j), entry in entries_of(product_of(inverse, array)):
                     rows[i].append(coefficient * entry * derivatives[j])
         return [sp.Add(*row) for row in rows]
 
@@ -161,7 +196,7 @@ class MatrixSystem:
         """The right-hand side, perhaps times an inverse from the left."""
         rows: list[list[sp.Expr]] = [[] for _ in self.unknowns]
         for coefficient, array in self.force:
-            for (i, *_), entry in _entries(_times(inverse, array)):
+            for (i, *_), entry in entries_of(product_of(inverse, array)):
                 rows[i].append(coefficient * entry)
         return [sp.Add(*row) for row in rows]
 
@@ -229,95 +264,3 @@ def _unknowns(names: object, size: int, time: sp.Symbol) -> tuple[sp.Expr, ...]:
             remedy=f'give "q" for q0, q1, ..., or a list of {count(size, "name")}',
         )
     return tuple(unknown_of(name, time) for name in listed)
-
-
-def _addends(written: Any, subject: str) -> Addends:
-    """A matrix or vector as a sum of coefficients times arrays."""
-    if not isinstance(written, Mapping):
-        return [(sp.S.One, _array(written, subject))]
-    addends: Addends = []
-    for key, array in written.items():
-        try:
-            coefficient = exact(sp.sympify(key, strict=True))
-        except (sp.SympifyError, TypeError):
-            coefficient = None
-        if not isinstance(coefficient, sp.Expr):
-            raise ProblemError(
-                f"the coefficient {shown(key)} of {subject} is no number or expression",
-                term=key,
-                remedy="use symbols of parameters and numbers as keys: {1: K0, k: K1}",
-            )
-        addends.append((coefficient, _array(array, subject)))
-    if not addends:
-        raise ProblemError(f"{subject} has no terms", term=written, remedy=f"give {_FORMS}")
-    return addends
-
-
-def _array(written: Any, subject: str) -> Any:
-    """An array of floats, or a SymPy matrix if there are expressions."""
-    if isinstance(written, sp.MatrixExpr):
-        written = _explicit(written, 0)
-    if isinstance(written, sp.MatrixBase):
-        return written
-    array = np.asarray(written.toarray() if hasattr(written, "toarray") else written)
-    if array.dtype == object or array.dtype.kind in "US":
-        try:
-            return sp.Matrix(array.tolist())
-        except (TypeError, ValueError, sp.SympifyError):
-            array = np.empty(())
-    if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
-        raise ProblemError(f"{subject} is {shown(written)}", term=written, remedy=f"give {_FORMS}")
-    if not np.isfinite(array).all():
-        message = f"{subject} has entries that are not finite"
-        raise ProblemError(message, term=written, remedy="check the array")
-    return array.astype(float)
-
-
-def _entries(array: Any) -> Iterator[tuple[tuple[int, ...], sp.Expr]]:
-    """The entries that are not zero, with their places."""
-    if isinstance(array, sp.MatrixBase):
-        for place in itertools.product(*map(range, array.shape)):
-            if array[place] != 0:
-                yield place, array[place]
-        return
-    for place in zip(*np.nonzero(array), strict=True):
-        yield tuple(map(int, place)), exact(sp.Float(float(array[place])))
-
-
-def _numbers_off_diagonal(array: Any) -> Any:
-    """What is off the diagonal, as numbers or truth values."""
-    if isinstance(array, sp.MatrixBase):
-        return [entry != 0 for (i, j), entry in _entries(array) if i != j]
-    return array - np.diag(np.diag(array))
-
-
-def _times(inverse: Array | None, array: Any) -> Any:
-    """An array multiplied from the left; what rounding leaves of zeros is zero."""
-    if inverse is None:
-        return array
-    if isinstance(array, sp.MatrixBase):
-        return sp.Matrix(inverse) * array
-    product = inverse @ array
-    size = np.abs(inverse) @ np.abs(array)
-    return np.where(np.abs(product) > np.finfo(float).eps * size, product, 0.0)
-
-
-def _inverse(mass: Addends) -> Array:
-    """The inverse of a mass matrix of numbers."""
-    if any((isinstance(a, sp.MatrixBase) and a.free_symbols) or c.free_symbols for c, a in mass):
-        raise ProblemError(
-            f"the mass matrix has {mass[0][1].shape[0]} rows, is not diagonal, and depends on "
-            "parameters or time",
-            term=mass[0][1],
-            remedy=f"with more than {_MOST_SYMBOLIC_ROWS} rows let it be diagonal, or of numbers "
-            "alone: change to coordinates in which it is",
-        )
-    total = sum(float(c) * np.array(a, dtype=float) for c, a in mass)
-    if np.linalg.cond(total) > _LARGEST_CONDITION:
-        raise ProblemError(
-            "the mass matrix is singular, or nearly so: its condition number is "
-            f"{np.linalg.cond(total):.2g}",
-            term=mass[0][1],
-            remedy="leave out degrees of freedom that have no mass",
-        )
-    return np.asarray(scipy.linalg.inv(total))

@@ -22,7 +22,6 @@ from rankone.frontend.checked import CheckedProblem
 from rankone.frontend.events import (
     Event,
 )
-from rankone.frontend.mass import MassForm
 from rankone.frontend.matrices import MatrixSystem
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.saving import save_problem
@@ -31,6 +30,7 @@ from rankone.frontend.steady_start import (
     SettledStart,
     SteadyState,
 )
+from rankone.frontend.term_table import TermTable
 from rankone.frontend.text import problem_arguments
 from rankone.frontend.trajectory import Trajectory, trajectory_of
 from rankone.support.errors import (
@@ -118,6 +118,9 @@ class Problem(CheckedProblem):
     mass : MassForm
         The residuals as mass matrix times highest derivatives, and the rest; with algebraic
         equations the rates that follow from them.
+    table : TermTable or None
+        The terms of many equations that came as matrices or reactions: these are written out when
+        they are read.
     reduction : Reduction or None
         What algebraic equations were reduced to.
     rest : Problem or None
@@ -161,8 +164,7 @@ class Problem(CheckedProblem):
     atol: Mapping[Any, float] | None = None
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
-    residuals: tuple[sp.Expr, ...] = field(init=False)
-    mass: MassForm = field(init=False)
+    table: TermTable | None = field(init=False, default=None)
     reduction: Reduction | None = field(init=False, default=None)
     rest: Problem | None = field(init=False, default=None)
     shorthand: Shorthand = field(init=False)

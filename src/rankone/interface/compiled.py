@@ -34,6 +34,7 @@ from threadpoolctl import ThreadpoolController
 
 from rankone.agreement.comparison import LOST_SHARE
 from rankone.agreement.problems import DisagreementError, check_problem
+from rankone.agreement.tables import check_table
 from rankone.codegen.module import general_source, generated_module
 from rankone.codegen.text import with_constants
 from rankone.frontend.markers import with_markers
@@ -388,6 +389,9 @@ def _agreeing(compiled: CompiledProblem) -> CompiledProblem:
     Multiplied out, a power of ``x - 310`` is a difference of large numbers.
     """
     problem, first_order = compiled.problem, compiled.first_order
+    if problem.table is not None and compiled.quadratic is not None:
+        check_table(problem, problem.table, compiled.system)
+        return compiled
     if compiled.quadratic is not None:
         try:
             check_problem(problem, first_order, compiled.system, _SEPARATION_TOLERANCE)

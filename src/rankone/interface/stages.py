@@ -75,8 +75,11 @@ class CompiledStages:
 
     @cached_property
     def _held_form(self) -> FirstOrderSystem | None:
-        """The equations with the sides of switches as states, if there are switches to hold."""
-        return held_form(self.first_order)
+        """The equations with the sides of switches as states, if there are switches to hold.
+
+        Rates that are polynomials of the states have none.
+        """
+        return None if self.quadratic is not None else held_form(self.first_order)
 
     @cached_property
     def _held(self) -> System | None:

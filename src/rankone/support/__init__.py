@@ -10,6 +10,7 @@
 ``options``     options of engines: declared with their ranges, checked in one place
 ``progress``    progress events, a bar, timings of stages
 ``files``       several files written together, all of them or none
+``deferred``    tuples that are made when they are first read
 ``plain_data``  frozen dataclasses as plain data and back
 ==============  ====================================================================================
 """

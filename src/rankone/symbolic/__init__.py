@@ -3,6 +3,7 @@
 ====================  ==============================================================================
 :mod:`~.first_order`  orders reduced, masses inverted: the system u' = f, then its weak form
 :mod:`~.separation`   the separated form: terms, factors, and what does not separate
+:mod:`~.tabulated`    the separated form of a table of terms, without expressions
 :mod:`~.splitting`    one expression as a sum of products of functions of one coordinate
 :mod:`~.lifting`      functions of the unknowns become unknowns, so that the system separates
 :mod:`~.stretches`    the system over stretches between events at known times

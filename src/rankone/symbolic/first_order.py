@@ -8,7 +8,7 @@ parameters as further coordinates, one variational statement holds for all of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import sympy as sp
@@ -23,6 +23,7 @@ from rankone.ir.events import BOTH, FALLING, RISING
 from rankone.ir.forms import ConstraintForms, Coordinate, EventForm, Jump, State
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
+from rankone.support.deferred import Deferred
 from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 
@@ -114,11 +115,16 @@ class FirstOrderSystem(Stage):
         one starts.
     """
 
-    rhs: tuple[sp.Expr, ...]
+    rhs: Sequence[sp.Expr]
     events: tuple[EventForm, ...] = field(default=(), kw_only=True)
     constraints: ConstraintForms = field(default_factory=ConstraintForms, kw_only=True)
     switches: tuple[sp.Expr, ...] = field(default=(), kw_only=True)
     rest: RestForm | None = field(default=None, kw_only=True)
+
+    @property
+    def examined_rates(self) -> Sequence[sp.Expr]:
+        """The right-hand sides, except of a table of terms: its functions are smooth and known."""
+        return () if isinstance(self.rhs, Deferred) else self.rhs
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
@@ -128,7 +134,7 @@ class FirstOrderSystem(Stage):
         if self.rest is not None:
             before = self.rest.system
             further = (*further, *before.rhs, *before.initial, *(self.rest.after or ()))
-        return namespace_of([*self.rhs, *self.initial, *jumps, *further])
+        return namespace_of([*self.examined_rates, *self.initial, *jumps, *further])
 
     @property
     def event_expressions(self) -> tuple[sp.Expr, ...]:
@@ -141,18 +147,18 @@ class FirstOrderSystem(Stage):
         Yields a description, the number of the user's equation, if there is one, and the
         expression.
         """
-        names = [quote(state.expression) for state in self.states]
-        for name, origin, rate in zip(names, self.origins, self.rhs, strict=True):
+        written = [state.expression for state in self.states]
+        for state, origin, rate in zip(written, self.origins, self.examined_rates, strict=False):
             if rate.has(sp.Piecewise):
-                yield f"the derivative of {name}", origin, rate
-        for name, start in zip(names, self.initial, strict=True):
+                yield f"the derivative of {quote(state)}", origin, rate
+        for state, start in zip(written, self.initial, strict=True):
             if start.has(sp.Piecewise):
-                yield f"the initial value of {name}", None, start
+                yield f"the initial value of {quote(state)}", None, start
         for jump in self.jumps:
             at = f"{self.coordinates[0].name} = {number(jump.time)}"
-            for name, after in zip(names, jump.values, strict=True):
+            for state, after in zip(written, jump.values, strict=True):
                 if after.has(sp.Piecewise):
-                    yield f"the value of {name} after the jump at {at}", None, after
+                    yield f"the value of {quote(state)} after the jump at {at}", None, after
 
     def _equations(self) -> list[sp.Eq]:
         t = self.coordinates[0].symbol
@@ -219,7 +225,6 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
     time = problem.time[0]
-    solved, equations = problem.mass.solved()
     expressions = list(problem.initial)
     states = tuple(
         State(
@@ -231,17 +236,13 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         for e in expressions
     )
     functions = {s.expression: unknown_of(s.name, time) for s in states}
-    highest = dict(zip(problem.mass.leading, solved, strict=True))
+    if problem.table is not None:
+        return _of_table(problem, states, functions)
+    rates, equations = _solved_rates(problem, functions)
     origin = dict(zip(problem.unknowns, equations, strict=True))
-    rates = [rate_of(expression, time) for expression in expressions]
     origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions]
     states_of_time = list(functions.values())
-    rhs, impulses = without_impulses(
-        [highest.get(rate, rate).xreplace(functions) for rate in rates],
-        states_of_time,
-        origins,
-        problem.time,
-    )
+    rhs, impulses = without_impulses(rates, states_of_time, origins, problem.time)
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
     initial, reset = tuple(problem.initial.values()), None
     if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right
@@ -260,6 +261,31 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         events=tuple(_event(event, functions, time) for event in problem.events),
         constraints=_constraints(problem, functions),
         rest=_rest(problem, reset),
+    )
+
+
+def _solved_rates(
+    problem: Problem, functions: Mapping[sp.Expr, sp.Expr]
+) -> tuple[list[sp.Expr], list[int | None]]:
+    """The rate of each state, and the number of the equation solved for each highest derivative."""
+    solved, equations = problem.mass.solved()
+    highest = dict(zip(problem.mass.leading, solved, strict=True))
+    rates = (rate_of(state, problem.time[0]) for state in functions)
+    return [highest.get(rate, rate).xreplace(dict(functions)) for rate in rates], equations
+
+
+def _of_table(
+    problem: Problem, states: tuple[State, ...], functions: Mapping[sp.Expr, sp.Expr]
+) -> FirstOrderSystem:
+    """The system of a table of terms; its right-hand sides are written when they are read."""
+    equations, n = len(problem.unknowns), len(states)
+    return FirstOrderSystem(
+        coordinates=problem.coordinates,
+        states=states,
+        functions=tuple(functions.values()),
+        rhs=Deferred(n, lambda: _solved_rates(problem, functions)[0]),
+        initial=tuple(problem.initial.values()),
+        origins=tuple(i % equations + 1 for i in range(n)),
     )
 
 
@@ -321,7 +347,7 @@ class WeakForm(Stage):
         The residual u' - f of each equation, in the states' ``functions``.
     """
 
-    residuals: tuple[sp.Expr, ...]
+    residuals: Sequence[sp.Expr]
 
     @property
     def test_functions(self) -> tuple[sp.Symbol, ...]:
@@ -372,13 +398,18 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     remedy = "give a problem or first_order(problem); what is compiled has `.weak_form`"
     check_kind("weak_form", system, FirstOrderSystem, Problem, remedy=remedy)
     t = system.coordinates[0].symbol
-    pairs = zip(system.functions, system.rhs, strict=True)
+
+    def residuals() -> list[sp.Expr]:
+        pairs = zip(system.functions, system.rhs, strict=True)
+        return [sp.Derivative(u, t) - f for u, f in pairs]
+
+    deferred = isinstance(system.rhs, Deferred)
     return WeakForm(
         coordinates=system.coordinates,
         states=system.states,
         functions=system.functions,
         initial=system.initial,
         origins=system.origins,
-        residuals=tuple(sp.Derivative(u, t) - f for u, f in pairs),
+        residuals=Deferred(len(system.rhs), residuals) if deferred else tuple(residuals()),
         jumps=system.jumps,
     )

@@ -23,11 +23,13 @@ from rankone.support.progress import timed
 from rankone.support.wording import listing, quote
 from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
 from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
+from rankone.symbolic.tabulated import tabulated_form
 from rankone.symbolic.well_posed import check_gaps, check_known, check_tables
 
 # Largest coefficient of a separated term, and with its reciprocal the smallest: the product of two
 # is still a floating-point number
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
+_MOST_BITS = 400  # Of the numerator times the denominator of what is far from both
 # Least power that explains an extreme coefficient; units of lower powers do not reach it
 _HIGH_POWER = 8
 _AS_IT_IS = "method='cross' takes it as it is; for the other methods"
@@ -75,7 +77,8 @@ def symbolic_forms(
     with timed(timings, "weak form"):
         weak = weak_form(system)
     with timed(timings, "separation"):
-        separated = separate(weak)
+        table = problem.table
+        separated = (table and tabulated_form(table, weak)) or separate(weak)
     if separated.general:
         check_known(system, system.coordinates)
     return system, weak, separated
@@ -150,6 +153,8 @@ class _Separation:
         for state, power in monomial.powers:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
+        if coefficient.is_Rational and (coefficient.p * coefficient.q).bit_length() < _MOST_BITS:
+            return
         largest = _LARGEST_COEFFICIENT
         if not coefficient.is_comparable or 1 / largest < abs(coefficient) < largest:
             return

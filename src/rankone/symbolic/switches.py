@@ -75,7 +75,7 @@ def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
         If there are too many switches, or how they slide is not known.
     """
     replacement = _Replacement(system)
-    rates = [replacement.held(rate) for rate in system.rhs]
+    rates = [replacement.held(rate) for rate in system.examined_rates]
     switches = replacement.switches
     if not switches:
         return None

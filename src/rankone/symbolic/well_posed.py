@@ -52,7 +52,7 @@ _GAP_SEED = 20151  # Of the points at which conditions are checked: always the s
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
     """Raise a ProblemError if a table of one coordinate does not cover its interval."""
     coordinate_of = {c.symbol: c for c in coordinates}
-    for table in known_applied([*system.rhs, *system.initial]):
+    for table in known_applied([*system.examined_rates, *system.initial]):
         argument = table.args[0]
         symbols = argument.free_symbols
         if not isinstance(table, Table) or len(symbols) != 1 or argument.has(AppliedUndef):
@@ -82,7 +82,7 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
 
 def check_known(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
     """Raise a ProblemError if a known function of one coordinate is not finite and real."""
-    functions_of = known_functions(coordinates, [*system.rhs, *system.initial])
+    functions_of = known_functions(coordinates, [*system.examined_rates, *system.initial])
     for dimension, (coordinate, functions) in enumerate(
         zip(coordinates, functions_of, strict=True)
     ):

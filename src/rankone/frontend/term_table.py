@@ -1,0 +1,137 @@
+"""Rates of many states as a table of terms, from which no expression has to be written.
+
+Matrices and reactions of mass action say which products of states change which state, and how
+fast. A table keeps that as it is; the equations are written out when somebody looks at them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+import sympy as sp
+
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.notation import exact
+from rankone.expressions.unknowns import rate_of
+from rankone.frontend.box import Box
+from rankone.support.deferred import Deferred
+from rankone.support.errors import ProblemError
+
+FEWEST_TABULATED = 64
+"""Unknowns from which a problem is kept as a table: fewer are compiled as quickly either way."""
+# Functions that a coefficient may have: they are smooth wherever they are finite
+_SMOOTH = (sp.sin, sp.cos, sp.tan, sp.exp, sp.sinh, sp.cosh, sp.tanh)
+_KEPT = 10_000  # Fractions of numbers that are kept
+
+Entry = tuple[Fraction, int, int, tuple[int, ...]]
+"""Coefficient, state whose rate it is in, number of the function, states multiplied."""
+
+
+@dataclass(frozen=True, eq=False)
+class TermTable:
+    """Rates as sums of terms: a coefficient times a function times a product of states.
+
+    Attributes
+    ----------
+    states : tuple of Expr
+        The unknowns, then their lower derivatives, by order.
+    functions : tuple of Expr
+        Functions of time and parameters.
+    terms : tuple of Entry
+        Those of all rates; the states multiplied are ascending.
+    """
+
+    states: tuple[sp.Expr, ...]
+    functions: tuple[sp.Expr, ...]
+    terms: tuple[Entry, ...]
+
+    def fits(self, time: sp.Symbol, box: Box) -> bool:
+        """Whether all functions are smooth ones of time and the parameters of a box."""
+        declared = {time, *box}
+        return all(
+            f.free_symbols <= declared and all(isinstance(a, _SMOOTH) for a in f.atoms(sp.Function))
+            for f in self.functions
+        )
+
+    @property
+    def symbols(self) -> set[sp.Basic]:
+        """The symbols of the functions."""
+        return set().union(*(f.free_symbols for f in self.functions))
+
+    def start(self, initial: object, box: Box) -> dict[sp.Expr, sp.Expr] | None:
+        """The initial value of each state; None if they are not numbers or expressions of the box.
+
+        The general checks then say what is wrong with them.
+        """
+        if not isinstance(initial, Mapping) or initial.keys() != {*self.states}:
+            return None
+        start, parameters = {}, {*box}
+        for state in self.states:
+            written = initial[state]
+            expression = sp.sympify(written) if isinstance(written, sp.Expr) else _number(written)
+            if expression is None or not expression.free_symbols <= parameters:
+                return None
+            if not expression.is_Rational:
+                if expression.atoms(sp.Function) or not expression.is_polynomial(*parameters):
+                    return None
+                expression = exact(expression)
+            start[state] = expression
+        return start
+
+
+class TabulatedEquations(Deferred[sp.Basic]):
+    """Equations that are written out when they are first read, and the table of their terms."""
+
+    def __init__(
+        self, length: int, make: Callable[[], Sequence[sp.Basic]], table: TermTable
+    ) -> None:
+        super().__init__(length, make)
+        self.table = table
+
+
+def written_rates(table: TermTable, time: sp.Symbol, equations: int) -> list[sp.Eq]:
+    """The first equations of a table of the first order, solved for the derivatives."""
+    rates: list[list[sp.Expr]] = [[] for _ in range(equations)]
+    for coefficient, rate, function, multiplied in table.terms:
+        number = sp.Rational(coefficient.numerator, coefficient.denominator)
+        product = (table.states[i] for i in multiplied)
+        rates[rate].append(sp.Mul(number, table.functions[function], *product))
+    return [
+        sp.Eq(rate_of(state, time), sp.Add(*terms), evaluate=False)
+        for state, terms in zip(table.states, rates, strict=False)
+    ]
+
+
+def has_distinct_names(states: Iterable[sp.Expr], time: sp.Symbol, box: Box) -> bool:
+    """Whether no name is taken twice, and all can be printed."""
+    names = [time.name, *(symbol.name for symbol in box), *map(name_of, states)]
+    return len({*names}) == len(names) and all(n.isprintable() and n.strip() for n in names)
+
+
+@lru_cache(_KEPT)
+def fraction_of(number: float) -> Fraction:
+    """The decimal fraction that a number stands for; see :func:`exact`."""
+    rational = exact(sp.Float(number))
+    return Fraction(int(rational.p), int(rational.q))
+
+
+@lru_cache(_KEPT)
+def _rational(number: float) -> sp.Rational | None:
+    try:
+        return exact(sp.Float(number))
+    except ProblemError:
+        return None
+
+
+def _number(written: object) -> sp.Rational | None:
+    """A real number as a fraction; None for anything else."""
+    if isinstance(written, bool) or not hasattr(written, "__float__"):
+        return None
+    try:
+        number = float(written)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return _rational(number) if abs(number) < float("inf") else None

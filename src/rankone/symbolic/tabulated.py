@@ -1,0 +1,113 @@
+"""The separated form of a table of terms: functions are split, and nothing is multiplied out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+
+import sympy as sp
+
+from rankone.expressions.admissible import located_defect
+from rankone.expressions.notation import exact
+from rankone.frontend.term_table import TermTable
+from rankone.ir.forms import Factor, SeparatedForm, Term
+from rankone.symbolic.first_order import WeakForm
+from rankone.symbolic.splitting import Indivisible, Splitter
+
+_LARGEST = 1e100  # Coefficients up to this, and down to its reciprocal, need no closer look
+_Key = tuple[int, int, tuple[int, ...]]
+"""Equation, number of the product of factors, states multiplied."""
+_Sums = dict[_Key, Fraction | float]
+_Product = tuple[sp.Expr, ...]
+"""A factor of each coordinate."""
+
+
+def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
+    """The separated form of a table; None where the way over expressions has more to say.
+
+    That is where a function does not separate, or a factor or coefficient is not finite.
+    """
+    splitter = Splitter(weak.coordinates, [])
+    try:
+        functions = [_split(splitter, f) for f in table.functions]
+        starts = [_split(splitter, start) for start in weak.initial]
+    except Indivisible:
+        return None
+    one = (sp.S.One,) * len(weak.coordinates)
+    products: dict[_Product, int] = {one: 0}
+    numbered = [_numbered(f, products) for f in functions]
+    residual: _Sums = {}
+    for coefficient, rate, function, states in table.terms:
+        for number, product in numbered[function]:
+            key = rate, product, states
+            residual[key] = residual.get(key, 0) - coefficient * number
+    pairs = ((i, pair) for i, start in enumerate(starts) for pair in _numbered(start, products))
+    initial: _Sums = {(i, product, ()): number for i, (number, product) in pairs}
+    if not all(map(_is_ordinary, {*residual.values(), *initial.values()})):
+        return None
+    distinct = _distinct(products)
+    for j, (coordinate, each) in enumerate(zip(weak.coordinates, distinct, strict=True)):
+        if any(located_defect(factor, coordinate, j) is not None for factor in each):
+            return None
+    places = [
+        tuple(each.index(f) for each, f in zip(distinct, product, strict=True))
+        for product in products
+    ]
+    zero = (0,) * len(distinct)
+    derivatives = [Term(i, Fraction(1), zero, (i,), 1) for i in range(len(weak.states))]
+    return SeparatedForm(
+        coordinates=weak.coordinates,
+        states=weak.states,
+        factors=tuple(tuple(Factor(j, f) for f in each) for j, each in enumerate(distinct)),
+        terms=_ordered([*derivatives, *_terms(residual, places)]),
+        initial=_ordered(_terms(initial, places)),
+    )
+
+
+def _split(splitter: Splitter, function: sp.Expr) -> list[tuple[Fraction | float, _Product]]:
+    """A function as numbers times products of factors."""
+    if function.is_Rational:
+        (monomial,) = splitter.split(sp.S.One)
+        return [(_fraction(function), monomial.factors)] if function else []
+    return [(_fraction(c), m.factors) for m, c in splitter.split(exact(function)).items()]
+
+
+def _fraction(number: sp.Expr) -> Fraction | float:
+    return Fraction(int(number.p), int(number.q)) if number.is_Rational else float(number)
+
+
+def _is_ordinary(number: Fraction | float) -> bool:
+    return number == 0 or 1.0 / _LARGEST < abs(float(number)) < _LARGEST
+
+
+def _numbered(
+    terms: Iterable[tuple[Fraction | float, _Product]], products: dict[_Product, int]
+) -> list[tuple[Fraction | float, int]]:
+    """Numbers times products of factors, these by their numbers; new ones are added."""
+    return [(number, products.setdefault(p, len(products))) for number, p in terms]
+
+
+def _distinct(products: Iterable[_Product]) -> list[list[sp.Expr]]:
+    """For each dimension its distinct factors: one, then the others in SymPy's order."""
+    return [
+        [sp.S.One, *sorted((f for f in dict.fromkeys(each) if f != 1), key=sp.default_sort_key)]
+        for each in zip(*products, strict=True)
+    ]
+
+
+def _terms(sums: _Sums, places: Sequence[tuple[int, ...]]) -> list[Term]:
+    """The terms of sums; ``places`` has for each product the factors."""
+    return [
+        Term(equation, Fraction(number) if isinstance(number, int) else number, places[p], states)
+        for (equation, p, states), number in sums.items()
+        if number
+    ]
+
+
+def _ordered(terms: list[Term]) -> tuple[Term, ...]:
+    """Terms by equation, derivatives first, then by degree, monomial and factors."""
+
+    def key(t: Term) -> tuple[object, ...]:
+        return t.equation, -t.derivative, len(t.monomial), t.monomial, t.factors
+
+    return tuple(sorted(terms, key=key))
