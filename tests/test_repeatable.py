@@ -16,7 +16,7 @@ from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks import StackedIntegrator
-from rankone.trajectories.workers import Workers
+from rankone.trajectories.workers import open_workers
 from tests.problems import EXAMPLES
 
 KINK = ro.Problem.from_strings(
@@ -87,8 +87,8 @@ def test_tasks_end_as_one_after_the_other(budget):
     tasks = [(0, 10.0), (2, 10.0), (4, 10.0), (1, 10.0), (3, 1e6)]
     ends = []
     with ThreadPoolExecutor(5) as executor:
-        for workers in (Workers(system), Workers(system, executor)):
-            with limited(budget) as account:
+        for chosen in (None, executor):
+            with open_workers(system, chosen) as workers, limited(budget) as account:
                 try:
                     workers.map(failing, tasks, TrajectoryEnds)
                 except Exception as error:

@@ -21,9 +21,10 @@ and in the log ``rankone``.
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
 from os import PathLike
@@ -435,10 +436,32 @@ def solve_problem(
         return compile_problem(problem).solve(rtol, *arguments, **options)
 
 
-def one_thread() -> AbstractContextManager[object]:
+class _OneThread(AbstractContextManager[None]):
+    """Keeps BLAS on one thread as long as any thread of this process is inside."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._limit: AbstractContextManager[object] = nullcontext()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._limit = _thread_pools().limit(limits=1, user_api="blas")
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limit.__exit__(None, None, None)
+
+
+_ONE_THREAD = _OneThread()
+
+
+def one_thread() -> AbstractContextManager[None]:
     """BLAS on one thread: small products run fastest so, and two busy pools slow each other."""
-    limit: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")
-    return limit
+    return _ONE_THREAD
 
 
 @cache

@@ -8,6 +8,8 @@
 ``budget``      counted work, and a deadline where a user asked for one
 ``costs``       what numerical work costs, in operations
 ``options``     options of engines: declared with their ranges, checked in one place
+``executors``   processes that end with this one, executors of others, clusters of dask
+``tasks``       independent calls on them, also when workers die
 ``progress``    progress events, a bar, timings of stages
 ``files``       several files written together, all of them or none
 ``deferred``    tuples that are made when they are first read

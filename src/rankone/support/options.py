@@ -108,7 +108,7 @@ class Options:
         return 1
 
     @property
-    def executor(self) -> Executor | int | None:
+    def executor(self) -> Executor | int | str | None:
         """Where trajectories are integrated; a field of engines that sample many."""
         return None
 

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import concurrent.futures
 import math
-import multiprocessing
-import os
 import pickle
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager
 from contextvars import Context
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Generic, TypeAlias, TypeVar, cast
 
 from rankone.ir.system import ModuleSpecification, System
@@ -29,38 +24,19 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.errors import OptionError, RankoneError
+from rankone.support.executors import DEATHS, GUARD, ExecutorLike, Pool
 
-_DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)  # A worker died
-# What to do if workers die at once
-_GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
 Answer = TypeVar("Answer")  # What a task comes to
 Arguments: TypeAlias = "tuple[object, ...]"  # Those of a task, after the system
 
 
-class _Spawn(SpawnContext):
-    """Starts processes anew, and keeps them in a list."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.started: list[SpawnProcess] = []
-
-    def Process(self, *arguments: object, **named: object) -> SpawnProcess:  # type: ignore[override]
-        self.started.append(SpawnProcess(*arguments, **named))  # type: ignore[arg-type]
-        return self.started[-1]
-
-
 class Workers:
-    """Calls of a function of a system and further arguments; without an executor, here.
+    """Calls of a function of a system and further arguments; without an executor, here."""
 
-    An int as executor is a number of processes, which :meth:`open` starts and :meth:`close` ends.
-    They end with this process too, however it ends.
-    """
-
-    def __init__(self, system: System, executor: Executor | int | None = None) -> None:
-        self.system, self._wanted = system, executor
-        self._executor: Executor | None = None
-        self._processes: list[SpawnProcess] = []
-        if executor is None:
+    def __init__(self, system: System, executor: ExecutorLike | None = None) -> None:
+        self.system = system
+        self.pool = None if executor is None else Pool(executor)
+        if self.pool is None:
             return
         specification = system.specification
         if specification is None:
@@ -68,8 +44,8 @@ class Workers:
                 "executor= needs a system compiled by rankone: workers cannot load this one",
                 remedy="leave it out, or solve with rankone.solve",
             )
-        processes = isinstance(executor, int | ProcessPoolExecutor)
-        self._specification = _pickled(specification) if processes else specification
+        bytes_alone = self.pool.takes_bytes
+        self._specification = _pickled(specification) if bytes_alone else specification
 
     def map(
         self,
@@ -86,7 +62,7 @@ class Workers:
         tasks is charged, and a failure raised, in their order: it does not matter who was first.
         """
         answers: dict[int, Answer] = {}
-        if self._executor is None or len(tasks) < 2:
+        if self.pool is None or len(tasks) < 2:
             for k, task in enumerate(tasks):
                 answers[k] = function(self.system, *task)
                 if done is not None:
@@ -96,73 +72,33 @@ class Workers:
         calls = [_Call(function, task, failures, *limits) for task in tasks]
         lost = self._round(calls, answers)
         if lost is not None:
-            if isinstance(self._wanted, int):
-                self.close()
-                self.open()
+            self.pool.restart()
             lost = self._round(calls, answers)
         if lost is not None:
             raise RankoneError(
                 f"a worker of the executor died, and once more when it was tried again: {lost}",
-                remedy="look for a crash or a lack of memory in the workers; " + _GUARD,
+                remedy="look for a crash or a lack of memory in the workers; " + GUARD,
             ) from lost
         return [answers[k] for k in range(len(tasks))]
-
-    def close(self) -> None:
-        """End the processes that were started here, also in the middle of a task or of a start."""
-        if not isinstance(self._wanted, int) or self._executor is None:
-            return
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        running = [process for process in self._processes if process.is_alive()]
-        for process in running:
-            process.terminate()
-        for process in running:
-            process.join()
-
-    def open(self) -> None:
-        """Start processes, or ask whether the executor given takes work."""
-        if self._wanted is None:
-            return
-        if isinstance(self._wanted, int):
-            starts, context = self._wanted, _Spawn()
-            self._executor = ProcessPoolExecutor(starts, context, initializer=_obey_parent)
-            self._processes = context.started
-        else:
-            self._executor, starts = self._wanted, 1
-        for _ in range(starts):
-            try:
-                self._submit(time.time)
-            except _DEATHS:
-                return  # the tasks will say it
-
-    def _submit(self, function: Callable[..., Answer], *arguments: object) -> Future[Answer]:
-        assert self._executor is not None
-        try:
-            return self._executor.submit(function, *arguments)
-        except _DEATHS:
-            raise
-        except Exception as error:
-            raise OptionError(
-                f"executor= takes no work: {type(error).__name__}: {error}",
-                remedy="give one that is open, or a number of processes",
-            ) from error
 
     def _round(
         self, calls: Sequence[_Call[Answer]], answers: dict[int, Answer]
     ) -> BaseException | None:
         """Add the answers that are missing; how a worker was lost, if one was."""
+        assert self.pool is not None
         futures: dict[int, Future[_Return[Answer]]] = {}
         lost: BaseException | None = None
         try:
             for k, call in enumerate(calls):
                 if k not in answers:
-                    futures[k] = self._submit(_run, self._specification, call)
-        except _DEATHS as error:
+                    futures[k] = self.pool.submit(_run, self._specification, call)
+        except DEATHS as error:
             lost = error
         try:
             for k, future in futures.items():
                 try:
                     answers[k] = _answer(future, calls[k].end)
-                except _DEATHS as error:
+                except DEATHS as error:
                     lost = error
         finally:
             for future in futures.values():
@@ -171,32 +107,17 @@ class Workers:
 
 
 @contextmanager
-def open_workers(system: System, executor: Executor | int | None) -> Iterator[Workers]:
+def open_workers(system: System, executor: ExecutorLike | None) -> Iterator[Workers]:
     """Workers for a solve; processes that were started end with it."""
     workers = Workers(system, executor)
+    if workers.pool is None:
+        yield workers
+        return
     try:
-        workers.open()
+        workers.pool.open()
         yield workers
     finally:
-        workers.close()
-
-
-def _obey_parent() -> None:
-    """Let the parent alone decide when this worker ends, in the middle of a task too.
-
-    An interrupt from the keyboard reaches all processes: the parent ends its workers then. When the
-    parent is killed, nobody does, and a worker would wait for tasks for ever.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Wait until the parent has ended, without polling, then end at once."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+        workers.pool.close()
 
 
 @dataclass(frozen=True)
@@ -249,7 +170,7 @@ def _answer(future: Future[_Return[Answer]], end: float) -> Answer:
         raise OutOfTimeError
     try:
         returned = future.result()
-    except (*_DEATHS, RankoneError):
+    except (*DEATHS, RankoneError):
         raise
     except Exception as error:
         raise RankoneError(

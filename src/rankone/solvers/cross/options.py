@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 from rankone.discretization import BASES
 from rankone.ir.outcome import SlabRecord
-from rankone.support.errors import OptionError
-from rankone.support.options import Options, checked_number, choice, integer
-
-_MAX_PROCESSES = 1000  # More processes than this are a mistake
-
-
-def _check_executor(name: str, value: object) -> Executor | int:
-    """The value if it is an executor or a number of processes, or an OptionError."""
-    if isinstance(value, Executor):
-        return value
-    if isinstance(value, int):
-        return int(checked_number(name, value, 1, _MAX_PROCESSES))
-    raise OptionError(
-        f"{name}={value!r} is not valid",
-        remedy="give a number of processes or a concurrent.futures.Executor",
-    )
+from rankone.support.executors import ExecutorLike, checked_executor
+from rankone.support.options import Options, choice, integer
 
 
 @dataclass(frozen=True)
@@ -47,9 +32,9 @@ class CrossOptions(Options):
     max_attempts : int or None
         How often the interpolation may be repeated with more nodes or points;
         None: 10 times, and more while that pays.
-    executor : concurrent.futures.Executor, int or None
-        Executor that integrates trajectories, which is left running, or a number of processes.
-        Solutions are the same to the bit.
+    executor : concurrent.futures.Executor, distributed.Client, str, int or None
+        Executor, or client of dask, that integrates trajectories, which is left running; the
+        address of a scheduler of dask, or a number of processes. Solutions are the same to the bit.
     """
 
     basis: str = choice("chebyshev", BASES)
@@ -59,7 +44,7 @@ class CrossOptions(Options):
     max_slabs: int = integer(2000)
     max_trajectories: int = integer(4_000_000)
     max_attempts: int | None = integer(None)
-    executor: Executor | int | None = field(default=None, metadata={"check": _check_executor})
+    executor: ExecutorLike | None = field(default=None, metadata={"check": checked_executor})
 
     def nodes_in_time(self, rtol: float) -> int:
         """Gauss nodes per slab: more for tighter tolerances."""

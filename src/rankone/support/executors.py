@@ -1,0 +1,187 @@
+"""Executors of tasks: processes that end with this one, executors of others, clusters of dask."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.context import SpawnContext, SpawnProcess
+from typing import Any, TypeVar
+
+from rankone.support.errors import OptionError, optional_module
+from rankone.support.options import checked_number
+
+DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
+"""What a future raises whose worker died."""
+GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
+"""What to do if workers die at once."""
+_MAX_PROCESSES = 1000  # More processes than this are a mistake
+_REMEDY = (
+    "give a number of processes, a concurrent.futures.Executor, or a Client of dask.distributed "
+    'or its address, "tcp://host:port"'
+)
+Answer = TypeVar("Answer")  # What a task comes to
+
+ExecutorLike = Executor | int | str
+"""An executor, a number of processes, or the address of a scheduler of dask."""
+
+
+def checked_executor(name: str, executor: Any) -> ExecutorLike:
+    """The option as an executor, a number of processes or an address; or an OptionError."""
+    if hasattr(executor, "get_executor"):  # a Client of dask.distributed
+        return checked_executor(name, executor.get_executor())
+    if isinstance(executor, Executor):
+        return executor
+    if isinstance(executor, int):
+        return int(checked_number(name, executor, 1, _MAX_PROCESSES))
+    if isinstance(executor, str) and "://" in executor:
+        _dask(executor)
+        return executor
+    raise OptionError(f"{name}={executor!r} is not valid", remedy=_REMEDY)
+
+
+class Pool:
+    """The executor of an option: what it had to start ends with :meth:`close`.
+
+    Processes are started for a number; they end with this process too, however it ends. A client
+    is connected for an address. Executors of others are left running.
+    """
+
+    def __init__(self, wanted: ExecutorLike) -> None:
+        self._wanted = wanted
+        self._executor: Executor | None = None
+        self._client: Any = None
+        self._processes: list[SpawnProcess] = []
+
+    @property
+    def takes_bytes(self) -> bool:
+        """Whether tasks are pickled for another process, which then keeps what it loaded."""
+        return not isinstance(self._wanted, Executor) or isinstance(
+            self._wanted, ProcessPoolExecutor
+        )
+
+    @property
+    def processes(self) -> int | None:
+        """The number of processes that were asked for, which can be started again."""
+        return self._wanted if isinstance(self._wanted, int) else None
+
+    def open(self) -> None:
+        """Start processes, or ask whether the executor takes work."""
+        starts = 1
+        if isinstance(self._wanted, int):
+            starts, context = self._wanted, _Spawn()
+            self._executor = ProcessPoolExecutor(starts, context, initializer=_obey_parent)
+            self._processes = context.started
+        elif isinstance(self._wanted, str):
+            self._client = _connected(self._wanted)
+            self._executor = self._client.get_executor()
+        else:
+            self._executor = self._wanted
+        for _ in range(starts):
+            try:
+                self.submit(time.time)
+            except DEATHS:
+                return  # the tasks will say it
+
+    def close(self) -> None:
+        """End what was started here, also in the middle of a task or of a start."""
+        executor, self._executor = self._executor, None
+        if self._client is not None:
+            self._client.close()
+        if not isinstance(self._wanted, int) or executor is None:
+            return
+        executor.shutdown(wait=False, cancel_futures=True)
+        running = [process for process in self._processes if process.is_alive()]
+        for process in running:
+            process.terminate()
+        for process in running:
+            process.join()
+
+    def restart(self) -> bool:
+        """Start processes anew after one died; False for an executor of others."""
+        if not isinstance(self._wanted, int):
+            return False
+        self.close()
+        self.open()
+        return True
+
+    def submit(self, function: Callable[..., Answer], *arguments: object) -> Future[Answer]:
+        """A call for a worker; an OptionError if the executor takes none."""
+        assert self._executor is not None
+        try:
+            return self._executor.submit(function, *arguments)
+        except DEATHS:
+            raise
+        except Exception as error:
+            raise OptionError(
+                f"executor= takes no work: {type(error).__name__}: {error}",
+                remedy="give one that is open, or a number of processes",
+            ) from error
+
+
+@contextmanager
+def open_pool(wanted: ExecutorLike) -> Iterator[Pool]:
+    """A pool that is open; what it had to start ends with the block."""
+    pool = Pool(wanted)
+    try:
+        pool.open()
+        yield pool
+    finally:
+        pool.close()
+
+
+class _Spawn(SpawnContext):
+    """Starts processes anew, and keeps them in a list."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *arguments: object, **named: object) -> SpawnProcess:  # type: ignore[override]
+        self.started.append(SpawnProcess(*arguments, **named))  # type: ignore[arg-type]
+        return self.started[-1]
+
+
+def _dask(address: str) -> Any:
+    """The package of dask's clients; an OptionError that says how to install it."""
+    return optional_module(
+        "distributed",
+        f"executor={address!r} needs dask.distributed",
+        'pip install distributed, or pip install ".[dask]" in the folder of the source',
+        OptionError,
+    )
+
+
+def _connected(address: str) -> Any:
+    """A client of the scheduler at an address."""
+    try:
+        return _dask(address).Client(address, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise OptionError(
+            f"there is no scheduler of dask at executor={address!r}: {error}",
+            remedy="start one with `dask scheduler`, and give the address that it prints",
+        ) from error
+
+
+def _obey_parent() -> None:
+    """Let the parent alone decide when this worker ends, in the middle of a task too.
+
+    An interrupt from the keyboard reaches all processes: the parent ends its workers then. When the
+    parent is killed, nobody does, and a worker would wait for tasks for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait until the parent has ended, without polling, then end at once."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
