@@ -27,6 +27,7 @@ from rankone.ir.verdict import (
     Cause,
     DerivativeOf,
     EarlyEnd,
+    FailedPieces,
     MeasuredError,
     MovingFeatures,
     NarrowBox,
@@ -49,6 +50,7 @@ from rankone.ir.verdict import (
     UnknownOutputError,
     UnsettledTerms,
     Verdict,
+    WorstPiece,
 )
 from rankone.storage.header import digest_of
 from rankone.storage.netcdf import sealed
@@ -354,7 +356,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=5), "version 5 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=6), "version 6 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
@@ -626,6 +628,8 @@ VERDICTS = [
     Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf, "peak"),)),
     Verdict(Status.WORK_LIMIT, None, (NarrowBox((("k", 0.1, 1.0), ("m", 2.0, 3.0))),)),
     Verdict(Status.CONVERGED, None, (UndecidedShare(1e-3),)),
+    Verdict(Status.CONVERGED, None, (WorstPiece(3, 1, (("k", 0.0, 1.0),)),)),
+    Verdict(Status.TOLERANCE, None, (FailedPieces((1,), 3, Verdict(Status.RANK_LIMIT)),)),
     Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
 ]
 

@@ -17,6 +17,7 @@ from rankone.solution.core import timeline_evaluator
 from rankone.support.arrays import Array
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.tiling import Tiling
 from rankone.tensors.timeline import TimelineEvaluator
 
 _POINTS_AT_ONCE = 1024  # Points that are evaluated together, to bound memory
@@ -44,6 +45,11 @@ class Model(Protocol):
 def model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
     """The model of states ``rows`` at times, one each."""
     timeline = outcome.timeline
+    if outcome.pieces:
+        pieces = [model_of(piece.outcome, rows, times) for piece in outcome.pieces]
+        boxes = [piece.metadata.box for piece in outcome.pieces]
+        tiling = Tiling.of(boxes, outcome.pieces[0].metadata.parameters)
+        return PieceModel(pieces, tiling, times.size)
     if isinstance(timeline, BranchedTimeline):
         branches = branch_evaluator(outcome.slabs, timeline).likeliest()
         return TimelineModel(branches, rows, times)
@@ -149,3 +155,31 @@ class TrainModel:
                 table[here] = (in_time @ products).reshape(here.size, count, columns)
         moved = table.transpose(1, 0, 2)
         return moved[:, :, 0], moved[:, :, :0:-1]
+
+
+class PieceModel:
+    """A :class:`Model` of pieces that tile a box."""
+
+    def __init__(self, pieces: Sequence[Model], tiling: Tiling, size: int) -> None:
+        self.pieces, self.tiling, self.size = tuple(pieces), tiling, size
+
+    def thinned(self, scale: Array, tolerance: float) -> PieceModel:
+        """The same with smaller ranks; see :meth:`Model.thinned`."""
+        pieces = [piece.thinned(scale, tolerance) for piece in self.pieces]
+        return PieceModel(pieces, self.tiling, self.size)
+
+    def values(self, points: Array) -> Array:
+        """Values (N, m); see :meth:`Model.values`."""
+        table = np.empty((points.shape[1], self.size))
+        for position, here in self.tiling.groups(points):
+            table[here] = self.pieces[position].values(points[:, here])
+        return table
+
+    def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Values (N, m) and derivatives (N, m, k); see :meth:`Model.linearised`."""
+        values = np.empty((points.shape[1], self.size))
+        slopes = np.empty((*values.shape, len(free)))
+        for position, here in self.tiling.groups(points):
+            own = self.pieces[position].linearised(points[:, here], free)
+            values[here], slopes[here] = own
+        return values, slopes

@@ -176,6 +176,11 @@ def pack(
     """
     check_states(states)
     rtol = checked_rtol(rtol)
+    if solution.outcome.pieces:
+        raise ExportError(
+            "a solution that was joined of pieces cannot be exported as one model",
+            remedy="export the pieces: `for k, piece in enumerate(solution.pieces)`",
+        )
     if not solution.outcome.slabs:
         raise ExportError(f"there is nothing to export: {solution.message}")
     if not solution.success and not allow_failed:

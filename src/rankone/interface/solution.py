@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rankone.estimation import EstimationFromData
-from rankone.ir.outcome import SlabRecord
+from rankone.ir.outcome import Piece, SlabRecord
 from rankone.outputs.interpolation import samples_of, with_outputs
 from rankone.outputs.states import at_instant, derivative, over_clock_time
 from rankone.populations import PopulationsFromData
+from rankone.solution.joining import joined
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes
@@ -24,9 +26,18 @@ from rankone.statistics.distributions import from_text
 from rankone.statistics.joint_distribution import copula_of
 from rankone.storage import read, write
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError, StorageError, optional_module
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    StorageError,
+    check_kind,
+    optional_module,
+)
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.canonical import CanonicalForms, canonical_form
+from rankone.tensors.pieces import PieceEvaluator
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.tiling import Tiling
 from rankone.tensors.timeline import TimelineEvaluator
 
 if TYPE_CHECKING:
@@ -54,7 +65,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
     @property
     def ranks(self) -> tuple[tuple[int, ...], ...]:
         """For each slab the ranks of its train: time | parameter 1 | parameter 2 | ..."""
-        return tuple(slab.ranks for slab in self.outcome.slabs)
+        return tuple(slab.ranks for slab in self._slabs)
 
     @property
     def rank(self) -> int:
@@ -67,7 +78,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
 
         They are those of the coordinate in which the parameter needs fewest, such as its logarithm.
         """
-        sizes = [[basis.size for basis in slab.bases] for slab in self.outcome.slabs]
+        sizes = [[basis.size for basis in slab.bases] for slab in self._slabs]
         return tuple(max(column) for column in zip(*sizes, strict=True))
 
     @property
@@ -88,7 +99,59 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
     @property
     def nbytes(self) -> int:
         """Bytes of the tensor trains."""
-        return sum(core.nbytes for slab in self.outcome.slabs for core in slab.cores)
+        return sum(core.nbytes for slab in self._slabs for core in slab.cores)
+
+    @property
+    def _slabs(self) -> list[SlabTrain]:
+        """The slabs of all pieces."""
+        pieces = [piece.outcome for piece in self.outcome.pieces] or [self.outcome]
+        return [slab for outcome in pieces for slab in outcome.slabs]
+
+    # --- pieces of the box ---------------------------------------------------------------------
+
+    @classmethod
+    def join(cls, pieces: Iterable[Solution]) -> Solution:
+        """One solution over the box that solutions on pieces of it tile.
+
+        Each point is evaluated by the piece that holds it, an edge by the piece above it. What
+        belongs to the unknowns goes on: gradients, statistics, fits, plots, files, derivatives,
+        outputs and smaller solutions.
+
+        Parameters
+        ----------
+        pieces : iterable of Solution
+            Of one problem, on boxes without gaps and overlaps, such as those of
+            :meth:`rankone.Problem.split`; in any order.
+
+        Returns
+        -------
+        Solution
+            Its errors are those of the worst piece, relative to the sizes there; it is a success
+            if all pieces are. ``pieces`` has them one by one.
+
+        Raises
+        ------
+        OptionError
+            If pieces overlap or leave a gap, which the message names, or belong to different
+            problems, or one has nothing to evaluate.
+        """
+        listed = list(pieces)
+        remedy = "give solutions: ro.Solution.join(ro.solve_many(...))"
+        for piece in listed:
+            check_kind("join", piece, Solution, remedy=remedy)
+        if len(listed) == 1:
+            return listed[0]
+        return cls(*joined([Piece(piece.outcome, piece.metadata) for piece in listed]))
+
+    @cached_property
+    def pieces(self) -> tuple[Solution, ...]:
+        """The solutions that this one was joined of; itself alone if it was not."""
+        pieces = self.outcome.pieces
+        return tuple(Solution(p.outcome, p.metadata) for p in pieces) if pieces else (self,)
+
+    def _in_pieces(self, of: Callable[[Solution], Solution]) -> Solution:
+        """What is made of each piece, joined again."""
+        return Solution.join(map(of, self.pieces))
 
     # --- other forms ---------------------------------------------------------------------------
 
@@ -248,6 +311,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             If there is no such coordinate.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        if self.outcome.pieces:
+            return self._in_pieces(lambda piece: piece.diff(coordinate))
         if self.outcome.timeline is not None:
             return Solution(*derivative(self, coordinate))
         return Solution(*derived(self.outcome, self.metadata, coordinate))
@@ -262,6 +327,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         ndarray (unknowns, parameters, *broadcast shape of the values)
         """
         gathered = self._coordinates.gather(at, named)
+        if isinstance(self._evaluator, PieceEvaluator):
+            return self._gradient_in_pieces(self._evaluator.tiling, gathered)
         if isinstance(self._evaluator, TimelineEvaluator | BranchEvaluator):
             arrays = np.broadcast_arrays(*self._coordinates.arrays(gathered))
             times, *points = (array.ravel() for array in arrays)
@@ -274,6 +341,17 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             unknowns = self._evaluate(gathered, self._unknowns)
             return np.zeros((len(unknowns), 0, *unknowns.shape[1:]))
         return np.stack(slopes, axis=1)
+
+    def _gradient_in_pieces(self, tiling: Tiling, gathered: Sequence[Any]) -> Array:
+        """The gradient at each point of the piece that holds it."""
+        points, shape = self._coordinates.broadcast(self._coordinates.arrays(gathered))
+        moved = np.empty((len(self.unknowns), len(points) - 1, points.shape[1]))
+        names = (() if self.metadata.timeless else (self.metadata.time,), self.metadata.parameters)
+        asked = points[1:] if self.metadata.timeless else points
+        for position, here in tiling.groups(points[1:]):
+            at = dict(zip(chain(*names), asked[:, here], strict=True))
+            moved[:, :, here] = self.pieces[position].gradient(at)
+        return moved.reshape(*moved.shape[:2], *shape)
 
     @cached_property
     def _slopes(self) -> list[Solution]:
@@ -333,6 +411,9 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        if self.outcome.pieces:
+            options: Any = {"rtol": rtol, "effort": effort, "max_seconds": max_seconds}
+            return self._in_pieces(lambda piece: piece.output(quantities, units=units, **options))
         timeline = self.outcome.timeline_of_one_order("output")
         expressions = optional_module(
             "rankone.codegen.output_expressions",
@@ -377,6 +458,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             raise EvaluationError(
                 f"t={t!r} is not a number", term=t, remedy="evaluate the solution at several times"
             )
+        if self.outcome.pieces:
+            return self._in_pieces(lambda piece: piece.at(float(time)))
         if self.outcome.timeline is not None:
             return Solution(*at_instant(self, float(time)))
         return Solution(*at_time(self.outcome, self.metadata, float(time)))
@@ -400,6 +483,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             If a terminal event ends the solution.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        if self.outcome.pieces:
+            return self._in_pieces(lambda piece: piece.in_clock_time(rtol))
         if self.outcome.timeline is None:
             return self
         return Solution(*over_clock_time(self, rtol))

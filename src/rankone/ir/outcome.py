@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import Cause, Note, Status, Verdict
 from rankone.support.errors import EvaluationError
@@ -106,6 +107,14 @@ class SafeInterval:
 
 
 @dataclass(frozen=True)
+class Piece:
+    """What an engine returned on one part of a box."""
+
+    outcome: Outcome
+    metadata: SolutionMetadata
+
+
+@dataclass(frozen=True)
 class Outcome:
     """The result of an engine: consecutive slabs of all differential states, and how it ended.
 
@@ -114,7 +123,8 @@ class Outcome:
     time and parameter values near which a trajectory blows up, ``safe`` where the box would have to
     end instead, the one that keeps most of it first. ``switching`` is the state whose rate switches
     to and fro where the reference trajectories came to an end. With events, the slabs are over the
-    stretches of a ``timeline``, or of one branch after the other.
+    stretches of a ``timeline``, or of one branch after the other. ``pieces`` tile the box of a
+    solution that was joined of them, which has no slabs of its own.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -129,6 +139,12 @@ class Outcome:
     cause: Cause | None = None
     notes: tuple[Note, ...] = ()
     timeline: Timeline | BranchedTimeline | None = None
+    pieces: tuple[Piece, ...] = ()
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether there is anything to evaluate."""
+        return bool(self.slabs or self.pieces)
 
     @property
     def verdict(self) -> Verdict:
@@ -145,11 +161,21 @@ class Outcome:
         timeline = self.timeline and self.timeline.fixed(parameter, value)
         return replace(self, slabs=fixed(self.slabs, parameter, value), timeline=timeline)
 
+    def refuse_pieces(self, what: str) -> None:
+        """Raise an EvaluationError that names it, if the solution is joined of pieces."""
+        if self.pieces:
+            raise EvaluationError(
+                f"{what} does not take solutions that were joined of pieces",
+                remedy="take the pieces one by one: `solution.pieces`",
+            )
+
     def timeline_of_one_order(self, what: str) -> Timeline | None:
         """The timeline, for what takes one order of events alone.
 
-        An EvaluationError that names it, if the order changes inside the box.
+        An EvaluationError that names it, if the order changes inside the box, or the solution is
+        joined of pieces.
         """
+        self.refuse_pieces(what)
         if isinstance(self.timeline, BranchedTimeline):
             raise EvaluationError(
                 f"{what} does not take solutions in which the order of events changes inside the "

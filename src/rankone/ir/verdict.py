@@ -465,3 +465,36 @@ class OutputError(Note):
         worst = "" if self.worst is None else f"; largest for {quote(self.worst)}"
         both = f"{self.interpolation:.1e} of the interpolation, {self.solution:.1e} of the solution"
         return both + worst
+
+
+@dataclass(frozen=True)
+class WorstPiece(Note):
+    """The piece with the largest error of a solution that was joined of several."""
+
+    pieces: int
+    worst: int
+    intervals: tuple[tuple[str, float, float], ...]
+
+    lead: ClassVar[str] = ", "
+
+    def sentence(self, status: Status) -> str:
+        where = ", ".join(f"{name} in [{a:.4g}, {b:.4g}]" for name, a, b in self.intervals)
+        return f"that of piece {self.worst}, the worst of {self.pieces} ({where})"
+
+
+@dataclass(frozen=True)
+class FailedPieces(Note):
+    """The pieces of a joined solution that are no success, and how the first of them ended."""
+
+    failed: tuple[int, ...]
+    pieces: int
+    first: Verdict
+
+    def sentence(self, status: Status) -> str:
+        shown = ", ".join(map(str, self.failed[:_MOST_NAMES]))
+        hidden = len(self.failed) - _MOST_NAMES
+        more = f" and {hidden} more" if hidden > 0 else ""
+        return (
+            f"no success: pieces {shown}{more} of {self.pieces} (piece {self.failed[0]}: "
+            f"{self.first})"
+        )

@@ -5,6 +5,7 @@
 ``timeline``      times of events
 ``branches``      the evaluator where several orders of events hold
 ``smaller``       parameters fixed, the box restricted, derivatives
+``joining``       one solution over a box, of solutions on pieces that tile it
 ``presentation``  the printed summary; xarray and pandas
 ================  ==================================================================================
 """

@@ -28,7 +28,9 @@ from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationErro
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.tiling import Tiling
 from rankone.tensors.timeline import TimelineEvaluator
 
 # How trajectories end before the horizon
@@ -41,6 +43,9 @@ _ENDS = {
 _KEPT_SHARES = (0.95, 0.8, 0.5)
 _MOST_SMALLER_BOXES = 4  # Most boxes to solve on; each has an equal share of the budget
 _MESSAGE_DIGITS = 100.0  # A message gives the end of an interval to a hundredth of its length
+
+Evaluator = TrainEvaluator | TimelineEvaluator | BranchEvaluator | PieceEvaluator
+"""What evaluates a solution."""
 
 
 class SolutionCore:
@@ -143,15 +148,10 @@ class SolutionCore:
         return on_grid[:, 0] if self.metadata.timeless else on_grid
 
     @cached_property
-    def _evaluator(self) -> TrainEvaluator | TimelineEvaluator | BranchEvaluator:
-        if not self.outcome.slabs:
+    def _evaluator(self) -> Evaluator:
+        if not self.outcome.is_solved:
             raise EvaluationError(f"nothing was solved: {self.message}")
-        timeline = self.outcome.timeline
-        if isinstance(timeline, BranchedTimeline):
-            return branch_evaluator(self.outcome.slabs, timeline)
-        if timeline is not None:
-            return timeline_evaluator(self.outcome.slabs, timeline)
-        return TrainEvaluator(self.outcome.slabs)
+        return evaluator_of(self.outcome, self.metadata)
 
     # --- what was asked and what came out ------------------------------------------------------
 
@@ -225,12 +225,9 @@ class SolutionCore:
     def time(self) -> tuple[float, float]:
         """Start and end of what was solved."""
         start, end = self.metadata.horizon
-        if not self.outcome.slabs:
-            return start, start
-        if self.outcome.timeline is not None:
-            return start, end
-        reached = self.outcome.slabs[-1].end
-        return start, end if abs(end - reached) <= 1e-10 * (end - start) else reached
+        pieces = self.outcome.pieces
+        outcomes = [piece.outcome for piece in pieces] if pieces else [self.outcome]
+        return start, min(_solved_end(outcome, start, end) for outcome in outcomes)
 
     # --- files ---------------------------------------------------------------------------------
 
@@ -303,9 +300,33 @@ class _ByState(dict[str, float]):
         return self[name]
 
 
+def evaluator_of(outcome: Outcome, metadata: SolutionMetadata) -> Evaluator:
+    """The evaluator of what was solved."""
+    timeline = outcome.timeline
+    if outcome.pieces:
+        boxes = [piece.metadata.box for piece in outcome.pieces]
+        evaluators = [evaluator_of(piece.outcome, piece.metadata) for piece in outcome.pieces]
+        return PieceEvaluator(evaluators, Tiling.of(boxes, metadata.parameters))
+    if isinstance(timeline, BranchedTimeline):
+        return branch_evaluator(outcome.slabs, timeline)
+    if timeline is not None:
+        return timeline_evaluator(outcome.slabs, timeline)
+    return TrainEvaluator(outcome.slabs)
+
+
 def timeline_evaluator(slabs: Sequence[SlabTrain], timeline: Timeline) -> TimelineEvaluator:
     """The evaluator of slabs over the stretches of a timeline."""
     return TimelineEvaluator(slabs, timeline.horizon, timeline.affine_borders)
+
+
+def _solved_end(outcome: Outcome, start: float, end: float) -> float:
+    """The end of what was solved of a horizon."""
+    if not outcome.slabs:
+        return start
+    if outcome.timeline is not None:
+        return end
+    reached = outcome.slabs[-1].end
+    return end if abs(end - reached) <= 1e-10 * (end - start) else reached
 
 
 @contextmanager

@@ -55,7 +55,9 @@ def summary_html(solution: SolutionCore) -> str:
 
 def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     """Headings and texts of the summary."""
-    metadata, slabs = solution.metadata, solution.outcome.slabs
+    metadata, outcome = solution.metadata, solution.outcome
+    wholes = [piece.outcome for piece in outcome.pieces] or [outcome]
+    slabs = [slab for whole in wholes for slab in whole.slabs]
     start, end = solution.time
     lower, upper = metadata.horizon
     whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
@@ -71,14 +73,14 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
         over += "; at " + _some(f"{name} = {at:g}" for name, at in metadata.fixed)
     ranks = [slab.ranks for slab in slabs]
     highest = max((max(each, default=1) for each in ranks), default=0)
-    train = [count(len(slabs), "slab"), f"rank {highest}"]
+    pieces = [count(len(outcome.pieces), "piece")] if outcome.pieces else []
+    train = [*pieces, count(len(slabs), "slab"), f"rank {highest}"]
     if slabs and slabs[0].bases:
         largest = [max(column) for column in zip(*ranks, strict=True)]
         sizes = ([basis.size for basis in slab.bases] for slab in slabs)
         nodes = [max(column) for column in zip(*sizes, strict=True)]
         train.append(f"ranks up to ({_some(map(str, largest))})")
         train.append(f"nodes up to ({_some(map(str, nodes))})")
-    outcome = solution.outcome
     sampled = outcome.history[-1].integrator if outcome.history else ""
     if outcome.measured is not None and sampled not in ("", outcome.measured.integrator):
         train.append(f"samples ({sampled})")

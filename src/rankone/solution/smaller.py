@@ -10,11 +10,13 @@ import numpy as np
 
 from rankone.discretization.coordinates import name_of, round_off
 from rankone.ir.metadata import SolutionMetadata, of_derivatives
-from rankone.ir.outcome import Outcome
+from rankone.ir.outcome import Outcome, Piece
 from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
+from rankone.solution.joining import joined
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.slab import at_one_time, differentiated, restricted
+from rankone.tensors.tiling import Tiling
 
 # Smallest interval over the one before: rounding errors of derivatives grow with its inverse
 _LEAST_SHARE = 1e-6
@@ -61,6 +63,9 @@ def with_fixed(
         j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         point = _inside(name, at, lower, upper)
+        if outcome.pieces:
+            outcome, metadata = _fixed_in_pieces(outcome, metadata, j, point)
+            continue
         outcome = outcome.fixed(j, point)
         metadata = replace(
             metadata,
@@ -104,11 +109,37 @@ def with_restricted(
                 term=interval,
                 remedy="fix a single value instead" if low == high else f"give ({high:g}, {low:g})",
             )
+        if outcome.pieces:
+            outcome, metadata = _restricted_in_pieces(outcome, j, (low, high))
+            continue
         box = [*metadata.box]
         box[j] = (low, high)
         outcome = replace(outcome, slabs=restricted(outcome.slabs, j, (low, high)))
         metadata = replace(metadata, box=tuple(box))
     return _part(outcome, metadata.rtol), metadata
+
+
+def _fixed_in_pieces(outcome: Outcome, metadata: SolutionMetadata, j: int, at: float) -> _Pair:
+    """The pieces that hold a value of the parameter at a position, with it fixed there."""
+    boxes = [piece.metadata.box for piece in outcome.pieces]
+    positions = Tiling.of(boxes, metadata.parameters).at(j, at)
+    smaller = []
+    for piece in (outcome.pieces[position] for position in positions):
+        held = {metadata.parameters[j]: float(np.clip(at, *piece.metadata.box[j]))}
+        smaller.append(Piece(*with_fixed(piece.outcome, piece.metadata, held)))
+    return joined(smaller)
+
+
+def _restricted_in_pieces(outcome: Outcome, j: int, interval: tuple[float, float]) -> _Pair:
+    """The pieces that have a part of an interval of the parameter at a position, and their part."""
+    smaller = []
+    for piece in outcome.pieces:
+        (lower, upper), name = piece.metadata.box[j], piece.metadata.parameters[j]
+        low, high = max(lower, interval[0]), min(upper, interval[1])
+        if high - low > round_off(lower, upper):
+            part = {name: (low, high)}
+            smaller.append(Piece(*with_restricted(piece.outcome, piece.metadata, part)))
+    return joined(smaller)
 
 
 def merged(by_symbol: object, named: Mapping[str, object]) -> dict[str, Any]:
@@ -164,6 +195,8 @@ def _part(outcome: Outcome, rtol: float) -> Outcome:
     The error of a part at corners that did not count, and are less accurate, is not known.
     """
     measured = outcome.measured
+    if outcome.pieces:  # each of them knows that it is a part
+        return outcome
     if measured is None or any(isinstance(note, PartOfSolution) for note in outcome.notes):
         return outcome
     status, cause, notes = outcome.status, outcome.cause, outcome.notes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
 from rankone.support.wording import did_you_mean, listing
 from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 
@@ -28,8 +29,10 @@ class EventTimes(SolutionCore):
         Raises
         ------
         EvaluationError
-            If the problem has no events, or nothing was solved.
+            If the problem has no events, nothing was solved, or the solution is joined of pieces,
+            of which each has a timeline.
         """
+        self.outcome.refuse_pieces("timeline")
         timeline = self.outcome.timeline
         if not self.outcome.slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
@@ -80,6 +83,10 @@ class EventTimes(SolutionCore):
         EvaluationError
             If there is no such event, or as in a call.
         """
+        if self.outcome.pieces:
+            return self._in_own_pieces(
+                lambda piece, points: piece.event_times(event, points), at, named
+            )
         timeline, name = self.timeline, name_of(event)
         if name not in timeline.events:
             raise EvaluationError(
@@ -107,6 +114,9 @@ class EventTimes(SolutionCore):
         -------
         ndarray (broadcast shape of the values)
         """
+        if self.outcome.pieces:
+            ends = self._in_own_pieces(lambda piece, points: piece.end(points)[None], at, named)
+            return np.asarray(ends[0])
         timeline, (_, horizon) = self.outcome.timeline, self.metadata.horizon
         if timeline is None or not timeline.terminal:
             values = self._parameters(at, named)
@@ -118,6 +128,25 @@ class EventTimes(SolutionCore):
             last = np.take_along_axis(borders, np.maximum(counts - 1, 0)[None], axis=0)[0]
             last = np.where(counts > 0, last, np.nan)
         return np.asarray(np.minimum(last, horizon).reshape(shape))
+
+    def _in_own_pieces(
+        self,
+        of: Callable[[EventTimes, dict[str, Array]], Array],
+        at: tuple[object, ...],
+        named: dict[str, object],
+    ) -> Array:
+        """Rows (count, N) of the pieces that hold points, NaN where a piece has fewer of them."""
+        points, shape = self._points(at, named)
+        assert isinstance(self._evaluator, PieceEvaluator)
+        table = np.full((0, points.shape[1]), np.nan)
+        for position, here in self._evaluator.tiling.groups(points):
+            piece = self.outcome.pieces[position]
+            own = EventTimes(piece.outcome, piece.metadata)
+            rows = of(own, dict(zip(self.metadata.parameters, points[:, here], strict=True)))
+            more = max(len(rows) - len(table), 0)
+            table = np.pad(table, ((0, more), (0, 0)), constant_values=np.nan)
+            table[: len(rows), here] = rows
+        return table.reshape(len(table), *shape)
 
     def _borders(
         self, at: tuple[object, ...], named: dict[str, object]

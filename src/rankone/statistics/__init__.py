@@ -9,6 +9,7 @@
 ``solution_statistics``  statistics of states at given times, and how certain they are
 ``over_box``             the methods of a solution
 ``timeline_statistics``  those of solutions with events, which jump over the parameters
+``piece_statistics``     those of solutions that were joined of pieces
 ``line_averages``        averages along lines through the box, more and more until they settle
 ``closed_lines``         quadrature for functions that jump across surfaces
 =======================  ===========================================================================

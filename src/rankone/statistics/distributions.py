@@ -262,12 +262,23 @@ class Measure:
         tail = self.distribution.sf if self._in_upper_tail else self.distribution.cdf
         return tail(points)
 
+    def share(self, lower: float, upper: float) -> float:
+        """The probability of a part of the interval."""
+        if self.distribution is None:
+            return (upper - lower) / (self.upper - self.lower)
+        below, above = self._cumulative([lower, upper])
+        return float(abs(above - below) / self.mass)
+
+    def cut(self, lower: float, upper: float) -> Measure:
+        """The same on a part of the interval."""
+        return Measure(self.name, lower, upper, self.distribution, from_problem=True)
+
     def integrals(self, basis: Basis1D) -> tuple[Array, Array]:
         """Means of the modes of a basis, (size,), and a root R (size, k) of means of products.
 
         R R^T has the means of products of two modes. R is found by QR: nothing is squared.
         """
-        points, weights = self._quadrature(basis)
+        points, weights = self.quadrature(basis)
         modes = basis.modal_values(points)
         root: Array = np.asarray(np.linalg.qr(np.sqrt(weights)[:, None] * modes, mode="r"))
         return weights @ modes, np.ascontiguousarray(root.T)
@@ -295,7 +306,7 @@ class Measure:
 
         The weights have the sum one.
         """
-        points, weights = self._quadrature(basis, factors)
+        points, weights = self.quadrature(basis, factors)
         count = factors * (basis.degree - 1) // 2 + 1
         element = np.searchsorted(basis.edges[1:-1], points, side="right")
         masks = [element == e for e in range(basis.elements)]
@@ -304,7 +315,7 @@ class Measure:
         scaled, weights = (np.concatenate(arrays) for arrays in zip(*rules, strict=True))
         return basis.scale.from_scale(scaled), weights / weights.sum()
 
-    def _quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+    def quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
         """Points and weights of sum one that integrate products of modes."""
         enough = factors * basis.degree // 2 + 1
         if not basis.scale.is_identity:  # the density of x over its scale is another factor

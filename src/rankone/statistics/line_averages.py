@@ -13,6 +13,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 PointSets = Callable[[Array], Sequence[Array]]
@@ -83,7 +84,7 @@ class _Average:
 class LineAverages:
     """Averages of the states ``rows`` of an evaluator over clock time."""
 
-    evaluator: TimelineEvaluator | BranchEvaluator
+    evaluator: TimelineEvaluator | BranchEvaluator | PieceEvaluator
     rows: NDArray[np.intp]
 
     def __call__(

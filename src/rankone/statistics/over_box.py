@@ -19,6 +19,7 @@ from rankone.statistics.joint_distribution import (
     copula_of,
     measures_of,
 )
+from rankone.statistics.piece_statistics import PieceStatistics
 from rankone.statistics.solution_statistics import (
     ROUNDING_ERROR,
     MainEffects,
@@ -32,6 +33,8 @@ from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import shown
 from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 Times = ArrayLike | None
@@ -415,6 +418,12 @@ class StatisticsOverBox(SolutionCore):
 
     def _statistics_of(self, parameters: JointDistribution) -> Statistics:
         rows, evaluator = self.metadata.unknown_rows, self._evaluator
+        if isinstance(evaluator, PieceEvaluator):
+            slabs = [piece.outcome.slabs for piece in self.outcome.pieces]
+            is_plain = all(isinstance(piece, TrainEvaluator) for piece in evaluator.pieces)
+            if is_plain and parameters.copula is None:
+                return PieceStatistics(slabs, evaluator, rows, parameters)
+            return TimelineStatistics(evaluator.likeliest(), rows, parameters)
         if isinstance(evaluator, BranchEvaluator):
             evaluator = evaluator.likeliest()
         if isinstance(evaluator, TimelineEvaluator | BranchEvaluator):

@@ -24,6 +24,7 @@ from rankone.statistics.solution_statistics import Statistics
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
 from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
@@ -42,7 +43,7 @@ class TimelineStatistics(Statistics):
 
     def __init__(
         self,
-        evaluator: TimelineEvaluator | BranchEvaluator,
+        evaluator: TimelineEvaluator | BranchEvaluator | PieceEvaluator,
         rows: Sequence[int],
         parameters: JointDistribution,
     ) -> None:

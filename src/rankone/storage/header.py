@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rankone.discretization import BASES, SCALES, Basis1D, Scale
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.outcome import Outcome, Piece, SlabRecord
 from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Timeline
 from rankone.ir.verdict import NarrowBox, Status
 from rankone.support.errors import StorageError
@@ -33,10 +33,12 @@ from rankone.support.files import as_path
 from rankone.support.plain_data import plain, rebuilt
 from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.tiling import Tiling
 from rankone.tensors.train import Train
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 4  # Newest version that is read: it came with timelines of several branches
+FORMAT_VERSION = 5  # Newest version that is read: it came with solutions joined of pieces
+_FOURTH_VERSION = 4  # It came with timelines of several branches
 _THIRD_VERSION = 3  # It came with timelines
 _FIRST_VERSION, _SECOND_VERSION = 1, 2  # Versions of files that hold nothing of what came later
 _SECOND_NOTES = (NarrowBox.__name__,)  # Notes that came with version 2, as did scales of bases
@@ -107,25 +109,39 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     version = _SECOND_VERSION if is_second else _FIRST_VERSION
     timeline: dict[str, Timeline | BranchedTimeline] = {}
     if isinstance(outcome.timeline, BranchedTimeline):
-        version, timeline = FORMAT_VERSION, {"branches": outcome.timeline}
+        version, timeline = _FOURTH_VERSION, {"branches": outcome.timeline}
     elif outcome.timeline is not None:
         version, timeline = _THIRD_VERSION, {"timeline": outcome.timeline}
+    pieces = {"pieces": len(outcome.pieces)} if outcome.pieces else {}
+    if pieces:
+        version = FORMAT_VERSION
     header = {
         "format": FORMAT,
         "format_version": version,
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
         **{name: getattr(outcome, name) for name in ("message", *_PLAIN)},
-        "history": outcome.history,
+        "history": () if outcome.pieces else outcome.history,
         "bases": [_fields(basis) for basis in bases],
         "slabs": slabs,
         **timeline,
+        **pieces,
     }
-    arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
+    arrays: dict[str, NDArray[Any]] = {
+        "header": np.array(json.dumps(plain(header), allow_nan=False))
+    }
+    for i, piece in enumerate(outcome.pieces):
+        own = packed(piece.outcome, piece.metadata)
+        arrays |= {f"{piece_prefix(i)}{name}": array for name, array in own.items()}
     for i, slab in enumerate(outcome.slabs):
         for j, core in enumerate(slab.cores):
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
     arrays["digest"] = np.array(digest_of(arrays))
     return arrays
+
+
+def piece_prefix(index: int) -> str:
+    """What the names of the arrays of a piece begin with."""
+    return f"piece_{index}_"
 
 
 def _has_new_notes(content: object) -> bool:
@@ -138,8 +154,11 @@ def _has_new_notes(content: object) -> bool:
 
 
 def digest_of(arrays: Arrays) -> str:
-    """SHA-256 of the header and of all cores, in the order of their names."""
+    """SHA-256 of the header, of the digests of pieces, and of cores in the order of their names."""
     digest = hashlib.sha256(str(arrays["header"][()]).encode())
+    for name in sorted(name for name in arrays if name.startswith("piece_")):
+        if name.endswith("_digest"):
+            digest.update(f"{name} {arrays[name][()]} ".encode())
     for name in sorted(name for name in arrays if name.startswith("core_")):
         digest.update(f"{name} {arrays[name].shape} ".encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
@@ -155,13 +174,16 @@ def unpacked(
     fit = len(metadata.roles) == len(metadata.states)
     if not fit or [*metadata.unknowns] != header["metadata"]["unknowns"]:
         raise ValueError("the unknowns do not fit the states")
-    if metadata.method not in records:
+    if metadata.method not in records and "pieces" not in header:
         raise StorageError(
             f"`{path}` holds a solution by method={metadata.method!r}, which is not known here",
             term=path,
             remedy=f"methods that can be read: {', '.join(records)}",
         )
-    outcome = _outcome(header, records[metadata.method], arrays)
+    if "pieces" in header:
+        outcome = _joined_outcome(header, arrays, path, records)
+    else:
+        outcome = _outcome(header, records[metadata.method], arrays)
     _check(outcome, metadata)
     if "digest" not in arrays:
         raise ValueError("it has no digest, so whether it is as it was saved is not known")
@@ -204,6 +226,40 @@ def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays
         or rebuilt(BranchedTimeline | None, header.get("branches")),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
     )
+
+
+def _joined_outcome(
+    header: Mapping[str, Any],
+    arrays: Arrays,
+    path: Path,
+    records: Mapping[str, type[SlabRecord]],
+) -> Outcome:
+    """The outcome of a solution that was joined of pieces, with these."""
+    count = rebuilt(int, header["pieces"])
+    own = [_OfPiece(arrays, piece_prefix(i)) for i in range(count)]
+    pieces = tuple(Piece(*unpacked(piece, path, records)) for piece in own)
+    if count < 2 or any(piece.outcome.pieces or not piece.outcome.slabs for piece in pieces):
+        raise ValueError("it is said to be joined of pieces, and has none")
+    outcome = _outcome({**header, "slabs": [], "history": []}, SlabRecord, arrays)
+    history = tuple(record for piece in pieces for record in piece.outcome.history)
+    return replace(outcome, pieces=pieces, history=history)
+
+
+class _OfPiece(Mapping[str, NDArray[Any]]):
+    """The arrays of a piece among those of a file."""
+
+    def __init__(self, arrays: Arrays, prefix: str) -> None:
+        self._arrays, self._prefix = arrays, prefix
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._arrays[self._prefix + name]
+
+    def __iter__(self) -> Iterator[str]:
+        size = len(self._prefix)
+        return (name[size:] for name in self._arrays if name.startswith(self._prefix))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def _fields(basis: Basis1D) -> dict[str, Any]:
@@ -256,6 +312,8 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     measured = states if outcome.measured is None else len(outcome.measured.interior)
     if counts | {(rows, len(metadata.box))} != {(rows, parameters)} or measured != states:
         raise ValueError("the names do not fit the cores")
+    if outcome.pieces:
+        _check_pieces(outcome, metadata)
     counted = None if outcome.measured is None else outcome.measured.counted
     if counted is not None and not (counted and {*counted} <= {*range(states)}):
         raise ValueError(f"the states that count are {counted}, of {states}")
@@ -272,13 +330,32 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
         for branch in branches:
             _check_timeline(branch, span, parameters)
         span = (0.0, float(timeline.stretches))
-    _check_slabs(outcome.slabs, metadata, span)
+    if not outcome.pieces:
+        _check_slabs(outcome.slabs, metadata, span)
+        _check_end(outcome, span)
+    _check_error(outcome, metadata.rtol)
+
+
+def _check_pieces(outcome: Outcome, metadata: SolutionMetadata) -> None:
+    """Raise a ValueError unless pieces tile the box, and are as good as the whole is said to be."""
+    pieces = [piece.metadata for piece in outcome.pieces]
+    alike = {(piece.states, piece.parameters, piece.horizon) for piece in pieces}
+    if alike != {(metadata.states, metadata.parameters, metadata.horizon)}:
+        raise ValueError("its pieces are of different problems")
+    if Tiling.of([piece.box for piece in pieces], metadata.parameters).box != metadata.box:
+        raise ValueError("its pieces do not tile the box")
+    statuses = {piece.outcome.status for piece in outcome.pieces}
+    if outcome.status is Status.CONVERGED and statuses != {Status.CONVERGED}:
+        raise ValueError("the status is CONVERGED, and that of a piece is not")
+
+
+def _check_end(outcome: Outcome, span: tuple[float, float]) -> None:
+    """Raise a ValueError if a solution converged without reaching the end."""
     end = span[1]
     if outcome.status is Status.CONVERGED and not outcome.slabs[-1].end >= end - _near(span):
         raise ValueError(
             f"the status is CONVERGED, but the last slab ends at {outcome.slabs[-1].end}, not {end}"
         )
-    _check_error(outcome, metadata.rtol)
 
 
 def _check_texts(metadata: SolutionMetadata) -> None:

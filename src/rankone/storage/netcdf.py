@@ -23,7 +23,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.timeline import BranchedTimeline
 from rankone.ir.verdict import Status
-from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
+from rankone.storage.header import FORMAT, not_a_solution, packed, piece_prefix, reading, unpacked
 from rankone.support.arrays import Array
 from rankone.support.errors import StorageError, optional_module
 from rankone.support.files import as_path, free_target, write_files
@@ -115,15 +115,28 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
             add(name, dimensions, content, about)
     add("header", (), str(arrays["header"]), "what was asked and what came out, as JSON")
     add("digest", (), str(arrays["digest"]), "SHA-256 of header and cores")
+    wholes = [piece.outcome for piece in outcome.pieces] or [outcome]
+    for k, whole in enumerate(wholes):
+        prefix = piece_prefix(k) if outcome.pieces else ""
+        if prefix:
+            add(f"{prefix}header", (), str(arrays[f"{prefix}header"]))
+            add(f"{prefix}digest", (), str(arrays[f"{prefix}digest"]))
+        for name, dimensions in _core_dimensions(whole, prefix):
+            add(name, dimensions, arrays[name])
+
+
+def _core_dimensions(outcome: Outcome, prefix: str) -> Iterator[tuple[str, tuple[str, str, str]]]:
+    """The names of all cores, and of their dimensions; those of a piece with a prefix."""
     row = "state" if outcome.timeline is None else "state_or_clock"
     for i, slab in enumerate(outcome.slabs):
         if isinstance(outcome.timeline, BranchedTimeline):  # each branch has guards of its own
             row = f"row_of_{len(slab.cores[0])}"
         for j in range(len(slab.cores)):
-            add(f"core_{i}_{j}", _dimensions(i, j, len(slab.cores), row), arrays[f"core_{i}_{j}"])
+            left, middle, right = _dimensions(f"{prefix}{i}", j, len(slab.cores), row)
+            yield f"{prefix}core_{i}_{j}", (left, middle, right)
 
 
-def _dimensions(i: int, j: int, count: int, row: str) -> tuple[str, str, str]:
+def _dimensions(i: str, j: int, count: int, row: str) -> tuple[str, str, str]:
     """Names of the dimensions of core j of slab i, which has ``count`` cores; the first has rows.
 
     The rows of a solution with events are its states, the guards of branches, the clock and the

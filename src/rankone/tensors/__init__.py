@@ -12,6 +12,8 @@ module             subject, in the order to read
 ``over_clock``     what evaluators over clock time share
 ``timeline``       evaluation over clock time, of slabs over stretches
 ``branches``       the same where several orders of events hold, each in a part of the box
+``tiling``         boxes that tile a box, and which of them holds a point
+``pieces``         evaluation where trains of its own belong to each box of a tiling
 ``canonical``      sums of products of functions, from the trains of a horizon
 ``rank_one_sums``  arithmetic of sums of products of nodal values; conversion to trains
 =================  =================================================================================
