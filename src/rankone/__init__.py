@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rankone.interface.compiled import CompiledProblem
     from rankone.interface.compiled import compile_problem as compile
     from rankone.interface.compiled import solve_problem as solve
+    from rankone.interface.many import Solutions, solve_many
     from rankone.interface.solution import Solution, load
     from rankone.interface.steady import steady_state
     from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
@@ -101,6 +102,7 @@ __all__ = [
     "SeparationError",
     "Sobol",
     "Solution",
+    "Solutions",
     "Status",
     "SteadyState",
     "StorageError",
@@ -127,6 +129,7 @@ __all__ = [
     "read_sbml",
     "separate",
     "solve",
+    "solve_many",
     "steady_state",
     "table",
     "weak_form",
@@ -148,6 +151,7 @@ _MODULES = {
     "frontend.steady_start": ("SteadyState",),
     "frontend.trajectory": ("Trajectory",),
     "interface.compiled": ("CompiledProblem", "compile", "solve"),
+    "interface.many": ("Solutions", "solve_many"),
     "interface.solution": ("Solution", "load"),
     "interface.steady": ("steady_state",),
     "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),

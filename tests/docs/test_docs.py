@@ -51,6 +51,7 @@ LONG = {
         "guide/functions-of-unknowns.md",
         "guide/friction.md",
         "guide/models-as-written.md",
+        "guide/more-than-one-machine.md",
         "guide/neuron.md",
         "guide/oscillators.md",
         "guide/plots.md",

@@ -4,6 +4,7 @@
 :mod:`~.problem`        :class:`rankone.Problem`, what users build, change, save and integrate
 :mod:`~.checked`        its arguments validated, by all the checks below
 :mod:`~.box`            the time interval, the intervals or distributions of parameters, units
+:mod:`~.box_pieces`     a box cut into pieces that tile it
 :mod:`~.content`        what a checked problem holds, shows, and is compared by
 :mod:`~.shorthand`      constants and definitions
 :mod:`~.run_time`       which constants are run-time values of compiled problems

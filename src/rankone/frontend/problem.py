@@ -17,6 +17,7 @@ from rankone.frontend.algebraic import Reduction
 from rankone.frontend.box import (
     check_time,
 )
+from rankone.frontend.box_pieces import counts_of, pieces_of
 from rankone.frontend.changes import changes_of, with_constants, with_parameters
 from rankone.frontend.checked import CheckedProblem
 from rankone.frontend.events import (
@@ -451,6 +452,38 @@ class Problem(CheckedProblem):
         """
         states = map(name_of, self.initial)
         return type(self)(**with_parameters(self.written, changes_of(intervals, named), states))
+
+    def split(
+        self, counts: Mapping[Any, Any] | None = None, /, **named: Any
+    ) -> list[dict[str, tuple[float, float]]]:
+        """Boxes that tile the box, for :func:`rankone.solve_many` and :meth:`Solution.join`.
+
+        Parameters
+        ----------
+        counts, **named
+            By symbols or names the number of pieces of a parameter, even on its scale, or the
+            values at which to cut: ``problem.split({k: 4})``, ``problem.split(k=4, m=[0.3, 2])``.
+            Other parameters are not cut.
+
+        Returns
+        -------
+        list of dict
+            For each piece the intervals of all parameters by name; the last one changes fastest.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or cuts are not inside its interval in ascending order.
+
+        Examples
+        --------
+        >>> t, k = sp.symbols("t k")
+        >>> u = sp.Function("u")(t)
+        >>> problem = Problem([sp.Eq(u.diff(t), -k * u)], (t, 0, 2), {k: (1, 2)}, {u: 1})
+        >>> problem.split(k=2)
+        [{'k': (1.0, 1.5)}, {'k': (1.5, 2.0)}]
+        """
+        return pieces_of(self.coordinates[1:], counts_of(counts, named))
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the problem to a TOML file, which ``rankone solve`` and the like read.

@@ -9,6 +9,7 @@
 ``stretched``   the form over stretches, for the same methods
 ``held``        the form with each switch of the rates held on a side
 ``steady``      steady states as solutions of the parameters alone
+``many``        solves on many boxes, side by side
 ``solution``    the solution with its statistics, outputs, fits, exports and files
 ==============  ====================================================================================
 """

@@ -302,11 +302,16 @@ class _ByState(dict[str, float]):
 
 def evaluator_of(outcome: Outcome, metadata: SolutionMetadata) -> Evaluator:
     """The evaluator of what was solved."""
-    timeline = outcome.timeline
     if outcome.pieces:
         boxes = [piece.metadata.box for piece in outcome.pieces]
-        evaluators = [evaluator_of(piece.outcome, piece.metadata) for piece in outcome.pieces]
+        evaluators = [_own_evaluator(piece.outcome) for piece in outcome.pieces]
         return PieceEvaluator(evaluators, Tiling.of(boxes, metadata.parameters))
+    return _own_evaluator(outcome)
+
+
+def _own_evaluator(outcome: Outcome) -> TrainEvaluator | TimelineEvaluator | BranchEvaluator:
+    """The evaluator of slabs."""
+    timeline = outcome.timeline
     if isinstance(timeline, BranchedTimeline):
         return branch_evaluator(outcome.slabs, timeline)
     if timeline is not None:

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 from rankone.support.errors import OptionError
 from rankone.support.wording import count
@@ -61,11 +62,7 @@ def quiet(event: ProgressEvent, /) -> None:
 @contextmanager
 def progress_bar() -> Iterator[Report]:
     """A bar and the callback that moves it: a widget in notebooks, else on standard error."""
-    with warnings.catch_warnings():  # without ipywidgets it is text, in notebooks as well
-        warnings.simplefilter("ignore")
-        from tqdm.auto import tqdm
-
-    with tqdm(
+    with _tqdm()(
         total=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
     ) as bar:
         bar.set_description_str("solving")
@@ -78,6 +75,40 @@ def progress_bar() -> Iterator[Report]:
             bar.set_postfix_str(shown, refresh=False)
             bar.update(0)
             bar.refresh()
+
+        yield show
+
+
+def _tqdm() -> Any:
+    """The class of bars: without ipywidgets it is text, in notebooks as well."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from tqdm.auto import tqdm
+    return tqdm
+
+
+@contextmanager
+def counting_bar(progress: object, total: int) -> Iterator[Callable[[int, int], object]]:
+    """What is called with the numbers of finished and of all solves.
+
+    True is a bar on standard error, False nothing; a callable is called; or an OptionError.
+    """
+    if progress is not True and progress is not False:
+        if not callable(progress):
+            raise OptionError(
+                f"progress is {progress!r}",
+                term=progress,
+                remedy="use True, False or a function of the numbers of finished and of all boxes",
+            )
+        yield progress
+        return
+    if progress is False:
+        yield lambda done, total: None
+        return
+    with _tqdm()(total=total, leave=False, desc="solving", unit="box") as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.update(done - bar.n)
 
         yield show
 

@@ -1,0 +1,125 @@
+"""Independent calls on a pool: a worker that dies costs its own call alone, tried again."""
+
+from __future__ import annotations
+
+import concurrent.futures
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from typing import Any, Generic, TypeVar
+
+from rankone.support.errors import RankoneError
+from rankone.support.executors import DEATHS, GUARD, Pool
+
+# Deaths of the worker of one call, alone on the machine, after which it is given up
+_MOST_DEATHS = 5
+_KILLED = "KilledWorker"  # The error of dask for a call on which several workers died
+_REMEDY = "look for a crash or a lack of memory in the workers; " + GUARD
+Answer = TypeVar("Answer")  # What a call comes to
+
+
+class Tasks(Generic[Answer]):
+    """Calls by number on an open pool, in their order as far as workers are free.
+
+    ``begin`` gives the function and the arguments of a call when it is its turn, or None if it is
+    not needed any more; ``done`` takes each answer as it comes, or the error of a call that was
+    given up. If several calls were running when a process died, they are run one by one, to tell
+    which of them it was.
+    """
+
+    def __init__(
+        self,
+        pool: Pool,
+        begin: Callable[[int], tuple[Callable[..., Answer], tuple[object, ...]] | None],
+        done: Callable[[int, Answer | RankoneError], None],
+    ) -> None:
+        self._pool, self._begin, self._done = pool, begin, done
+        self._waiting: deque[int] = deque()
+        self._suspects: deque[int] = deque()
+        self._running: dict[Future[Answer], int] = {}
+        self._deaths: Counter[int] = Counter()
+        self._finished = 0
+
+    def run(self, numbers: Iterable[int]) -> None:
+        """Run the calls; after an interrupt, those that are finished are still handed over."""
+        self._waiting.extend(numbers)
+        try:
+            while self._waiting or self._suspects or self._running:
+                self._submit()
+                if self._running:
+                    first = concurrent.futures.FIRST_COMPLETED
+                    concurrent.futures.wait(self._running, return_when=first)
+                    self._collect()
+        finally:
+            for future, number in self._running.items():
+                if not future.cancel() and future.done() and future.exception() is None:
+                    self._done(number, future.result())
+
+    def _submit(self) -> None:
+        """Submit as many calls as there are processes; a suspect alone."""
+        most = self._pool.processes or len(self._waiting) + len(self._running)
+        while self._waiting or self._suspects:
+            if len(self._running) >= (1 if self._suspects else most):
+                return
+            number = (self._suspects or self._waiting).popleft()
+            call = self._begin(number)
+            if call is None:
+                continue
+            try:
+                self._running[self._pool.submit(call[0], *call[1])] = number
+            except DEATHS as error:
+                self._lost([number], error)
+
+    def _collect(self) -> None:
+        """Hand over the answers that have come."""
+        lost: list[int] = []
+        death: BaseException | None = None
+        for future in [future for future in self._running if future.done()]:
+            number = self._running.pop(future)
+            try:
+                answer = future.result()
+            except Exception as error:
+                if not isinstance(error, DEATHS) and type(error).__name__ != _KILLED:
+                    raise _failed(error) from error
+                lost.append(number)
+                death = error
+                continue
+            self._finished += 1
+            self._done(number, answer)
+        if death is not None:
+            self._lost(lost, death)
+
+    def _lost(self, lost: list[int], death: BaseException) -> None:
+        """Start processes again, and put back the calls that were running when one died."""
+        if self._pool.processes:
+            lost = sorted([*lost, *self._running.values()])
+            self._running.clear()
+            self._pool.restart()
+        elif isinstance(death, concurrent.futures.BrokenExecutor):
+            raise RankoneError(
+                f"a process of executor= died, and it takes no work any more: {death}",
+                remedy="give a number of processes, which are started again; " + _REMEDY,
+            ) from death
+        if len(lost) == 1 or not self._pool.processes:
+            self._deaths.update(lost)
+        if not self._finished and self._deaths.total() >= _MOST_DEATHS:
+            raise RankoneError(
+                f"workers died {_MOST_DEATHS} times, and none finished anything: {death}",
+                remedy=_REMEDY,
+            ) from death
+        for number in lost:
+            if self._deaths[number] < _MOST_DEATHS:
+                self._suspects.append(number)
+                continue
+            message = f"a worker died {_MOST_DEATHS} times: {death}"
+            self._done(number, RankoneError(message, remedy=_REMEDY))
+
+
+def _failed(error: Exception) -> Any:
+    """The error for a call that failed otherwise, such as one that cannot be sent."""
+    if isinstance(error, RankoneError):
+        return error
+    return RankoneError(
+        f"a worker of the executor failed: {type(error).__name__}: {error}",
+        remedy="solve without executor= to see whether the worker is the reason",
+    )
