@@ -13,15 +13,24 @@ from rankone.calibration.dynamics import Dynamics
 from rankone.calibration.records import Assigned, Condition, Records
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
+from rankone.support.errors import BlowUpError, ProblemError
 from rankone.support.wording import quote
+from rankone.trajectories.integrator import DenseTrajectories, Tolerances
 from rankone.trajectories.rest import SteadyStates, from_states
 from rankone.trajectories.sensitivities import Forcing, sensitivities
-from rankone.verification.reference import Reference, integrate_reference
+from rankone.trajectories.stacks import StackedIntegrator
 
 _SETTLE = 1e8  # Longest time to a steady state, in horizons
 _LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same
 _SAME_RATES = 1e-9  # Their change, over the largest rate of change of any state
+_COARSE = 1e-3  # Relative tolerance of trajectories that tell how large states become
+_LEAST_SIZE = 1e-9  # Absolute tolerance of these, over the largest state and the relative one
+_SMALL_STATE = 1e-3  # Share of its size down to which a state has relative accuracy
+_SAME_SIZE = (
+    10.0  # Ratio of a presumed size to that of a trajectory that need not be integrated again
+)
+_TINY = 1e-250  # Floor of sizes
+_MOST_RUNS = 4
 _ALL_STEPS = 10**9  # More steps than any trajectory has
 
 
@@ -230,11 +239,9 @@ class Simulation:
             return states, np.repeat(started.slopes[..., None], grid.size, axis=3)
         system = from_states(self.dynamics.system, (0.0, end))
         moved = np.concatenate([started.points, started.states.T], axis=1)
-        cuts = self._cuts(started.points, end)
-        reference = integrate_reference(system, moved, (0.0, end), accuracy, cuts)
-        if reference.end < end:
-            raise self._ended(reference)
-        states = reference(grid)
+        edges = [0.0, *self._cuts(started.points, end), end]
+        path = self._paths(system, moved, edges, accuracy)
+        states = path(grid)
         if not w:
             return states, np.empty((n, 0, count, grid.size))
         directions = started.directions
@@ -243,9 +250,33 @@ class Simulation:
             inner = self.dynamics.rate_slopes(times, at, started.points[which])
             return np.asarray(np.einsum("ndk,kdw->nwk", inner, directions[which]))
 
-        steps = self._steps(reference, [0.0, *cuts, end])
+        inside = [t for t, _ in path.samples(_ALL_STEPS) if 0.0 < t < end]
         forcing = Forcing(rates, started.slopes)
-        return states, sensitivities(system, moved, reference, steps, forcing, grid)
+        return states, sensitivities(system, moved, path, sorted({*edges, *inside}), forcing, grid)
+
+    def _paths(
+        self, system: System, moved: Array, edges: Sequence[float], accuracy: float
+    ) -> DenseTrajectories:
+        """All trajectories by implicit steps, each state to an accuracy relative to its size.
+
+        Coarse trajectories tell the sizes.
+        """
+        integrator, relative = StackedIntegrator(stiff=True), _COARSE
+        n = system.n_differential
+        largest = np.abs(moved[:, -n:]).max(axis=1, initial=0.0)
+        tolerated = np.broadcast_to(
+            _LEAST_SIZE * np.where(largest > 0.0, largest, 1.0), (n, len(moved))
+        )
+        for _ in range(_MOST_RUNS):
+            path = integrator.run(system, moved, edges, Tolerances(relative, relative * tolerated))
+            if path.end < edges[-1]:
+                raise self._ended(path, moved)
+            sizes = _SMALL_STATE * path.largest
+            enough = relative == accuracy and (tolerated <= _SAME_SIZE * sizes + _TINY).all()
+            if enough:
+                break
+            relative, tolerated = accuracy, np.maximum(sizes, _TINY)
+        return path
 
     def _cuts(self, points: Array, end: float) -> list[float]:
         """Times inside the horizon at which rates may jump, at any of the points."""
@@ -255,22 +286,14 @@ class Simulation:
             times += np.ravel(features.moving_cuts(np.ascontiguousarray(points.T))).tolist()
         return sorted({at for at in times if 0.0 < at < end})
 
-    def _steps(self, reference: Reference, edges: Sequence[float]) -> list[float]:
-        """Ends of steps of the trajectories, and of pieces in which rates are smooth."""
-        ends = {t for batch in reference.batches for t, _ in batch.samples(_ALL_STEPS)}
-        inside = [t for t in ends if edges[0] < t < edges[-1]]
-        return sorted({*edges, *inside})
-
-    def _ended(self, reference: Reference) -> BlowUpError | ConvergenceError:
+    def _ended(self, path: DenseTrajectories, moved: Array) -> BlowUpError:
         """The error for a trajectory that does not reach the last measurement."""
-        which = 0 if reference.blown is None else reference.blown
-        experiment = self.records.experiments[which]
+        sizes = np.abs(path.state) / np.where(path.largest > 0.0, path.largest, 1.0)
+        which = int(np.argmax(np.nan_to_num(sizes.max(axis=0), nan=np.inf)))
         return BlowUpError(
-            f"the trajectory of {quote(experiment.name)} cannot be continued beyond "
-            f"t = {reference.end:.6g}",
-            time=reference.end,
-            parameters=dict(
-                zip(self.dynamics.inputs, reference.points[which].tolist(), strict=False)
-            ),
+            f"the trajectory of {quote(self.records.experiments[which].name)} cannot be continued "
+            f"beyond t = {path.end:.6g}",
+            time=path.end,
+            parameters=dict(zip(self.dynamics.inputs, moved[which].tolist(), strict=False)),
             remedy="the parameters are probably far from those of the data",
         )
