@@ -20,7 +20,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rankone.calibration.calibrate import calibrate
     from rankone.calibration.problem import CalibrationProblem, read_petab
+    from rankone.calibration.result import Calibration
     from rankone.codegen.loading import load_module
     from rankone.codegen.lowering import quadratic_system
     from rankone.codegen.module import generate_source
@@ -76,6 +78,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BlowUpError",
+    "Calibration",
     "CalibrationProblem",
     "CompiledProblem",
     "ConvergenceError",
@@ -111,6 +114,7 @@ __all__ = [
     "WeakForm",
     "__version__",
     "at_event",
+    "calibrate",
     "compile",
     "duration",
     "event_time",
@@ -136,7 +140,9 @@ __all__ = [
 ]
 
 _MODULES = {
+    "calibration.calibrate": ("calibrate",),
     "calibration.problem": ("CalibrationProblem", "read_petab"),
+    "calibration.result": ("Calibration",),
     "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
     "codegen.module": ("generate_source",),

@@ -1,4 +1,4 @@
-"""Calibration problems from files: a model, experiments under several conditions, measurements.
+"""Calibration problems: parameters from data over bounds that are too wide for one solution.
 
 ======================  ============================================================================
 ``petab_files``         files of a PEtab problem, read and checked by the package ``petab``
@@ -10,5 +10,12 @@
 ``outputs``             observables and their noise at the measurements
 ``likelihood``          the objective, its gradient, and pseudo-residuals
 ``problem``             :class:`CalibrationProblem` and :func:`rankone.read_petab`
+``descent``             the way down from one start, by least squares in a box of trust
+``starts``              many starts, and which of them go on
+``uncertainty``         how far the data determine each parameter
+``of_experiments``      the likelihood of experiments by trajectories
+``boxes``               the box that follows the fit
+``result``              :class:`rankone.Calibration`: what was found, and whether to believe it
+``calibrate``           :func:`rankone.calibrate`
 ======================  ============================================================================
 """

@@ -8,6 +8,7 @@
 ``noise``               kinds of noise, and what a datum adds to a likelihood
 ``experiments``         experiments, and what their solutions predict
 ``models``              solutions at the times of data, with derivatives
+``integrated``          problems that are integrated at each point instead of solved
 ``free_parameters``     free parameters, their bounds, scales and starts
 ``ranges``              intervals of parameters that belong to no solution
 ``likelihood``          the likelihood of all experiments, on a unit cube

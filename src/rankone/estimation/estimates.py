@@ -91,6 +91,14 @@ class Estimates:
         return self._problem.free.named(self._z)
 
     @property
+    def most_likely(self) -> dict[str, float]:
+        """The free parameters where the likelihood is largest.
+
+        They differ from ``x`` in levels of noise, which are there corrected for what was fitted.
+        """
+        return self._problem.free.named(self._best.z)
+
+    @property
     def values(self) -> dict[str, float]:
         """All parameters of the solution: ``solution(times, fit.values)`` is the curve.
 
@@ -200,12 +208,7 @@ class Estimates:
     @cached_property
     def log_likelihood(self) -> float:
         """The largest logarithm of the probability density of the data, with all constants."""
-        values = self._problem.free.values(self._best.z)
-        if self._problem.unit_known:
-            return self._problem.log_likelihood(values)
-        variance = max(self._best.cost / self.size, 1e-300)
-        unit = self._problem.log_likelihood(values) + 0.5 * self._best.cost
-        return unit - 0.5 * self.size * (math.log(variance) + 1.0)
+        return self._problem.largest_log_likelihood(self._best.z, self._best.cost)
 
     @property
     def _estimated(self) -> int:

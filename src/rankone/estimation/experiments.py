@@ -198,7 +198,7 @@ def trial_of(
         for state in states:
             rows.append(np.full(clock.size, solution.states.index(state), dtype=np.intp))
             times.append(clock)
-    model = model_of(solution.outcome, np.concatenate(rows), np.concatenate(times))
+    model = model_of(solution, np.concatenate(rows), np.concatenate(times))
     return Trial(name, solution, fixed, observations, model)
 
 

@@ -116,16 +116,20 @@ class FreeParameters:
 
     def at_bounds(self, z: Array) -> dict[str, str]:
         """Parameters that are at the ``"lower"`` or ``"upper"`` end of their bounds at z (n,)."""
-        ends = zip(self.names, z, strict=True)
-        return {
-            name: "lower" if x < 0.5 else "upper"
-            for name, x in ends
-            if min(x, 1.0 - x) <= BOUND_TOLERANCE
-        }
+        return ends_at_bounds(self.names, z)
 
     def complete(self, free: Mapping[str, float]) -> dict[str, float]:
         """All parameters by name, in their order, for values of the free ones."""
         return {name: free[name] if name in free else self.fixed[name] for name in self.order}
+
+
+def ends_at_bounds(names: Sequence[str], z: Array) -> dict[str, str]:
+    """Coordinates that are at the ``"lower"`` or ``"upper"`` end of the unit cube at z (n,)."""
+    return {
+        name: "lower" if x < 0.5 else "upper"
+        for name, x in zip(names, z, strict=True)
+        if min(x, 1.0 - x) <= BOUND_TOLERANCE
+    }
 
 
 def free_parameters(

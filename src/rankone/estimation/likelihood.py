@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,6 +197,15 @@ class Likelihood:
                 sigma = np.broadcast_to(value_of(one.sigma), (1, data.size))[0]
                 whole += log_likelihood(noise, data, r, sigma)
         return whole
+
+    def largest_log_likelihood(self, z: Array, cost: float) -> float:
+        """The same at z (n,) with its cost, for the best common factor of unknown deviations."""
+        values = self.free.values(z)
+        if self.unit_known:
+            return self.log_likelihood(values)
+        variance = max(cost / self.size, 1e-300)
+        unit = self.log_likelihood(values) + 0.5 * cost
+        return unit - 0.5 * self.size * (math.log(variance) + 1.0)
 
     def _terms(
         self,

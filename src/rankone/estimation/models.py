@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.outcome import Outcome
+from rankone.estimation.integrated import IntegratedSolution, TrajectoryModel
 from rankone.ir.timeline import BranchedTimeline
 from rankone.solution.branches import branch_evaluator
-from rankone.solution.core import timeline_evaluator
+from rankone.solution.core import SolutionCore, timeline_evaluator
 from rankone.support.arrays import Array
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
@@ -42,8 +42,11 @@ class Model(Protocol):
         """
 
 
-def model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
+def model_of(solution: SolutionCore, rows: NDArray[np.intp], times: Array) -> Model:
     """The model of states ``rows`` at times, one each."""
+    if isinstance(solution, IntegratedSolution):
+        return TrajectoryModel(solution, rows, times)
+    outcome = solution.outcome
     timeline = outcome.timeline
     if outcome.pieces:
         pieces = [model_of(piece.outcome, rows, times) for piece in outcome.pieces]

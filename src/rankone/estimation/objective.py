@@ -40,7 +40,7 @@ class States:
         rows = np.array([solution.states.index(name) for name in names], dtype=np.intp)
         self._shape = (rows.size, times.size)
         at = np.repeat(rows, times.size), np.tile(times, rows.size)
-        self._model = model_of(solution.outcome, *at)
+        self._model = model_of(solution, *at)
 
     def __call__(self, z: Array) -> tuple[Array, Array]:
         """Values (states, times) and derivatives (states, times, n) with respect to z."""

@@ -56,9 +56,13 @@ def sensitivities(
     free : sequence of int
         Positions of the k parameters.
     """
-    path = SingleIntegrator().run(system, point[None], edges, tolerances).paths[0]
     states = np.full((times.size, system.n_differential), np.nan)
     slopes = np.full((*states.shape, len(free)), np.nan)
+    if not free:
+        sampled = SingleIntegrator().sample(system, point[None], edges, tolerances, times)
+        states[: sampled.reached] = sampled.states[: sampled.reached, :, 0]
+        return Sensitive(states, slopes)
+    path = SingleIntegrator().run(system, point[None], edges, tolerances).paths[0]
     last = int(np.searchsorted(times, path.end, side="right"))
     if not path.steps:
         return Sensitive(states, slopes)

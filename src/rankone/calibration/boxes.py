@@ -1,0 +1,216 @@
+"""The box follows the fit: solve on a box, fit in it, move it, until the optimum is inside.
+
+A box of few parameters stands around the best point so far, in the scales of the parameters. Where
+the fit ends at a side of the box that is no bound, the box moves there; where the solve does not
+reach its tolerance, the box shrinks. Each point that a fit gives is checked by trajectories, and
+is kept only if these say that it is better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from rankone.calibration.descent import Expansion, bounded_step
+from rankone.calibration.of_experiments import OfExperiments
+from rankone.estimation.experiments import Experiment
+from rankone.estimation.fit import Fit
+from rankone.estimation.search import fit_experiments
+from rankone.frontend.problem import Problem
+from rankone.interface.compiled import compile_problem
+from rankone.interface.solution import Solution
+from rankone.support.errors import RankoneError
+
+MOST_PARAMETERS = 4
+"""Most parameters of a box that searches: its trajectories grow steeply with their number."""
+_FIRST_WIDTH = math.log(10.0)  # Width of the first box in natural logarithms: one decade
+_FIRST_SHARE = 0.125  # The same in widths of the bounds, for parameters without logarithm
+_LEAST_FACTOR, _MOST_FACTOR = 0.02, 2.0  # Factors on these widths between which boxes stay
+_SHRINKING, _GROWING = 0.5, 1.5
+_AGREEMENT = 0.02  # Accepted difference of -2 log L between a solution and trajectories
+_TIGHTENING = 0.1  # Factor on the tolerance where they differ by more
+_LEAST_TOLERANCE = 1e-8
+_MOST_BOXES = 30
+_MOST_END_BOXES = 6  # Boxes around an optimum that are tried
+_SETTLED = 0.02  # Decrease of -2 log L that all parameters promise below which a search has arrived
+_INSENSITIVE = 1e-4  # Share of the largest sensitivity below which a parameter is not in a box
+_STANDARD_DEVIATIONS = 4.0  # Half the width of a box around the optimum
+_LEAST_END, _MOST_END = 0.05, 0.7  # Factors on the first widths between which such boxes are
+_SIDE = 1e-6  # Distance from a side, in widths of the box, that counts as at the side
+_MARGIN = 1e-3  # Half the width of a condition that all experiments share, relative
+
+
+class Box(NamedTuple):
+    """A box that was taken, and what came of it.
+
+    Attributes
+    ----------
+    intervals : dict of str to (float, float)
+        The parameters that were free in it; the others stayed at the best point so far.
+    solved : bool
+        Whether the solution was a success at the tolerance ``rtol``.
+    rtol : float
+        The tolerance that was asked for.
+    log_likelihood : float
+        By trajectories at the point where the fit in this box ended; NaN without a fit.
+    inside : bool
+        Whether it ended inside of the box.
+    """
+
+    intervals: dict[str, tuple[float, float]]
+    solved: bool
+    rtol: float
+    log_likelihood: float = math.nan
+    inside: bool = False
+
+
+@dataclass
+class BoxSearch:
+    """Boxes around the best point so far, which is ``at`` in the cube of the likelihood."""
+
+    problem: Problem
+    experiments: Sequence[Experiment]
+    likelihood: OfExperiments
+    at: Expansion
+    rtol: float
+    bounds: Mapping[str, tuple[float | str, ...]] = field(default_factory=dict)
+    boxes: list[Box] = field(default_factory=list)
+    fit: Fit | None = None
+    solution: Solution | None = None
+
+    def search(self, most_parameters: int = MOST_PARAMETERS) -> bool:
+        """Go from box to box; whether nothing promises a better likelihood in the end."""
+        factor = 1.0
+        while len(self.boxes) < _MOST_BOXES and factor > _LEAST_FACTOR:
+            if self.boxes and bounded_step(self.at, 1.0)[1] <= _SETTLED:
+                return True
+            chosen = self._chosen(most_parameters, factor)
+            box = self._taken({name: factor * self._unit(name) for name in chosen})
+            grows = box.solved and not box.inside
+            factor = min(factor * (_GROWING if grows else _SHRINKING), _MOST_FACTOR)
+        return False
+
+    def around(self, deviations: Mapping[str, float]) -> None:
+        """A box around the optimum, some standard deviations (in z) to each side.
+
+        It shrinks until it is solved, and moves where the fit ends at one of its sides.
+        """
+        factor = 1.0
+        for _ in range(_MOST_END_BOXES):
+            widths = {}
+            for name, deviation in deviations.items():
+                unit = self._unit(name)
+                width = 2.0 * _STANDARD_DEVIATIONS * deviation / unit
+                widths[name] = factor * unit * float(np.clip(width, _LEAST_END, _MOST_END))
+            box = self._taken(widths)
+            if box.solved and box.inside:
+                return
+            factor *= 1.0 if box.solved else _SHRINKING
+
+    def _unit(self, name: str) -> float:
+        """The width of a parameter in the first box, in z."""
+        free = self.likelihood.likelihood.free
+        j = free.names.index(name)
+        if free.logarithmic[j]:
+            return min(_FIRST_WIDTH / float(free.logarithms[j]), 1.0)
+        return _FIRST_SHARE
+
+    def _chosen(self, most: int, factor: float) -> list[str]:
+        """The parameters that matter most, and are told apart from each other.
+
+        Columns of the Jacobian are chosen by pivoting: each adds most to those before (Golub & Van
+        Loan, Matrix Computations, 5.4). They are weighed by the step that all parameters together
+        promise: where it is short there is nothing to be gained.
+        """
+        names, dynamic = self.likelihood.names, self.likelihood.dynamic
+        if len(dynamic) <= most:
+            return list(dynamic)
+        units = factor * np.array([self._unit(name) for name in dynamic])
+        step, _ = bounded_step(self.at, float(units.max()))
+        columns = [names.index(name) for name in dynamic]
+        weighed = self.at.jacobian[:, columns] * (np.abs(step[columns]) + 0.01 * units)
+        _, r, order = scipy.linalg.qr(weighed, mode="economic", pivoting=True)
+        sizes = np.abs(np.diag(r))[:most]
+        sensitive = max(int(np.sum(sizes > _INSENSITIVE * sizes[0])), 1)
+        return [dynamic[j] for j in sorted(order[:sensitive])]
+
+    def _taken(self, widths: Mapping[str, float]) -> Box:
+        """Solve on the box of these widths in z around the best point, and fit in it."""
+        intervals = self._intervals(widths)
+        solution = self._solved(intervals)
+        box = Box(intervals, solution is not None, self.rtol)
+        if solution is not None:
+            box = self._fitted(solution, box)
+        self.boxes.append(box)
+        return box
+
+    def _intervals(self, widths: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """The intervals of a box, moved inside the bounds."""
+        free, at, intervals = self.likelihood.likelihood.free, self.at.z, {}
+        for name, width in widths.items():
+            j = free.names.index(name)
+            low = float(np.clip(at[j] - 0.5 * width, 0.0, max(1.0 - width, 0.0)))
+            ends = np.repeat(at[None], 2, axis=0)
+            ends[:, j] = low, min(low + width, 1.0)
+            lower, upper = free.values(ends)[:, j].tolist()
+            intervals[name] = lower, upper
+        return intervals
+
+    def _solved(self, intervals: Mapping[str, tuple[float, float]]) -> Solution | None:
+        """The solution on a box, if it is a success; the other parameters are held."""
+        free = self.likelihood.likelihood.free
+        every = tuple(self.likelihood.integrated.parameters)
+        at = {**self.likelihood.named(self.at.z), **free.fixed}
+        held = {name: at[name] for name in every if name in at and name not in intervals}
+        logarithmic = dict(zip(free.names, free.logarithmic, strict=True))
+        box: dict[str, tuple[float | str, ...]] = {
+            name: (*ends, "log") if logarithmic[name] else ends for name, ends in intervals.items()
+        }
+        box |= {name: self._condition_range(name) for name in every if name not in (held | box)}
+        try:
+            problem = self.problem.set(held) if held else self.problem
+            solution = compile_problem(problem).solve(self.rtol, parameters=box)
+        except RankoneError:
+            return None
+        return solution if solution.success else None
+
+    def _condition_range(self, name: str) -> tuple[float, float]:
+        """From the least to the largest value of a parameter that experiments fix."""
+        at = [trial.fixed[name] for trial in self.likelihood.likelihood.trials]
+        low, high = min(at), max(at)
+        margin = 0.0 if low < high else _MARGIN * (abs(low) or 1.0)
+        return low - margin, high + margin
+
+    def _fitted(self, solution: Solution, box: Box) -> Box:
+        """Fit in a box, and go where trajectories say that it is better."""
+        at = self.likelihood.named(self.at.z)
+        fit = fit_experiments(
+            [(solution, each) for each in self.experiments],
+            bounds=self.bounds or None,
+            start={name: at[name] for name in box.intervals},
+        )
+        trial = self.likelihood.expanded(self.likelihood.places({**at, **fit.most_likely}))
+        inside = all(self._is_inside(name, fit.x[name], box) for name in box.intervals)
+        log_likelihood = self.likelihood.log_likelihood(trial)
+        agrees = 2.0 * abs(log_likelihood - fit.log_likelihood) <= _AGREEMENT
+        if inside and not agrees:
+            self.rtol = max(_TIGHTENING * self.rtol, _LEAST_TOLERANCE)
+        if trial.cost <= self.at.cost + _AGREEMENT:
+            self.fit, self.solution = fit, solution
+        if trial.cost < self.at.cost:
+            self.at = trial
+        return box._replace(log_likelihood=log_likelihood, inside=inside and agrees)
+
+    def _is_inside(self, name: str, x: float, box: Box) -> bool:
+        """Whether a fit is away from the sides of a box, or at a bound."""
+        free = self.likelihood.likelihood.free
+        j = free.names.index(name)
+        low, high = box.intervals[name]
+        near = _SIDE * (high - low)
+        below = x > low + near or low <= free.lower[j] + near
+        return bool(below and (x < high - near or high >= free.upper[j] - near))

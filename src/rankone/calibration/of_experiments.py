@@ -1,0 +1,79 @@
+"""The likelihood of experiments by trajectories, as searches take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rankone.calibration.descent import Expansion
+from rankone.estimation.experiments import Experiment, trials_of
+from rankone.estimation.free_parameters import Bounds
+from rankone.estimation.integrated import IntegratedSolution
+from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.ranges import with_linear_ranges
+from rankone.estimation.search import Options, problem_of
+from rankone.interface.compiled import CompiledProblem
+from rankone.support.arrays import Array, spread
+
+_SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
+
+
+@dataclass(frozen=True)
+class OfExperiments:
+    """-2 log L of experiments on one problem, each value from trajectories."""
+
+    integrated: IntegratedSolution
+    likelihood: Likelihood
+
+    @classmethod
+    def of(
+        cls,
+        compiled: CompiledProblem,
+        experiments: Sequence[Experiment],
+        bounds: Bounds,
+        fixed: Mapping[object, float] | None,
+    ) -> OfExperiments:
+        """The likelihood of experiments; the bounds are those of the problem unless given."""
+        integrated = IntegratedSolution(compiled.system, compiled.metadata())
+        trials = trials_of([(integrated, each) for each in experiments])
+        likelihood = problem_of(trials, Options(bounds=bounds, fixed=fixed))
+        points = spread(_SCREENED, len(likelihood.free.names), np.random.default_rng(7))
+        return cls(integrated, with_linear_ranges(likelihood, points))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters; see :class:`~rankone.calibration.descent.Expandable`."""
+        return self.likelihood.free.names
+
+    @cached_property
+    def dynamic(self) -> tuple[str, ...]:
+        """Those that trajectories depend on; the others belong to observables and noise."""
+        return tuple(name for name in self.names if name in self.integrated.parameters)
+
+    def expanded(self, z: Array) -> Expansion:
+        """At z (n,); see :class:`~rankone.calibration.descent.Expandable`."""
+        with np.errstate(all="ignore"):
+            z, cost, residuals, jacobian = (each[0] for each in self.likelihood.linearised(z[None]))
+        finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
+        return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
+
+    def named(self, z: Array) -> dict[str, float]:
+        """The parameters at z (n,), by name."""
+        return self.likelihood.free.named(z)
+
+    def places(self, values: Mapping[str, float]) -> Array:
+        """The coordinates z (n,) of parameters by name."""
+        return self.likelihood.free.places(np.array([values[name] for name in self.names]))
+
+    def log_likelihood(self, at: Expansion) -> float:
+        """The logarithm of the density of the data with all constants, by trajectories."""
+        if not np.isfinite(at.cost):
+            return -np.inf
+        return self.likelihood.largest_log_likelihood(at.z, at.cost)
+
+    def variance(self, at: Expansion) -> float:
+        """The variance of the residuals; one where standard deviations are known or estimated."""
+        return 1.0 if self.likelihood.unit_known else at.cost / self.likelihood.size

@@ -1,0 +1,206 @@
+"""What a calibration found, from how many starts, and whether to believe it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from rankone.calibration.boxes import Box
+from rankone.calibration.descent import Descent, Expandable, Expansion
+from rankone.calibration.uncertainty import deviations_at, unidentified
+from rankone.estimation.fit import Fit
+from rankone.estimation.free_parameters import ends_at_bounds
+from rankone.interface.solution import Solution
+from rankone.support.arrays import Array
+from rankone.support.errors import with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.wording import count, listing, quote
+
+_SAME = 0.1  # Difference of log-likelihoods below which starts ended at the same optimum
+
+
+class Start(NamedTuple):
+    """One random start and where it led.
+
+    Attributes
+    ----------
+    start : dict of str to float
+        Where it began.
+    x : dict of str to float
+        Where it ended.
+    log_likelihood : float
+        There, by trajectories; minus infinity if no trajectory reached the data.
+    iterations : int
+    arrived : bool
+        Whether nothing promised a better likelihood in the end, or a limit ended it.
+    """
+
+    start: dict[str, float]
+    x: dict[str, float]
+    log_likelihood: float
+    iterations: int
+    arrived: bool
+
+
+class Calibrated(Expandable, Protocol):
+    """A likelihood whose calibration is reported."""
+
+    def named(self, z: Array) -> dict[str, float]:
+        """The parameters at z (n,), by name."""
+
+    def log_likelihood(self, at: Expansion) -> float:
+        """With all constants, by trajectories; minus infinity without any."""
+
+    def variance(self, at: Expansion) -> float:
+        """The variance of the residuals; one where deviations are known or estimated."""
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration(Labelled):
+    """Parameters from data far from any first guess, from several random starts.
+
+    Attributes
+    ----------
+    x : dict of str to float
+        The best values.
+    log_likelihood : float
+        Their log-likelihood with all constants, by trajectories.
+    starts : tuple of Start
+        All starts, the best first.
+    boxes : tuple of Box
+        The boxes that were solved, in order.
+    not_identified : tuple of str
+        Parameters that the data leave free over a good part of their bounds.
+    at_bounds : dict of str to str
+        Parameters that ended at the ``"lower"`` or ``"upper"`` end of their bounds.
+    trajectories : int
+        How many trajectories were integrated, those of solved boxes not counted.
+    fit : Fit or None
+        The fit in the last box around the best values, with intervals; None without such a box.
+    solution : Solution or None
+        The solution on that box, for a posterior and for statistics.
+    remark : str
+        Why there is no such box; empty if there is one.
+    """
+
+    x: Mapping[str, float]
+    log_likelihood: float
+    starts: tuple[Start, ...]
+    boxes: tuple[Box, ...] = ()
+    not_identified: tuple[str, ...] = ()
+    at_bounds: Mapping[str, str] = field(default_factory=dict)
+    trajectories: int = 0
+    fit: Fit | None = None
+    solution: Solution | None = None
+    remark: str = ""
+
+    @classmethod
+    def of(cls, problem: Calibrated, ways: Sequence[Descent], **further: Any) -> Calibration:
+        """The result of descents, the best of them first; see the attributes for the others."""
+        starts = tuple(
+            Start(
+                problem.named(way.start),
+                problem.named(way.at.z),
+                problem.log_likelihood(way.at),
+                way.iterations,
+                way.arrived,
+            )
+            for way in ways
+        )
+        at, free = ways[0].at, tuple[str, ...]()
+        if np.isfinite(at.cost):
+            free = unidentified(problem.names, deviations_at(at, problem.variance(at)))
+        return cls(
+            starts[0].x,
+            starts[0].log_likelihood,
+            starts,
+            not_identified=free,
+            at_bounds=ends_at_bounds(problem.names, at.z),
+            **further,
+        )
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts ended within 0.1 of the best log-likelihood."""
+        return sum(s.log_likelihood >= self.log_likelihood - _SAME for s in self.starts)
+
+    @cached_property
+    def findings(self) -> tuple[str, ...]:
+        """Reasons not to trust the calibration, a sentence each."""
+        sentences = []
+        if not np.isfinite(self.log_likelihood):
+            return (
+                with_remedy(
+                    "no trajectory reaches all of the data from any start",
+                    "give narrower bounds, or more starts",
+                ),
+            )
+        if self.agreeing < 2 and len(self.starts) > 1:
+            sentences.append(
+                with_remedy("only one start found this optimum", "take more starts: starts=50")
+            )
+        if not self.starts[0].arrived:
+            sentences.append(
+                with_remedy("the best start was still on its way at its limit of iterations",
+                            "take it as a start of a fit in a box around it")
+            )  # fmt: skip
+        if self.not_identified:
+            sentences.append(
+                with_remedy(
+                    f"the data do not identify {listing(self.not_identified)}",
+                    "fix some of them, or measure more",
+                )
+            )
+        free = [name for name in self.at_bounds if name not in self.not_identified]
+        for name in free:
+            sentences.append(f"{quote(name)} is at the {self.at_bounds[name]} end of its bounds")
+        return tuple(sentences)
+
+    @property
+    def success(self) -> bool:
+        """Whether there are no :attr:`findings`."""
+        return not self.findings
+
+    @property
+    def message(self) -> str:
+        """The findings in one text, or that there are none."""
+        return "; ".join(self.findings) or "the starts agree, and nothing speaks against them"
+
+    # --- display -------------------------------------------------------------------------------
+
+    def _table(self) -> Table:
+        """The estimates, a line each."""
+        intervals = {} if self.fit is None else self.fit.interval()
+        rows = []
+        for name, x in self.x.items():
+            cell = "not identified" if name in self.not_identified else ""
+            if not cell and name in intervals:
+                low, high = intervals[name]
+                cell = f"[{low:.6g}, {high:.6g}]"
+            rows.append([name, f"{x:.6g}", cell])
+        verdict = f"{'success' if self.success else 'no success'}: {self.message}"
+        starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {_SAME:g}"
+        return Table(
+            f"Calibration: log-likelihood {self.log_likelihood:.6g}, {starts}",
+            ["parameter", "estimate", "95 % interval"],
+            rows,
+            [verdict, *([f"note: {self.remark}"] if self.remark else [])],
+        )
+
+    def _variables(self) -> Variables:
+        """Estimates, and the log-likelihoods of the starts."""
+        names = list(self.x)
+        columns = {
+            "estimate": np.array([self.x[name] for name in names]),
+            "identified": np.array([name not in self.not_identified for name in names]),
+        }
+        arrays = {name: (("parameter",), column) for name, column in columns.items()}
+        ends = np.array([start.log_likelihood for start in self.starts])
+        return Variables(
+            {**arrays, "log_likelihood": (("start",), ends)},
+            {"parameter": names, "start": list(range(len(self.starts)))},
+        )

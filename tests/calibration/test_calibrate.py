@@ -1,0 +1,139 @@
+"""Parameters over many decades from data: the starts, the boxes, and what is said of them."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import rankone as ro
+
+TRUTH = {"k1": 0.04, "k2": 1e4, "k3": 3e7}
+TIMES = np.geomspace(0.01, 40, 12)
+
+
+@pytest.fixture(scope="module")
+def kinetics():
+    """Robertson's reaction, each rate over eight decades."""
+    return ro.Problem.from_strings(
+        rhs={"x": "-k1*x + k2*y*z", "y": "k1*x - k2*y*z - k3*y**2", "z": "k3*y**2"},
+        initial={"x": "1", "y": "0", "z": "0"},
+        parameters={"k1": (1e-6, 1e2, "log"), "k2": (1, 1e8, "log"), "k3": (1e3, 1e11, "log")},
+        time=(0, 40),
+    )
+
+
+def concentrations(k1, k2, k3):
+    """States of Robertson's reaction (3, times) by SciPy alone."""
+
+    def rates(t, u):
+        return [-k1 * u[0] + k2 * u[1] * u[2], k1 * u[0] - k2 * u[1] * u[2] - k3 * u[1] ** 2,
+                k3 * u[1] ** 2]  # fmt: skip
+
+    return solve_ivp(rates, (0, 40), [1, 0, 0], "Radau", TIMES, rtol=1e-10, atol=1e-14).y
+
+
+def measured(states, share=0.02):
+    """An experiment that measures all states with relative noise."""
+    noise = np.random.default_rng(1).normal(size=states.shape)
+    names = dict(zip("xyz", states, strict=True))
+    data = dict(zip("xyz", states * (1.0 + share * noise), strict=True))
+    sigma = {name: share * np.abs(curve) for name, curve in names.items()}
+    return ro.Experiment(data, dict.fromkeys(names, TIMES), sigma=sigma), data, sigma
+
+
+def log_likelihood(data, sigma, **rates):
+    """The density of the data, with nothing of rankone."""
+    whole = 0.0
+    for name, curve in zip("xyz", concentrations(**rates), strict=True):
+        r = (data[name] - curve) / sigma[name]
+        whole -= float(np.sum(0.5 * r**2 + np.log(sigma[name]) + 0.5 * np.log(2 * np.pi)))
+    return whole
+
+
+def test_every_start_over_eight_decades_reaches_the_optimum(kinetics):
+    experiment, data, sigma = measured(concentrations(**TRUTH))
+    calibration = ro.calibrate(kinetics, experiment, starts=4, seed=3)
+    assert calibration.success, calibration.message
+    assert calibration.agreeing == 4
+    best = log_likelihood(data, sigma, **calibration.x)
+    assert calibration.log_likelihood == pytest.approx(best, abs=0.01)
+    for name in TRUTH:  # a maximum, by SciPy alone
+        for factor in (0.99, 1.01):
+            moved = {**calibration.x, name: factor * calibration.x[name]}
+            assert log_likelihood(data, sigma, **moved) < best
+    (box,) = calibration.boxes
+    assert box.solved and box.inside  # noqa: PT018
+    for name, (low, high) in calibration.fit.interval(0.99).items():
+        assert low < TRUTH[name] < high
+
+
+@pytest.mark.slow
+def test_boxes_follow_the_fit_to_an_optimum_far_outside_of_the_first(kinetics):
+    experiment, data, sigma = measured(concentrations(**TRUTH))
+    calibration = ro.calibrate(kinetics, experiment, starts=1, seed=1, search="boxes")
+    first = calibration.boxes[0].intervals
+    assert any(not low < TRUTH[name] < high for name, (low, high) in first.items())
+    assert len(calibration.boxes) > 2
+    best = log_likelihood(data, sigma, **calibration.x)
+    assert calibration.log_likelihood == pytest.approx(best, abs=0.01)
+    assert best > log_likelihood(data, sigma, **TRUTH)
+
+
+def test_the_best_of_two_minima_is_reported_and_the_other_shown():
+    problem = ro.Problem.from_strings(
+        rhs={"x": "v", "v": "-w**2*x"},
+        initial={"x": "1", "v": "0"},
+        parameters={"w": (0.3, 30, "log")},
+        time=(0, 6),
+    )
+    times = np.linspace(0.2, 6, 30)
+    experiment = ro.Experiment(np.cos(3.0 * times), times, observe="x", sigma=0.1)
+    calibration = ro.calibrate(problem, experiment, starts=8, seed=0)
+    assert calibration.x["w"] == pytest.approx(3.0, rel=1e-4)
+    ends = [start.log_likelihood for start in calibration.starts]
+    assert ends == sorted(ends, reverse=True)
+    assert ends[-1] < ends[0] - 10.0  # a frequency that is wrong, at a minimum of its own
+    assert calibration.agreeing < len(ends)
+
+
+def test_parameters_that_the_data_do_not_tell_apart_are_named():
+    problem = ro.Problem.from_strings(
+        rhs={"x": "-a*b*x - c*x**2"},
+        initial={"x": "1"},
+        parameters={"a": (1e-3, 1e3, "log"), "b": (1e-3, 1e3, "log"), "c": (1e-3, 1e3, "log")},
+        time=(0, 3),
+    )
+    times = np.linspace(0.1, 3, 20)
+
+    def rates(t, u):
+        return [-0.8 * u[0] - 1.5 * u[0] ** 2]
+
+    curve = solve_ivp(rates, (0, 3), [1.0], "LSODA", times, rtol=1e-10, atol=1e-13).y[0]
+    noise = 0.01 * np.random.default_rng(2).normal(size=20)
+    experiment = ro.Experiment(curve + noise, times, observe="x", sigma=0.01)
+    calibration = ro.calibrate(problem, experiment, starts=3, seed=0)
+    assert calibration.not_identified == ("a", "b")
+    assert not calibration.success
+    assert "the data do not identify `a` and `b`" in calibration.message
+    assert set(calibration.boxes[-1].intervals) == {"c"}
+    assert calibration.x["a"] * calibration.x["b"] == pytest.approx(0.8, rel=0.2)
+
+
+def test_what_a_calibration_cannot_take_is_said(kinetics):
+    experiment, _, _ = measured(concentrations(**TRUTH))
+    with pytest.raises(ro.OptionError, match="search='gradient' is unknown"):
+        ro.calibrate(kinetics, experiment, search="gradient")
+    with pytest.raises(ro.OptionError, match="no list of experiments"):
+        ro.calibrate(kinetics, [])
+    with pytest.raises(ro.OptionError, match="starts"):
+        ro.calibrate(kinetics, experiment, starts=0)
+    with pytest.raises(ro.RankoneError, match="Problem"):
+        ro.calibrate("kinetics", experiment)
+    event = ro.Problem.from_strings(
+        rhs={"x": "-k*x"},
+        initial={"x": "1"},
+        parameters={"k": (0.1, 10, "log")},
+        time=(0, 3),
+        events=[{"when": "x - 0.5", "direction": "falling", "then": {"x": "x + 1"}}],
+    )
+    with pytest.raises(ro.OptionError, match="events"):
+        ro.calibrate(event, ro.Experiment([1.0, 2.0], [0.1, 0.2]))
