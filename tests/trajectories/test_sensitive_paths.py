@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.sensitive_paths import sensitivities
+from rankone.trajectories.sensitive_paths import sensitive_to_parameters
 
 
 def test_stiff_kinetics_agree_with_differences_of_tight_trajectories():
@@ -23,7 +23,7 @@ def test_stiff_kinetics_agree_with_differences_of_tight_trajectories():
     times = np.array([0.0, 0.1, 1.0, 40.0])
     tolerances = Tolerances(1e-5, np.full((3, 1), 1e-10))
     free = [0, 2, 3]
-    sensitive = sensitivities(system, point, (0.0, 40.0), tolerances, times, free)
+    sensitive = sensitive_to_parameters(system, point, (0.0, 40.0), tolerances, times, free)
 
     def reference(p):
         def rates(t, u):
@@ -52,7 +52,8 @@ def test_jumps_carry_the_derivatives_of_what_they_reset():
     system, (k, d) = ro.compile(problem).system, (0.5, 3.0)
     times = np.array([0.5, 1.0, 2.0])
     tolerances = Tolerances(1e-7, np.full((1, 1), 1e-12))
-    sensitive = sensitivities(system, np.array([k, d]), (0.0, 1.0, 2.0), tolerances, times, [0, 1])
+    point, edges = np.array([k, d]), (0.0, 1.0, 2.0)
+    sensitive = sensitive_to_parameters(system, point, edges, tolerances, times, [0, 1])
     early, late = np.exp(-k * times), np.exp(-k * (times - 1.0))
     after = times >= 1.0
     by_k = np.where(after, -0.5 * d * times * early - d**2 * (times - 1) * late, -d * times * early)
@@ -66,7 +67,7 @@ def test_nothing_is_said_beyond_the_end_of_a_trajectory():
     )
     system = ro.compile(problem).system
     times, tolerances = np.array([0.25, 0.75]), Tolerances(1e-6, np.full((1, 1), 1e-9))
-    sensitive = sensitivities(system, np.array([2.0]), (0.0, 1.0), tolerances, times, [0])
+    sensitive = sensitive_to_parameters(system, np.array([2.0]), (0.0, 1.0), tolerances, times, [0])
     np.testing.assert_allclose(sensitive.slopes[0, 0], [0.25 / 0.5**2], rtol=1e-5)
     assert np.isnan(sensitive.states[1]).all()
     assert np.isnan(sensitive.slopes[1]).all()

@@ -13,6 +13,7 @@
 ``descent``             the way down from one start, by least squares in a box of trust
 ``starts``              many starts, and which of them go on
 ``uncertainty``         how far the data determine each parameter
+``of_files``            the likelihood of a problem from files, as searches take it
 ``of_experiments``      the likelihood of experiments by trajectories
 ``boxes``               the box that follows the fit
 ``result``              :class:`rankone.Calibration`: what was found, and whether to believe it

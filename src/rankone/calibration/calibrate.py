@@ -11,7 +11,7 @@ from rankone.calibration.boxes import BoxSearch
 from rankone.calibration.descent import Descent
 from rankone.calibration.of_experiments import OfExperiments
 from rankone.calibration.result import Calibration
-from rankone.calibration.starts import descents, random_starts
+from rankone.calibration.starts import MOST_STARTS, descents, random_starts
 from rankone.calibration.uncertainty import deviations_at, unidentified
 from rankone.estimation.experiments import Experiment
 from rankone.estimation.free_parameters import Bounds
@@ -24,7 +24,6 @@ from rankone.support.wording import count, listing, quote, shown
 
 MOST_END_PARAMETERS = 6
 """Most parameters of the box around the optimum."""
-_MOST_STARTS = 10_000
 _SEARCHES = ("trajectories", "boxes")
 
 
@@ -82,7 +81,7 @@ def calibrate(
     check_kind("calibrate", problem, Problem, remedy="build one with rankone.Problem(...)")
     if search not in _SEARCHES:
         raise OptionError(f"search={search!r} is unknown", remedy=f"use {listing(_SEARCHES)}")
-    starts = checked_number("starts", starts, 1, _MOST_STARTS)
+    starts = checked_number("starts", starts, 1, MOST_STARTS)
     listed = [experiments] if isinstance(experiments, Experiment) else experiments
     if not isinstance(listed, list | tuple) or not listed:
         raise OptionError(
@@ -142,7 +141,6 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
         likelihood,
         ways,
         boxes=tuple(boxes.boxes),
-        trajectories=likelihood.integrated.integrations,
         fit=boxes.fit,
         solution=boxes.solution,
         remark=remark,

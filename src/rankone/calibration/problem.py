@@ -14,11 +14,14 @@ import numpy as np
 from rankone.calibration.conditions import Settings
 from rankone.calibration.dynamics import Dynamics
 from rankone.calibration.likelihood import Evaluation, terms
+from rankone.calibration.of_files import OfFiles
 from rankone.calibration.outputs import Outputs
 from rankone.calibration.parameters import Parameter, parameter_rows
 from rankone.calibration.petab_files import open_petab, records_of
 from rankone.calibration.records import Records
+from rankone.calibration.result import Calibration
 from rankone.calibration.simulation import Simulation
+from rankone.calibration.starts import MOST_STARTS, descents
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
@@ -116,6 +119,40 @@ class CalibrationProblem:
         """
         return self._evaluated(values, self.estimated, rtol)
 
+    def fit(self, starts: int = 10, seed: int = 0) -> Calibration:
+        """Estimate the parameters from random starts within their bounds.
+
+        Nominal values of estimated parameters are not used. Each start of a latin hypercube, on
+        the scales of the parameters, goes down by least squares on trajectories and their
+        derivatives; then the best ends are moved at random and go down again. The log-likelihoods
+        that are reported are those of :meth:`objective`.
+
+        Parameters
+        ----------
+        starts : int
+            Number of random starts.
+        seed : int
+            Of the random numbers.
+
+        Returns
+        -------
+        Calibration
+            With ``x``, ``log_likelihood``, ``starts``, ``not_identified`` and ``message``.
+
+        Raises
+        ------
+        OptionError
+            If nothing is estimated, or a parameter has no finite bounds on its scale.
+        """
+        starts = checked_number("starts", starts, 1, MOST_STARTS)
+        estimated = [self.parameters[name] for name in self.estimated]
+
+        def quick(values: Mapping[str, float], rtol: float) -> Evaluation:
+            return self._evaluated(values, self.estimated, rtol, quick=True)
+
+        likelihood = OfFiles.of(estimated, quick, self.objective)
+        return Calibration.of(likelihood, descents(likelihood, starts, seed))
+
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
         numbers = {name: p.nominal for name, p in self.parameters.items()}
@@ -155,13 +192,18 @@ class CalibrationProblem:
         return Outputs(self._records, self._settings, self._dynamics.system.states)
 
     def _evaluated(
-        self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
+        self,
+        values: Mapping[str, float] | None,
+        by: tuple[str, ...],
+        rtol: object,
+        *,
+        quick: bool = False,
     ) -> Evaluation:
         point = self.point(values)
         accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
         active = [name for name in self._simulation.active if name in by]
         columns = [by.index(name) for name in active]
-        each = self._simulation.states(point, active, accuracy)
+        each = self._simulation.states(point, active, accuracy, quick=quick)
         total, residuals, jacobians = 0.0, list[Array](), list[Array]()
         standardised = np.empty(len(self._tables["measurements"]))
         for series, states in zip(self._records.series, each, strict=True):

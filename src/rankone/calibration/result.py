@@ -77,8 +77,6 @@ class Calibration(Labelled):
         Parameters that the data leave free over a good part of their bounds.
     at_bounds : dict of str to str
         Parameters that ended at the ``"lower"`` or ``"upper"`` end of their bounds.
-    trajectories : int
-        How many trajectories were integrated, those of solved boxes not counted.
     fit : Fit or None
         The fit in the last box around the best values, with intervals; None without such a box.
     solution : Solution or None
@@ -93,7 +91,6 @@ class Calibration(Labelled):
     boxes: tuple[Box, ...] = ()
     not_identified: tuple[str, ...] = ()
     at_bounds: Mapping[str, str] = field(default_factory=dict)
-    trajectories: int = 0
     fit: Fit | None = None
     solution: Solution | None = None
     remark: str = ""
@@ -122,6 +119,11 @@ class Calibration(Labelled):
             at_bounds=ends_at_bounds(problem.names, at.z),
             **further,
         )
+
+    @property
+    def iterations(self) -> int:
+        """Iterations from all starts; each evaluates the likelihood with its derivatives."""
+        return sum(start.iterations for start in self.starts)
 
     @property
     def agreeing(self) -> int:

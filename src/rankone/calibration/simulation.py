@@ -17,6 +17,7 @@ from rankone.support.errors import BlowUpError, ProblemError
 from rankone.support.wording import quote
 from rankone.trajectories.integrator import DenseTrajectories, Tolerances
 from rankone.trajectories.rest import SteadyStates, from_states
+from rankone.trajectories.sensitive_paths import RateSlopes, Start, sensitive_path
 from rankone.trajectories.sensitivities import Forcing, sensitivities
 from rankone.trajectories.stacks import StackedIntegrator
 
@@ -26,11 +27,11 @@ _SAME_RATES = 1e-9  # Their change, over the largest rate of change of any state
 _COARSE = 1e-3  # Relative tolerance of trajectories that tell how large states become
 _LEAST_SIZE = 1e-9  # Absolute tolerance of these, over the largest state and the relative one
 _SMALL_STATE = 1e-3  # Share of its size down to which a state has relative accuracy
-_SAME_SIZE = (
-    10.0  # Ratio of a presumed size to that of a trajectory that need not be integrated again
-)
+# Ratio of a presumed size to that of a trajectory that need not be integrated again
+_SAME_SIZE = 10.0
 _TINY = 1e-250  # Floor of sizes
 _MOST_RUNS = 4
+_ABSOLUTE = 1e-3  # Absolute tolerance of a search, over the relative one times a state's size
 _ALL_STEPS = 10**9  # More steps than any trajectory has
 
 
@@ -81,11 +82,17 @@ class Simulation:
         self.active = tuple(p.name for p in records.parameters if p.name in named)
 
     def states(
-        self, values: Mapping[str, float], by: Sequence[str], accuracy: float
+        self,
+        values: Mapping[str, float],
+        by: Sequence[str],
+        accuracy: float,
+        *,
+        quick: bool = False,
     ) -> list[States]:
         """The states at the measurements of each series, with derivatives by some parameters.
 
-        ``values`` are those of all parameters of the table.
+        ``values`` are those of all parameters of the table. Where it has to be ``quick``, each
+        experiment has steps of its own, and only LSODA's word for its accuracy.
 
         Raises
         ------
@@ -96,7 +103,8 @@ class Simulation:
         started = self._started(values, by)
         pairs = [(series, np.isfinite(series.times)) for series in self.records.series]
         grid = np.unique(np.concatenate([series.times[f] for series, f in pairs]))
-        path, slopes = self._trajectories(started, grid, accuracy)
+        follow = self._each if quick else self._trajectories
+        path, slopes = follow(started, grid, accuracy)
         resting = sorted({int(e) for series, f in pairs for e in series.experiments[~f]})
         at_rest = self._at_rest(started, resting)
         each = []
@@ -278,6 +286,50 @@ class Simulation:
             relative, tolerated = accuracy, np.maximum(sizes, _TINY)
         return path
 
+    def _each(self, started: _Started, grid: Array, accuracy: float) -> tuple[Array, Array]:
+        """The same one by one, for a search; NaN at times at which nothing was measured."""
+        (n, w, count), system = started.slopes.shape, self.dynamics.system
+        states = np.full((n, count, grid.size), np.nan)
+        slopes = np.full((n, w, count, grid.size), np.nan)
+        for e, point in enumerate(started.points):
+            times = self._times_of(e)
+            if not times.size:
+                continue
+            start = Start(started.states[:, e], started.slopes[:, :, e])
+            last = float(times[-1])
+            at = sensitive_path(
+                system,
+                point,
+                [0.0, *self._cuts(point[None], last), last],
+                _tolerances(start.state, accuracy),
+                times,
+                start,
+                self._rate_slopes(point, started.directions[e]),
+            )
+            reached = np.isfinite(at.states).all(axis=1)
+            if not reached.all():
+                raise self._stopped(e, point, float(times[reached].max(initial=0.0)))
+            places = np.searchsorted(grid, times)
+            states[:, e, places] = at.states.T
+            slopes[:, :, e, places] = np.moveaxis(at.slopes, 0, 2)
+        return states, slopes
+
+    def _times_of(self, experiment: int) -> Array:
+        """The finite times at which anything is measured in an experiment, ascending."""
+        series = self.records.series
+        times = np.concatenate([each.times[each.experiments == experiment] for each in series])
+        return np.unique(times[np.isfinite(times)])
+
+    def _rate_slopes(self, point: Array, directions: Array) -> RateSlopes:
+        """Derivatives of rates along directions (d, w) at a point (d,)."""
+
+        def slopes(times: Array, states: Array) -> Array:
+            points = np.broadcast_to(point, (times.size, point.size))
+            inner = self.dynamics.rate_slopes(times, states, points)
+            return np.asarray(np.tensordot(directions, inner, (0, 1)).swapaxes(0, 1))
+
+        return slopes
+
     def _cuts(self, points: Array, end: float) -> list[float]:
         """Times inside the horizon at which rates may jump, at any of the points."""
         features = self.dynamics.system.features
@@ -290,10 +342,21 @@ class Simulation:
         """The error for a trajectory that does not reach the last measurement."""
         sizes = np.abs(path.state) / np.where(path.largest > 0.0, path.largest, 1.0)
         which = int(np.argmax(np.nan_to_num(sizes.max(axis=0), nan=np.inf)))
+        return self._stopped(which, moved[which], path.end)
+
+    def _stopped(self, which: int, point: Array, time: float) -> BlowUpError:
+        """The error for an experiment whose trajectory stops at a time."""
+        experiment = self.records.experiments[which]
         return BlowUpError(
-            f"the trajectory of {quote(self.records.experiments[which].name)} cannot be continued "
-            f"beyond t = {path.end:.6g}",
-            time=path.end,
-            parameters=dict(zip(self.dynamics.inputs, moved[which].tolist(), strict=False)),
+            f"the trajectory of {quote(experiment.name)} cannot be continued beyond t = {time:.6g}",
+            time=time,
+            parameters=dict(zip(self.dynamics.inputs, point.tolist(), strict=False)),
             remedy="the parameters are probably far from those of the data",
         )
+
+
+def _tolerances(state: Array, accuracy: float) -> Tolerances:
+    """Those of a search: relative to each state's size, the largest one for those that are zero."""
+    sizes = np.abs(state)
+    sizes = np.where(sizes > 0.0, sizes, sizes.max(initial=0.0) or 1.0)
+    return Tolerances(accuracy, (_ABSOLUTE * accuracy * sizes)[:, None])

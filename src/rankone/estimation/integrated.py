@@ -17,7 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import OptionError
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.sensitive_paths import sensitivities
+from rankone.trajectories.sensitive_paths import sensitive_to_parameters
 
 _ABSOLUTE = 1e-6  # Absolute tolerance, in sizes of each state: those of the initial values or data
 _MOST_WORK = 2e9  # Operations of one trajectory: two seconds, a hundred times what one costs
@@ -34,11 +34,6 @@ class IntegratedSolution(SolutionCore):
         The problem; its box may be as wide as one likes.
     rtol : float
         Relative tolerance of the trajectories.
-
-    Attributes
-    ----------
-    integrations : int
-        How many trajectories were integrated so far.
     """
 
     def __init__(self, system: System, metadata: SolutionMetadata, rtol: float = 1e-5) -> None:
@@ -47,7 +42,7 @@ class IntegratedSolution(SolutionCore):
                 "trajectories with events have no sensitivities here",
                 remedy="solve the problem on a box and fit in it: solution.fit(...)",
             )
-        self.system, self.tolerance, self.integrations = system, rtol, 0
+        self.system, self.tolerance = system, rtol
         outcome = Outcome((), Status.UNCHECKED, None, ())
         super().__init__(outcome, metadata)
 
@@ -98,10 +93,9 @@ class TrajectoryModel:
         values = np.full((count, self.rows.size), np.nan)
         slopes = np.full((count, self.rows.size, len(free)), np.nan)
         for j, point in enumerate(points.T):
-            self.solution.integrations += 1
             try:
                 with limited(_MOST_WORK):
-                    at = sensitivities(
+                    at = sensitive_to_parameters(
                         self.solution.system,
                         point,
                         self.solution.edges,

@@ -21,7 +21,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 
-_STAGES = 5  # Of the collocation: order 9 at the ends of steps
+_STAGES = 5  # Of the collocation, unless fewer are asked for: order 9 at the ends of steps
 _MOST_ROUNDS = 12  # Rounds in which steps are halved
 _MOST_STEPS = 20_000
 _UNRESOLVED = 1e-5  # Last coefficient of S in a step, over its size, above which it is halved
@@ -52,11 +52,15 @@ def sensitivities(
     steps: Sequence[float],
     forcing: Forcing,
     times: Array,
+    *,
+    stages: int = _STAGES,
+    halves: bool = True,
 ) -> Array:
     """Derivatives (n, w, m, T) of trajectories at points (m, d), at times (T,).
 
     ``path`` gives the states (n, m, T) at times; ``steps`` ascend from the start to the end, and
-    rates are smooth in between.
+    rates are smooth in between. Unless it ``halves`` steps, the times should be ends of steps: with
+    few ``stages`` derivatives are less accurate in between.
 
     Raises
     ------
@@ -66,8 +70,8 @@ def sensitivities(
     ends = np.array(steps)
     sizes = np.abs(path(ends)).max(axis=2)
     for _ in range(_MOST_ROUNDS):
-        collocated = _collocated(system, points, path, ends, forcing)
-        coarse = _unresolved(collocated, sizes)
+        collocated = _collocated(system, points, path, ends, forcing, stages)
+        coarse = _unresolved(collocated, sizes) if halves else np.zeros(1, dtype=bool)
         if not coarse.any():
             return _at(collocated, ends, times)
         if ends.size > _MOST_STEPS:
@@ -82,31 +86,41 @@ def sensitivities(
 
 
 def _collocated(
-    system: System, points: Array, path: Callable[[Array], Array], ends: Array, forcing: Forcing
+    system: System,
+    points: Array,
+    path: Callable[[Array], Array],
+    ends: Array,
+    forcing: Forcing,
+    stages: int,
 ) -> Array:
     """Derivatives (K, 1 + stages, n, w, m) at the start and the nodes of each step."""
     n, w, m = forcing.start.shape
-    steps, stages = ends.size - 1, _STAGES
-    values = np.empty((steps, 1 + stages, n, w, m))
+    steps = ends.size - 1
+    values = np.empty((steps, m, 1 + stages, n, w))
     many = max(1, _MOST_NUMBERS // (m * stages * n * (stages * n + n + w)))
     current = np.moveaxis(forcing.start, 2, 0)  # (m, n, w)
     for first in range(0, steps, many):
         some = slice(first, min(first + many, steps))
-        carried, driven = _maps(system, points, path, ends[some.start : some.stop + 1], forcing)
+        ends_of = ends[some.start : some.stop + 1]
+        carried, driven = _maps(system, points, path, ends_of, forcing, stages)
         for k in range(some.start, some.stop):
-            nodal = carried[k - first] @ current[:, None] + driven[k - first]
-            values[k, 0] = np.moveaxis(current, 0, 2)
-            values[k, 1:] = np.moveaxis(nodal, 0, 3)
-            current = nodal[:, -1]
-    return values
+            values[k, :, 0] = current
+            current = carried[k - first, :, -1] @ current + driven[k - first, :, -1]
+        values[some, :, 1:] = carried @ values[some, :, :1] + driven
+    return values.transpose(0, 2, 3, 4, 1)
 
 
 def _maps(
-    system: System, points: Array, path: Callable[[Array], Array], ends: Array, forcing: Forcing
+    system: System,
+    points: Array,
+    path: Callable[[Array], Array],
+    ends: Array,
+    forcing: Forcing,
+    stages: int,
 ) -> tuple[Array, Array]:
     """What steps do: (K, m, stages, n, n) times S at the start, and (K, m, stages, n, w) added."""
-    scheme = RadauCollocation.of(_STAGES)
-    (n, w, m), stages, steps = forcing.start.shape, _STAGES, ends.size - 1
+    scheme = RadauCollocation.of(stages)
+    (n, w, m), steps = forcing.start.shape, ends.size - 1
     lengths = np.diff(ends)
     near = insets(ends[:-1], ends[1:])
     times = (ends[:-1] + near)[:, None] + (lengths - 2.0 * near)[:, None] * scheme.nodes
@@ -137,7 +151,7 @@ def _maps(
 
 def _unresolved(collocated: Array, sizes: Array) -> Array:
     """The steps (K,) whose last coefficient is too large; ``sizes`` (n, m) are those of states."""
-    modal = RadauCollocation.of(_STAGES).to_modal[-1]
+    modal = RadauCollocation.of(collocated.shape[1] - 1).to_modal[-1]
     last = np.abs(np.einsum("s,ksnwm->knwm", modal, collocated))
     largest = np.abs(collocated).max(axis=(0, 1))
     allowed = _UNRESOLVED * np.maximum(largest, _SMALL * sizes[:, None])
@@ -147,7 +161,7 @@ def _unresolved(collocated: Array, sizes: Array) -> Array:
 
 def _at(collocated: Array, ends: Array, times: Array) -> Array:
     """Values (n, w, m, T) of the polynomials at times."""
-    points = RadauCollocation.of(_STAGES).points
+    points = RadauCollocation.of(collocated.shape[1] - 1).points
     step = np.clip(np.searchsorted(ends, times, side="left") - 1, 0, ends.size - 2)
     shares = (times - ends[step]) / (ends[step + 1] - ends[step])
     weights = np.linalg.solve(
