@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.estimation.integrated import IntegratedSolution, TrajectoryModel
+from rankone.ir.outcome import Outcome
 from rankone.ir.timeline import BranchedTimeline
 from rankone.solution.branches import branch_evaluator
 from rankone.solution.core import SolutionCore, timeline_evaluator
@@ -46,10 +47,14 @@ def model_of(solution: SolutionCore, rows: NDArray[np.intp], times: Array) -> Mo
     """The model of states ``rows`` at times, one each."""
     if isinstance(solution, IntegratedSolution):
         return TrajectoryModel(solution, rows, times)
-    outcome = solution.outcome
+    return _model_of(solution.outcome, rows, times)
+
+
+def _model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
+    """The model of what an engine returned."""
     timeline = outcome.timeline
     if outcome.pieces:
-        pieces = [model_of(piece.outcome, rows, times) for piece in outcome.pieces]
+        pieces = [_model_of(piece.outcome, rows, times) for piece in outcome.pieces]
         boxes = [piece.metadata.box for piece in outcome.pieces]
         tiling = Tiling.of(boxes, outcome.pieces[0].metadata.parameters)
         return PieceModel(pieces, tiling, times.size)
