@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
-    *("max_seconds", "unknowns", "integrator", "markers", "progress", "on_failure"),
+    *("max_seconds", "unknowns", "outputs", "integrator", "markers", "progress", "on_failure"),
 )
 """Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
 # What ``show`` prints: for each flag the title and the attribute of the compiled problem
@@ -50,6 +50,7 @@ _BOX_HELP = (
 _END_HELP = "another end of the horizon, for this solve; a model starts at 0 and needs it"
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"
 _COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
+_OUTPUTS_HELP = "quantities to solve for in place of the unknowns, in quotes: 'q=x + y'"
 _UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
 _MARKERS_HELP = (
     "what may end stretches of time besides events: auto, none, or what crosses zero "
@@ -88,6 +89,7 @@ def register(commands: Commands) -> None:
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
+    add("--outputs", metavar="NAME=EXPR", nargs="+", action="extend", help=_OUTPUTS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
     add("--markers", metavar="WHEN", nargs="+", default=["auto"], help=_MARKERS_HELP)
     add("--json", action="store_true", help="print the summary as JSON")
@@ -139,7 +141,7 @@ def _markers(words: list[str]) -> str | list[str] | None:
 
 def _solve(arguments: argparse.Namespace) -> int:
     import rankone
-    from rankone.export.program import box_of, options_of
+    from rankone.export.program import box_of, options_of, pairs_of
     from rankone.models.document import is_model_file
     from rankone.storage import target
     from rankone.support.budget import preparing
@@ -169,6 +171,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             effort=arguments.effort,
             max_seconds=arguments.max_seconds,
             unknowns=arguments.unknowns,
+            outputs=pairs_of("--outputs", arguments.outputs, str) or None,
             integrator=arguments.integrator,
             markers=_markers(arguments.markers),
             progress=bar,

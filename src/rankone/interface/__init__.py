@@ -10,6 +10,7 @@
 ``held``        the form with each switch of the rates held on a side
 ``steady``      steady states as solutions of the parameters alone
 ``many``        solves on many boxes, side by side
+``observed``    outputs of a solve: quantities that are evaluated along its trajectories
 ``solution``    the solution with its statistics, outputs, fits, exports and files
 ==============  ====================================================================================
 """

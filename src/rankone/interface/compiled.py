@@ -41,12 +41,14 @@ from rankone.codegen.text import with_constants
 from rankone.frontend.markers import with_markers
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem
+from rankone.interface.observed import observation_of
 from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.resting import check_rest, check_totals
 from rankone.interface.solution import Solution
 from rankone.interface.stages import CompiledStages
 from rankone.interface.stretched import StretchedProblem
 from rankone.ir.forms import GeneralTerm
+from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
@@ -114,6 +116,7 @@ class CompiledProblem(CompiledStages):
         effort: str | float = "normal",
         max_seconds: float | None = None,
         unknowns: Sequence[object] | None = None,
+        outputs: Mapping[str, object] | str | Sequence[str] | None = None,
         integrator: Literal["auto", "stack", "single", "compiled"] = "auto",
         markers: Literal["auto"] | Sequence[object] | None = "auto",
         on_failure: Literal["return", "raise"] = "return",
@@ -156,6 +159,11 @@ class CompiledProblem(CompiledStages):
         unknowns : sequence, optional
             The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
             derivatives or names. By default all count, derivatives that are states too.
+        outputs : mapping of str to Expr or str, or definitions by name, optional
+            Quantities to solve for in place of the unknowns, as :meth:`Solution.output` takes them:
+            functions of unknowns, parameters and time. They are evaluated along trajectories; no
+            unknown is stored or checked but those named in ``unknowns``, which the solution has
+            beside the outputs. Integrals over time and extremes are outputs of that solution.
         integrator : {"auto", "stack", "single", "compiled"}
             How trajectories are integrated: many as one stacked system, each alone, or by compiled
             Taylor series, for which heyoka has to be installed. "auto" chooses by counted work,
@@ -191,6 +199,10 @@ class CompiledProblem(CompiledStages):
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
+        observed = None
+        if outputs is not None:
+            observed = self._observation(outputs, unknowns, (method, markers), parameters, t_final)
+            method, unknowns, markers = "cross", None, None
         if markers is not None and markers != "auto":
             marked = compile_problem(with_markers(self.problem, markers))
             return marked.solve(
@@ -225,8 +237,9 @@ class CompiledProblem(CompiledStages):
             unknowns=unknowns,
             integrator=integrator,
             markers=markers == "auto",
-            arguments=("method", "progress", "on_failure"),
+            arguments=("method", "outputs", "progress", "on_failure"),
         )
+        request = replace(request, observed=observed)
         solution = self._solved(request, engines, form, progress)
         if on_failure == "raise" and not solution.success:
             verdict = solution.outcome.verdict
@@ -247,8 +260,8 @@ class CompiledProblem(CompiledStages):
             self._check_gaps(request.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
         truth = self.system if isinstance(form, LiftedProblem) else None
-        system = form.system
-        if form is self and self._held is not None:
+        system, observed = form.system, request.observed
+        if form is self and observed is None and self._held is not None:
             system = replace(system, held=self._held)
         began = time.perf_counter()
         with resolve_progress(progress) as report, one_thread():
@@ -261,6 +274,7 @@ class CompiledProblem(CompiledStages):
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
             term = switching_term(self.first_order, outcome.switching)
             notes = notes if term is None else (*notes, term)
+        metadata = metadata if observed is None else metadata.observing(observed)
         solution = Solution(replace(outcome, timings=timings, notes=notes), metadata)
 
         def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
@@ -268,6 +282,27 @@ class CompiledProblem(CompiledStages):
 
         raise_blow_up(solution, on_box)
         return solution
+
+    def _observation(
+        self,
+        outputs: object,
+        unknowns: object,
+        chosen: tuple[object, object],
+        parameters: Mapping[Any, Sequence[float | str]] | None,
+        t_final: float | None,
+    ) -> Observation:
+        """What is kept of trajectories for outputs; ``chosen`` are the method and the markers."""
+        method, markers = chosen
+        if method not in ("auto", "cross") or markers not in ("auto", None):
+            which = f"method={method!r}" if method not in ("auto", "cross") else "markers"
+            raise OptionError(
+                f"outputs are evaluated along trajectories, which {which} does not apply to",
+                remedy=f"leave {which.partition('=')[0]} out, or ask the solution: "
+                "solve(...).output(...)",
+            )
+        domain = Domain.of(self.system).moved(self.system.parameters, parameters, t_final)
+        metadata = replace(self.metadata(), box=domain.box, horizon=domain.horizon)
+        return observation_of(outputs, unknowns, metadata, self.system, domain)
 
     def _check_gaps(self, domain: Domain) -> None:
         """Raise an OptionError if a piecewise function has a gap on another domain."""

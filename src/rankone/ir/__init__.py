@@ -10,6 +10,7 @@
 ``rest``         the system before a start at its steady state
 ``system``       the system as engines see it, made from a generated module
 ``measures``     intervals with a scale: uniform in the logarithm or the reciprocal
+``observation``  what a solve keeps of trajectories in place of their states
 ``request``      what a solve is asked: domain, tolerance, check, limits, options
 ``outcome``      what an engine returns
 ``verdict``      how a solve ended: status, cause, notes, and the message made of them

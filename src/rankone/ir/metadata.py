@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+
+from rankone.ir.observation import Observation
 
 _ONE_WORD = re.compile(r"[^\s/*^·⋅()+-]+")  # A unit that needs no brackets
 
@@ -60,6 +62,21 @@ class SolutionMetadata:
     constants: tuple[tuple[str, float], ...] = ()
     definitions: tuple[tuple[str, str], ...] = ()
     atol: tuple[tuple[str, float], ...] = ()
+
+    def observing(self, observed: Observation) -> SolutionMetadata:
+        """The same of a solution that holds what is observed in place of the states."""
+        coordinates = self.coordinates
+        kept = {*coordinates, *(name for name in observed.names if name in self.states)}
+        return replace(
+            self,
+            states=observed.names,
+            roles=(Role.UNKNOWN,) * len(observed.names),
+            equations=observed.texts,
+            source=None,
+            units=tuple(unit for unit in self.units if unit[0] in kept),
+            definitions=(),
+            atol=(),
+        )
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from rankone.discretization.coordinates import name_of
 from rankone.discretization.scales import SCALES, Scale, first_scale
 from rankone.ir.measures import LINEAR, check_scale, split
+from rankone.ir.observation import Observation
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
@@ -231,7 +232,7 @@ class Check:
             raise OptionError(
                 f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
             )
-        return cls(points, cover, _counted_states(system, unknowns))
+        return cls(points, cover, counted_states(system, unknowns))
 
 
 @dataclass(frozen=True)
@@ -265,7 +266,8 @@ class SolveRequest:
     one group for each engine that may be tried. ``measures`` are the scales, by the names of
     parameters, that this solve gave to intervals. ``integrator`` is one of
     INTEGRATORS. With ``markers``, stretches of time may end where no event of the user is: at
-    markers of oscillators, and where rates switch.
+    markers of oscillators, and where rates switch. What is ``observed`` is kept in place of the
+    states.
     """
 
     rtol: float
@@ -276,6 +278,7 @@ class SolveRequest:
     measures: tuple[tuple[str, str], ...] = ()
     integrator: str = "auto"
     markers: bool = True
+    observed: Observation | None = None
 
     @classmethod
     def of(
@@ -345,7 +348,7 @@ def checked_integrator(integrator: object) -> str:
     return integrator
 
 
-def _counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
+def counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
     """The states whose error counts, of names, functions of time or derivatives; None for all."""
     if unknowns is None:
         return None

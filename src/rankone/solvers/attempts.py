@@ -214,10 +214,10 @@ def solve_in_attempts(
         except OutOfBudgetError:
             cause = None
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
-    notes = [*error_notes(request.rtol, best.measured, system.states)]
+    notes = [*error_notes(request.rtol, best.measured, reference_set.names)]
     if status is not Status.CONVERGED:
         if best.result.stopped is None:
-            notes += unknowns_notes(request.rtol, best.measured, system.states)
+            notes += unknowns_notes(request.rtol, best.measured, reference_set.names)
         elif best.result.whole:
             notes.append(NothingInterpolated())
         elif system.clock is None:

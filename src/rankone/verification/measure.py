@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rankone.ir.observation import Observation
 from rankone.ir.outcome import Measured
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
@@ -37,6 +38,9 @@ _IN_STEP = 4  # Stretches between markers over which it is as accurate: phases d
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
+_LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
+_LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
+_LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
 _MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
@@ -64,6 +68,7 @@ class ReferenceSet:
     ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
     are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
     states whose error counts, None for all. ``integrator`` and ``rtol`` are those of the solve.
+    Where something is ``observed``, sizes and errors are those of its quantities.
     """
 
     system: System
@@ -79,6 +84,7 @@ class ReferenceSet:
     integrator: str = "auto"
     rtol: float = 0.0
     on_lines: int = 0
+    observed: Observation | None = None
 
     @classmethod
     def of(cls, system: System, request: SolveRequest, lines: Array | None = None) -> ReferenceSet:
@@ -106,9 +112,37 @@ class ReferenceSet:
             request.integrator,
             request.rtol,
             on_lines,
+            request.observed,
         )
         reference_set._check_sizes()
-        return reference_set
+        return reference_set if request.observed is None else reference_set._resolving()
+
+    def _resolving(self) -> ReferenceSet:
+        """The same, more accurate where quantities lose digits of the states.
+
+        A ConvergenceError where no trajectory is accurate enough: the difference of two states that
+        are nearly equal has few of their digits.
+        """
+        assert self.observed is not None
+        times = np.linspace(self.reference.start, self.end, _LOSS_SAMPLES)
+        states = self.reference(times)
+        signs = np.random.default_rng(20147).choice([-1.0, 1.0], (2, *states.shape[:2], 1))
+        moved = [states + _LOSS_SHIFT * self.of_states[:, None, None] * s for s in signs]
+        exact = self.seen(times, states)
+        changes = [np.abs(self.seen(times, each) - exact).max(axis=(1, 2)) for each in moved]
+        loss = (np.max(changes, axis=0) / self.states).max() / _LOSS_SHIFT
+        accuracy = _LOSS_SHARE * self.rtol / loss if loss > 0.0 else self.accuracy
+        if accuracy >= self.accuracy:
+            return self
+        if accuracy < reference_accuracy(0.0):
+            worst = self.names[int(np.argmax(np.max(changes, axis=0) / self.states))]
+            raise ConvergenceError(
+                f"the output `{worst}` loses the digits of the states that it is made of",
+                remedy="loosen rtol, or make it an unknown with an equation of its own",
+            )
+        points, edges = self.reference.points, (self.domain.horizon, accuracy, self.cuts)
+        finer = integrate_reference(self.system, points, *edges, self.taken)
+        return replace(self, accuracy=accuracy, reference=finer)
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
@@ -179,9 +213,39 @@ class ReferenceSet:
         sizes[n : n + CLOCK_STATES] = np.minimum(sizes[n : n + CLOCK_STATES], at_most)
 
     @property
-    def states(self) -> Array:
+    def of_states(self) -> Array:
         """The sizes of the differential states."""
         return self.sizes[: self.system.n_differential]
+
+    @property
+    def states(self) -> Array:
+        """The sizes of what is solved for: the differential states, or what is observed."""
+        return self.of_states if self.observed is None else self._of_quantities
+
+    @cached_property
+    def _of_quantities(self) -> Array:
+        """Largest absolute value of each quantity that is observed; one for a vanishing one."""
+        times = np.linspace(self.reference.start, self.end, _SIZE_SAMPLES)
+        largest = np.max(
+            [
+                np.abs(self.seen(part, self.reference(part))).max(axis=2)
+                for part in np.array_split(times, -(-times.size // self.reference.times_held))
+            ],
+            axis=0,
+        )
+        sizes = self._interior(largest, axis=1).max(axis=1)
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of what is solved for."""
+        return self.system.states if self.observed is None else self.observed.names
+
+    def seen(self, times: Array, states: Array, trajectories: slice = slice(None)) -> Array:
+        """What is solved for of states (n, m, T) of some trajectories of the reference."""
+        if self.observed is None:
+            return states
+        return self.observed.of_states(times, states, self.reference.points[trajectories])
 
     def measured(self, slabs: Sequence[SlabTrain]) -> Measured | None:
         """Errors of the slabs over their whole time span; None without check or slabs.
@@ -192,6 +256,8 @@ class ReferenceSet:
             return None
         reference, m = self.reference, len(self.reference.points)
         corners, unknowns = slice(1, 1 + self.corners), len(self.system.unknowns)
+        if self.observed is not None:
+            unknowns = len(self.names)
         all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]
         if (clock := self.system.clock) is not None:
             return self._over_clock_time(clock, slabs)
@@ -208,10 +274,12 @@ class ReferenceSet:
             for (slab, contraction), times, exact in zip(
                 carried, all_times, all_exact, strict=True
             ):
+                exact = self.seen(times, exact)
                 states = slab.on_grid(times, contraction)
                 errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
                 off = np.maximum(off, self._off_constraints(times, states))
-                at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0) + self._added
+                at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
+                at_corners += self._added if self.observed is None else 0.0
                 largest = np.maximum(largest, at_corners)
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
@@ -221,7 +289,7 @@ class ReferenceSet:
     def _off_constraints(self, times: Array, states: Array) -> Array:
         """How far states (n, m, T) are from satisfying the constraints, at most: (n, m)."""
         constraints, (n, m, count) = self.system.constraints, states.shape
-        if not constraints.names:
+        if not constraints.names or self.observed is not None:
             return np.zeros((n, m))
         charge(_CONSTRAINT_COST(m * count * n * len(constraints.names)))
         columns = np.repeat(self.reference.points.T, count, axis=1)
@@ -290,7 +358,7 @@ class ReferenceSet:
     def _has_constraints(self) -> bool:
         clock = self.system.clock
         system = self.system if clock is None else clock.system
-        return bool(system.constraints.names)
+        return bool(system.constraints.names) and self.observed is None
 
     def amplification(self) -> Callable[[float], float]:
         """Largest later growth of an error made at time t, along a few trajectories.
@@ -332,6 +400,8 @@ class ReferenceSet:
     def zeros(self) -> tuple[NumericallyZero, ...]:
         """The unknowns that are numerically zero."""
         unknowns, rounded = self.system.unknowns, self.reference.rounded
+        if self.observed is not None:
+            return ()
         return tuple(
             NumericallyZero(unknowns[i], float(rounded[i]), float(self.states[i]))
             for i in np.nonzero(self.reference.zero[: len(unknowns)])[0]
@@ -350,8 +420,8 @@ class ReferenceSet:
         return self.reference.points[self._on_lines]
 
     def trajectories_on_lines(self, times: Array) -> Array:
-        """States (n, m, T) of the trajectories on lines."""
-        return self.reference.of(self._on_lines)(times)
+        """What is solved for on the trajectories on lines, (n, m, T)."""
+        return self.seen(times, self.reference.of(self._on_lines)(times), self._on_lines)
 
     @property
     def _on_lines(self) -> slice:
@@ -366,7 +436,7 @@ class ReferenceSet:
         system = self.system
         if system.separated and max((len(states) for *_, states in system.terms), default=0) < 2:
             return
-        for name, size in zip(system.states, self.states, strict=False):
+        for name, size in zip(system.states, self.of_states, strict=False):
             if not _LEAST_SIZE < size < 1.0 / _LEAST_SIZE:
                 raise ConvergenceError(
                     f"`{name}` is of the size {size:.1e}: its products are not floating-point "

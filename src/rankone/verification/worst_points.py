@@ -28,6 +28,7 @@ _CANDIDATES = 512  # Points at which residuals are looked at, with up to three p
 _MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
 _WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth of a second
 _MOST_SLABS = 4  # Slabs on which residuals are looked at, and jumps of a kind
+_MORE_POINTS = 32  # Random points that are taken where there are no residuals
 _CHOSEN = 8  # Worst points that are taken
 _CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
 _CORNER_POWER = 1.0 / 3.0  # Power of the distance from the centre: draws points to corners
@@ -56,6 +57,8 @@ def worst_points(
         return None
     generator = np.random.default_rng((20141, attempt + 1))
     search = _WorstPoints(reference_set, slabs, rtol, generator)
+    if reference_set.observed is not None:
+        return search.anywhere()
     points = np.concatenate([search.by_residual(error), search.after_jumps()])
     return points if len(points) else None
 
@@ -88,6 +91,11 @@ class _WorstPoints:
         worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
         doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
         return np.asarray(candidates[worst[doubtful]])
+
+    def anywhere(self) -> Array:
+        """Random points (m, d): quantities that are observed have no residual."""
+        d = len(self.reference_set.domain.box)
+        return self._points(self.generator.random((_MORE_POINTS, d)))
 
     def _points(self, shares: Array) -> Array:
         """Points (m, d) at shares of the box: on the scales of the domain and of the solution."""

@@ -173,7 +173,8 @@ class CrossMarcher:
         bases = tuple(basis_type(lower, upper, constants.LEAST_NODES) for lower, upper in box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
-            centre = reference_set.reference(grid.times)[:, 0, :, None]
+            states = reference_set.reference.of(slice(1))(grid.times)
+            centre = reference_set.seen(grid.times, states, slice(1))[:, 0, :, None]
         train = Train((centre, *constant)).apply_to_modes([basis.to_modal for basis in bases])
         return MarchResult(list(slab_trains(grid, train, bases)), stopped=status, whole=True)
 
@@ -190,10 +191,11 @@ class CrossMarcher:
 
         breaks: Sequence[float] = edges
         # slabs that do not resolve some trajectories need no look at all of them
-        for reference in (reference_set.reference.of(_FIRST_TIMED), reference_set.reference):
+        for some in (_FIRST_TIMED, slice(None)):
+            reference = reference_set.reference.of(some)
 
-            def in_units(times: Array, reference: Reference = reference) -> Array:
-                return reference(times) / units
+            def in_units(times: Array, reference: Reference = reference, s: slice = some) -> Array:
+                return reference_set.seen(times, reference(times), s) / units
 
             most, held = self.options.max_slabs, reference.times_held
             finer = resolving_breaks(in_units, breaks, count, tolerance, most, held)

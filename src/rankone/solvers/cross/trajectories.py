@@ -93,8 +93,15 @@ class Trajectories:
 
     def _groups(self, points: Array) -> list[Array]:
         """Points whose columns are held at a time: few of many states, whole chunks of others."""
-        size = max(constants.HELD_NUMBERS // self.basis.length, self._chunk_size())
+        numbers = self._read * self.grid.times.size
+        size = max(constants.HELD_NUMBERS // numbers, self._chunk_size())
         return np.array_split(points, max(-(-len(points) // size), 1))
+
+    @property
+    def _read(self) -> int:
+        """How many states of a trajectory are read."""
+        observed = self.reference_set.observed
+        return self.units.size if observed is None else max(len(observed.rows), 1)
 
     @property
     def sizes(self) -> Array:
@@ -120,8 +127,10 @@ class Trajectories:
         """The first trajectories, at a tolerance that brings the allowed error."""
         self.calibrated = True
         reference = self.reference_set.reference
-        first = reference.of(slice(constants.CALIBRATION_POINTS))
-        exact_points, exact = first.points, first(self.grid.times) / self.sizes[:, None, None]
+        some = slice(constants.CALIBRATION_POINTS)
+        first, times = reference.of(some), self.grid.times
+        exact = self.reference_set.seen(times, first(times), some) / self.sizes[:, None, None]
+        exact_points = first.points
         before, ratio, used = math.inf, math.inf, self.tightness
         for calibration in range(constants.MAX_CALIBRATIONS):
             columns = self._integrated(np.concatenate([exact_points, points]))
@@ -159,7 +168,7 @@ class Trajectories:
         cuts = (cut for cut in reference_set.cuts if cut < end)
         edges = [reference_set.domain.horizon[0], *cuts, end]
         tolerance = max(self.tightness * self.allowed_error, constants.TIGHTEST_TOLERANCE)
-        least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.states
+        least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.of_states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         absolute = np.maximum(tolerance * floor, reference_set.reference.rounded)
         integrator = integrator_for(
@@ -170,7 +179,9 @@ class Trajectories:
             bearable_steps=constants.EXPLICIT_STEP_LIMIT,
         )
         tolerances = Tolerances(tolerance, absolute[:, None])
-        common = integrator, edges, tolerances, self.grid.times, reference_set.states
+        observed = reference_set.observed
+        rows = None if observed is None else observed.rows
+        common = integrator, edges, tolerances, self.grid.times, self.units, rows
         chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
         tasks = [(chunk, *common) for chunk in chunks]
         before = work_done()
@@ -179,16 +190,26 @@ class Trajectories:
             work = (work_done() - before) / len(points)
             for (_, taken), chunk in zip(sampled, chunks, strict=True):
                 self.choice.record(taken, len(chunk), work * len(chunk))
+            pairs = zip(sampled, chunks, strict=True)
+            if rows is not None:
+                return np.concatenate([self._observed(x, chunk) for (x, _), chunk in pairs], 1)
             return np.concatenate([columns for columns, _ in sampled], axis=1)
         finally:
             self.work += work_done() - before
+
+    def _observed(self, states: Array, points: Array) -> Array:
+        """What is observed of the states that it reads (k, T, m), in units: (n T, m)."""
+        observed = self.reference_set.observed
+        assert observed is not None
+        return _in_units(observed.of_rows(self.grid.times, states, points), self.units)
 
     def _chunk_size(self) -> int:
         """Largest number of trajectories in a chunk."""
         if self.reference_set.system.user_functions:
             return constants.MAX_USER_STACK
         most = constants.MAX_STIFF_STACK if self.stiff else constants.MAX_STACK
-        return min(max(constants.STACK_STATES // int(self.units.size), constants.MIN_STACK), most)
+        states = self.reference_set.system.n_differential
+        return min(max(constants.STACK_STATES // states, constants.MIN_STACK), most)
 
 
 def _norm_of_ones(times: int, states: int) -> float:
@@ -224,15 +245,26 @@ def _integrated(
     edges: list[float],
     tolerances: Tolerances,
     times: Array,
-    sizes: Array,
+    units: Array,
+    rows: tuple[int, ...] | None,
 ) -> tuple[Array, str]:
-    """Trajectories at points (m, d) in units of the sizes of states, (n T, m); the integrator."""
+    """Trajectories at points (m, d) in units of states, (n T, m); the integrator.
+
+    Or some rows of them as they are, (k, T, m).
+    """
     sampled = integrator.sample(system, points, edges, tolerances, times)
     if sampled.reached < times.size or not np.isfinite(sampled.states).all():
         floor = tolerances.absolute
         ends = first_to_end(system, sampled.end, sampled.state, points, floor)
         raise TrajectoryEnds(sampled.end, points[ends])
-    units = sizes * _norm_of_ones(times.size, sizes.size)
-    scaled = np.empty((units.size, times.size, len(points)))
-    np.divide(sampled.states.transpose(1, 0, 2), units[:, None, None], out=scaled)
-    return scaled.reshape(-1, len(points)), sampled.integrator
+    states = sampled.states.transpose(1, 0, 2)
+    if rows is not None:
+        return states[list(rows)], sampled.integrator
+    return _in_units(states, units), sampled.integrator
+
+
+def _in_units(states: Array, units: Array) -> Array:
+    """States (n, T, m) in units (n,), one under the other: (n T, m)."""
+    scaled = np.empty(states.shape)
+    np.divide(states, units[:, None, None], out=scaled)
+    return scaled.reshape(-1, states.shape[2])

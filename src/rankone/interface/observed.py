@@ -1,0 +1,103 @@
+"""Outputs of a solve: quantities that are evaluated along its trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rankone.agreement.problems import ComparedPoints
+from rankone.codegen.output_expressions import quantities_of
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.observation import Observation
+from rankone.ir.request import Domain, counted_states
+from rankone.ir.system import System
+from rankone.outputs.quantities import Quantities
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import quote
+
+_POINTS = 20  # Points at which generated functions are compared with their expressions
+_ASK_SOLUTION = "name the unknowns in it in unknowns=, and ask that solution: .output(...)"
+
+
+def observation_of(
+    outputs: object, unknowns: object, metadata: SolutionMetadata, system: System, domain: Domain
+) -> Observation:
+    """What trajectories of a system on a domain are reduced to: unknowns, then outputs.
+
+    An OptionError where outputs are no functions of the states at a time, or narrow in them.
+    """
+    if system.events or system.at_rest is not None or system.jumps.times:
+        what = "events" if system.events else "jumps" if system.jumps.times else "a steady start"
+        raise OptionError(
+            f"outputs along trajectories do not take {what}",
+            remedy="solve for the unknowns, and ask the solution: solve(...).output(...)",
+        )
+    kept: dict[str, object] = {}
+    if unknowns is not None:
+        rows = counted_states(system, unknowns) or ()
+        kept = {system.states[row]: system.states[row] for row in rows}
+    asked = _named(outputs, kept)
+    compared = ComparedPoints.of(system, _POINTS)
+    samples = compared.time, compared.parameters, compared.states
+    quantities = quantities_of({**kept, **asked}, metadata, domain.horizon, samples)
+    _check(quantities, samples)
+
+    def values(times: Array, states: Array, points: Array) -> list[Array]:
+        return [*quantities.values(times, states, points, [])]
+
+    rows = tuple(source.row for source in quantities.sources)
+    return Observation(quantities.names, quantities.texts, rows, values)
+
+
+def _named(outputs: object, kept: Mapping[str, object]) -> dict[str, object]:
+    """Outputs by name, as a mapping or as names of definitions; none has the name of a kept one."""
+    if isinstance(outputs, str):
+        outputs = {outputs: outputs}
+    elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
+        outputs = {name: name for name in outputs}
+    if not isinstance(outputs, Mapping) or not outputs:
+        raise OptionError(
+            f"outputs={outputs!r} is not a mapping from names to expressions",
+            term=outputs,
+            remedy='give for example outputs={"energy": x**2 / 2}, or the name of a definition',
+        )
+    for name in outputs:
+        if name in kept:
+            raise OptionError(
+                f"{quote(name)} is both an output and among unknowns",
+                term=name,
+                remedy="give the output another name",
+            )
+    return dict(outputs)
+
+
+def _check(quantities: Quantities, samples: tuple[Array, Array, Array]) -> None:
+    """Raise an OptionError for what is no smooth function of states, parameters and time."""
+    times, points, states = samples
+    if quantities.reductions:
+        raise OptionError(
+            f"{quote(quantities.reductions[0].text)} is over the whole of time",
+            term=quantities.reductions[0].text,
+            remedy="solve for what is inside as an output, and ask that solution: .output(...)",
+        )
+    derivatives = [source for source in quantities.sources if source.order]
+    if derivatives:
+        raise OptionError(
+            "an output has a derivative that is no state",
+            remedy="write what the equation says it is",
+        )
+    read = np.array([states[source.row] for source in quantities.sources])
+    read = read.reshape(len(quantities.sources), 1, times.size)
+    with np.errstate(all="ignore"):
+        narrow = [
+            *quantities.state_surfaces(times[None], read, points),
+            *quantities.parameter_surfaces(points),
+        ]
+    if any(quantities.cuts) or len(narrow) or quantities.gap_texts:
+        raise OptionError(
+            "an output is narrow, jumps or kinks somewhere, or has no value",
+            term=quantities.names,
+            remedy=_ASK_SOLUTION,
+        )

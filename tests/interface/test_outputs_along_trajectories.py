@@ -1,0 +1,133 @@
+"""Quantities that are evaluated along the trajectories of a solve."""
+
+import numpy as np
+import pytest
+import scipy.sparse
+import sympy as sp
+from scipy.integrate import solve_ivp
+
+import rankone as ro
+
+RATES = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
+
+
+@pytest.fixture(scope="module")
+def predators():
+    box = {"a": (8, 12), "b": (4, 6)}
+    return ro.compile(
+        ro.Problem.from_strings(RATES, {"x": "a", "y": "b"}, box, (0, 2), definitions={"w": "a*x"})
+    )
+
+
+def states(t, a, b):
+    def rates(_, u):
+        return [u[0] * (1.5 - u[1]), -u[1] * (3 - u[0])]
+
+    return solve_ivp(rates, (0, 2), [a, b], rtol=1e-10, atol=1e-12, t_eval=t).y
+
+
+def test_outputs_are_a_solution_of_their_own(predators, tmp_path):
+    """Values, gradients, statistics, further outputs, fits, files and models."""
+    solution = predators.solve(rtol=1e-4, outputs={"q": "a*x*y + t"}, unknowns=["y"])
+    assert solution.success
+    assert solution.states == ("y", "q")
+    t = np.linspace(0, 2, 9)
+    x, y = states(t, 9.0, 5.0)
+    np.testing.assert_allclose(solution(t, a=9.0, b=5.0), [y, 9 * x * y + t], rtol=0, atol=0.05)
+    error = np.abs(solution["y"](t, a=9.0, b=5.0) - y).max()
+    assert error <= 1e-4 * 15
+    step = 1e-4
+    up, down = (solution(1.0, a=9.0 + s, b=5.0) for s in (step, -step))
+    slope = solution.gradient(1.0, a=9.0, b=5.0)[:, 0]
+    np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-5)
+    assert solution.mean([1.0]).shape == (2, 1)
+    peak = solution.output({"peak": "maximum(q)"})(a=9.0, b=5.0)
+    assert abs(peak - solution["q"](np.linspace(0, 2, 500), a=9.0, b=5.0).max()) < 1e-2
+    fit = solution.fit(t, solution["q"](t, a=9.0, b=5.0), observe=["q"])
+    np.testing.assert_allclose([fit.x["a"], fit.x["b"]], [9.0, 5.0], rtol=1e-3)
+    again = ro.load(solution.save(tmp_path / "q.npz"))
+    np.testing.assert_array_equal(again(t, a=9.0, b=5.0), solution(t, a=9.0, b=5.0))
+    assert solution.export(tmp_path / "model.py").exists()
+
+
+def test_definitions_are_asked_for_by_name(predators):
+    solution = predators.solve(rtol=1e-3, outputs="w", parameters={"b": (4, 5)}, t_final=1.0)
+    assert solution.states == ("w",)
+    assert solution.parameters["b"] == (4, 5)
+    exact = 9.0 * states([1.0], 9.0, 4.5)[0]
+    np.testing.assert_allclose(solution(1.0, a=9.0, b=4.5), exact, rtol=1e-2)
+
+
+def test_a_small_difference_of_large_states_is_as_accurate_as_asked():
+    rates = {"x": "-k*x", "y": "-k*y + 1e-6"}
+    problem = ro.Problem.from_strings(rates, {"x": "1", "y": "1"}, {"k": (1, 2)}, (0, 2))
+    solution = ro.solve(problem, rtol=1e-4, outputs={"q": "y - x"})
+    t = np.linspace(0, 2, 9)
+    exact = 1e-6 * (1 - np.exp(-1.3 * t)) / 1.3
+    assert solution.success
+    assert np.abs(solution["q"](t, k=1.3) - exact).max() <= 1e-4 * exact.max()
+
+
+def test_digits_that_no_trajectory_has_are_refused():
+    rates = {"x": "-k*x", "y": "-k*y + 1e-14"}
+    problem = ro.Problem.from_strings(rates, {"x": "1", "y": "1"}, {"k": (1, 2)}, (0, 2))
+    with pytest.raises(ro.ConvergenceError, match="`q` loses the digits"):
+        ro.solve(problem, rtol=1e-4, outputs={"q": "y - x"})
+
+
+def test_only_what_is_asked_for_is_checked():
+    """States far down a chain are tiny, and vary by orders of magnitude over the box."""
+    n = 70
+    t, k = sp.symbols("t k")
+    flow = scipy.sparse.diags([np.ones(n), -np.ones(n - 1)], [0, -1])
+    problem = ro.Problem.from_matrices(
+        None,
+        scipy.sparse.eye(n),
+        {k: flow},
+        time=(t, 0, 4),
+        parameters={k: (0.7, 1.4)},
+        initial=np.eye(n)[0],
+        names="x",
+    )
+    total = sum(sp.Function(f"x{i}")(t) for i in range(n))
+    solution = ro.solve(problem, rtol=1e-4, outputs={"total": total}, unknowns=["x3"])
+    assert solution.success
+    times = np.linspace(0, 4, 5)
+    exact = [np.exp(-times) * times**3 / 6, np.ones(5)]
+    np.testing.assert_allclose(solution(times, k=1.0), exact, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"outputs": {}}, "not a mapping"),
+        ({"outputs": 3}, "not a mapping"),
+        ({"outputs": {"q": "z"}}, "unknown name `z`"),
+        ({"outputs": {"a": "x"}}, "name of a coordinate"),
+        ({"outputs": {"q": "x_t"}}, "derivative that is no state"),
+        ({"outputs": {"q": "maximum(x)"}}, "over the whole of time"),
+        ({"outputs": {"q": "exp(-((x - 8)/1e-5)**2)"}}, "narrow"),
+        ({"outputs": {"q": "Heaviside(t - 1)*x"}}, "narrow, jumps"),
+        ({"outputs": {"x": "y"}, "unknowns": ["x"]}, "both an output and among unknowns"),
+        ({"outputs": {"q": "x"}, "unknowns": ["z"]}, "no unknown `z`"),
+        ({"outputs": {"q": "x"}, "method": "train"}, "does not apply"),
+        ({"outputs": {"q": "x"}, "markers": ["x - 3"]}, "does not apply"),
+    ],
+)
+def test_what_is_no_output_is_refused(predators, options, message):
+    with pytest.raises(ro.OptionError, match=message):
+        predators.solve(rtol=1e-3, **options)
+
+
+def test_events_and_jumps_are_refused():
+    arguments = {"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, (0, 2)
+    event = {"when": "x - 0.5", "then": {"x": "1"}}
+    for more in ({"events": [event]}, {"jumps": {1.0: {"x": "x + 1"}}}):
+        problem = ro.Problem.from_strings(*arguments, **more)
+        with pytest.raises(ro.OptionError, match="outputs along trajectories do not take"):
+            ro.solve(problem, outputs={"q": "x"})
+
+
+def test_an_output_that_is_not_finite_is_refused(predators):
+    with pytest.raises(ro.EvaluationError, match="is not finite on a trajectory"):
+        predators.solve(rtol=1e-3, outputs={"q": "log(-x)"})
