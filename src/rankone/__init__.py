@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rankone.calibration.calibrate import calibrate
     from rankone.calibration.problem import CalibrationProblem, read_petab
     from rankone.calibration.result import Calibration
+    from rankone.calibration.solutions import CalibrationSolutions
     from rankone.codegen.loading import load_module
     from rankone.codegen.lowering import quadratic_system
     from rankone.codegen.module import generate_source
@@ -80,6 +81,7 @@ __all__ = [
     "BlowUpError",
     "Calibration",
     "CalibrationProblem",
+    "CalibrationSolutions",
     "CompiledProblem",
     "ConvergenceError",
     "CrossOptions",
@@ -143,6 +145,7 @@ _MODULES = {
     "calibration.calibrate": ("calibrate",),
     "calibration.problem": ("CalibrationProblem", "read_petab"),
     "calibration.result": ("Calibration",),
+    "calibration.solutions": ("CalibrationSolutions",),
     "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
     "codegen.module": ("generate_source",),

@@ -9,6 +9,10 @@
 ``simulation``          states at the times of measurements, with derivatives
 ``outputs``             observables and their noise at the measurements
 ``likelihood``          the objective, its gradient, and pseudo-residuals
+``conditioned``         problems of single experiments
+``measured``            what was measured, as experiments of fits
+``solving``             solutions of all experiments over a box
+``solutions``           what they are held in, with their fit and posterior
 ``problem``             :class:`CalibrationProblem` and :func:`rankone.read_petab`
 ``descent``             the way down from one start, by least squares in a box of trust
 ``starts``              many starts, and which of them go on

@@ -50,6 +50,12 @@ class Settings:
         return tuple(n for n in model.parameters if n in model.used and varies(n))
 
     @cached_property
+    def active(self) -> tuple[str, ...]:
+        """The parameters of the table that states depend on, in its order."""
+        named = {numbers[name] for numbers in self.at.values() for name in self.varying}
+        return tuple(p.name for p in self.records.parameters if p.name in named)
+
+    @cached_property
     def constant(self) -> dict[str, float]:
         """The numbers of those that do not vary, where they are not those of the file."""
         model = self.records.model

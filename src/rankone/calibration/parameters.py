@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import scipy
 
 _LOG10 = math.log(10.0)
 SCALES = ("lin", "log", "log10")
@@ -32,6 +35,23 @@ class Prior:
     location: float
     width: float
     of_value: bool
+
+    def distribution(self) -> Any:
+        """The same as a frozen distribution of scipy.stats over the value."""
+        unit = {"lin": 0.0, "log": 1.0, "log10": _LOG10}[self.scale]
+        first, second = unit * self.location, unit * self.width
+        match self.shape, unit:
+            case "uniform", 0.0:
+                return scipy.stats.uniform(self.location, self.width - self.location)
+            case "normal", 0.0:
+                return scipy.stats.norm(self.location, self.width)
+            case "laplace", 0.0:
+                return scipy.stats.laplace(self.location, self.width)
+            case "uniform", _:
+                return scipy.stats.loguniform(math.exp(first), math.exp(second))
+            case "normal", _:
+                return scipy.stats.lognorm(second, scale=math.exp(first))
+        return scipy.stats.loglaplace(1.0 / second, scale=math.exp(first))
 
     def cost(self, value: float) -> tuple[float, float]:
         """Minus the logarithm of the density at a value, and its derivative by the value."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from rankone.calibration.conditioned import Free
 from rankone.calibration.conditions import Settings
 from rankone.calibration.dynamics import Dynamics
 from rankone.calibration.likelihood import Evaluation, terms
@@ -21,7 +22,11 @@ from rankone.calibration.petab_files import open_petab, records_of
 from rankone.calibration.records import Records
 from rankone.calibration.result import Calibration
 from rankone.calibration.simulation import Simulation
+from rankone.calibration.solutions import CalibrationSolutions
+from rankone.calibration.solving import free_of, problem_of, solved
 from rankone.calibration.starts import MOST_STARTS, descents
+from rankone.estimation.posterior import Posterior
+from rankone.frontend.problem import Problem
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
@@ -30,6 +35,9 @@ from rankone.support.wording import count, did_you_mean, html_table, quote, show
 if TYPE_CHECKING:
     import pandas as pd
 
+Box: TypeAlias = "Mapping[str, tuple[float | str, ...]] | Sequence[str] | None"
+"""Free parameters by their intervals, or names alone."""
+_SPREAD = 1.5  # Factor by which boxes around values go beyond them
 _ACCURACY = 1e-9  # Relative tolerance of trajectories
 _HEADER = ("parameter", "scale", "lower", "upper", "nominal", "estimated")
 _LABELS = 2  # Columns on the left
@@ -153,6 +161,95 @@ class CalibrationProblem:
         likelihood = OfFiles.of(estimated, quick, self.objective)
         return Calibration.of(likelihood, descents(likelihood, starts, seed))
 
+    def problem(
+        self,
+        experiment: str | None = None,
+        box: Box = None,
+        *,
+        values: Mapping[str, float] | None = None,
+        spread: float = _SPREAD,
+    ) -> Problem:
+        """The problem of one experiment, which is solved as any other.
+
+        Parameters
+        ----------
+        experiment : str, optional
+            ``"condition"``, or ``"before -> condition"`` where it starts at a steady state.
+        box, values, spread
+            As for :meth:`solve`.
+        """
+        free = self._free(box, values, spread)
+        return problem_of(self._records, self._settings, experiment, free)
+
+    def solve(
+        self,
+        rtol: float = 1e-4,
+        box: Box = None,
+        *,
+        values: Mapping[str, float] | None = None,
+        spread: float = _SPREAD,
+        **options: Any,
+    ) -> CalibrationSolutions:
+        """Solve all experiments over a box of parameters that the states depend on.
+
+        Each experiment has a solution of its own, unless one for all of them is cheaper: if they
+        differ in c numbers of the model, and there are more than 4**c of them, these numbers become
+        further parameters. Experiments that start at steady states are always solved apart.
+
+        Parameters
+        ----------
+        rtol : float
+            As for :func:`rankone.solve`.
+        box : mapping of str to interval, or list of str, optional
+            Free parameters with their intervals, in the scale of the table; or names alone, whose
+            intervals go from the value ÷ ``spread`` to × ``spread``. By default all estimated
+            parameters that states depend on. The others have their values. Parameters that only
+            observables and noise have are always free.
+        values : mapping of str to float, optional
+            Values of parameters; others are nominal.
+        spread : float
+            The factor for names, larger than 1.
+        **options
+            Those of :func:`rankone.solve`.
+
+        Returns
+        -------
+        CalibrationSolutions
+            With ``.solutions`` by experiment, ``.fit()`` and ``.posterior()``.
+
+        Raises
+        ------
+        OptionError
+            If a name is not that of a parameter that states depend on.
+        ProblemError
+            If something of the files has no counterpart in solutions: Laplace's noise, or
+            measurements at steady states.
+        """
+        free = self._free(box, values, spread)
+        return solved(self._records, self._settings, free, rtol, options)
+
+    def posterior(
+        self,
+        rtol: float = 1e-4,
+        box: Box = None,
+        *,
+        values: Mapping[str, float] | None = None,
+        spread: float = _SPREAD,
+        **options: Any,
+    ) -> Posterior:
+        """The distribution of the parameters in a box after the data are known.
+
+        Parameters are those of :meth:`solve`; options are those of
+        :meth:`CalibrationSolutions.posterior`. Priors are those of the table, and uniform on the
+        scale of a parameter where it has none.
+        """
+        solutions = self.solve(rtol, box, values=values, spread=spread)
+        return solutions.posterior(**options)
+
+    def _free(self, box: Box, values: Mapping[str, float] | None, spread: float) -> Free:
+        active = self._settings.active
+        return free_of(self._records, active, self.point(values), box, spread)
+
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
         numbers = {name: p.nominal for name, p in self.parameters.items()}
@@ -201,7 +298,7 @@ class CalibrationProblem:
     ) -> Evaluation:
         point = self.point(values)
         accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
-        active = [name for name in self._simulation.active if name in by]
+        active = [name for name in self._settings.active if name in by]
         columns = [by.index(name) for name in active]
         each = self._simulation.states(point, active, accuracy, quick=quick)
         total, residuals, jacobians = 0.0, list[Array](), list[Array]()

@@ -63,23 +63,10 @@ class _Started:
 
 
 class Simulation:
-    """Simulates the experiments of a calibration problem, all at once.
-
-    Attributes
-    ----------
-    active : tuple of str
-        The parameters of the table that states depend on, in its order.
-    """
+    """Simulates the experiments of a calibration problem, all at once."""
 
     def __init__(self, records: Records, settings: Settings, dynamics: Dynamics) -> None:
         self.records, self.settings, self.dynamics = records, settings, dynamics
-        named = {
-            assigned
-            for numbers in settings.at.values()
-            for name, assigned in numbers.items()
-            if name in dynamics.inputs and isinstance(assigned, str)
-        }
-        self.active = tuple(p.name for p in records.parameters if p.name in named)
 
     def states(
         self,

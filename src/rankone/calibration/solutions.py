@@ -1,0 +1,93 @@
+"""Solutions of a calibration problem over a box, which are fitted and have posteriors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rankone.discretization.coordinates import name_of
+from rankone.estimation.experiments import Experiment
+from rankone.estimation.fit import Fit
+from rankone.estimation.posterior import Posterior, posterior_of
+from rankone.estimation.search import fit_experiments
+from rankone.interface.solution import Solution
+from rankone.support.labelled import Table, html_of
+from rankone.support.wording import count, text_table
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationSolutions:
+    """Solutions of the experiments of a calibration problem over a box.
+
+    Made by :meth:`CalibrationProblem.solve`.
+
+    Attributes
+    ----------
+    solutions : dict of str to Solution
+        By the names of the experiments, ``"condition"`` or ``"before -> condition"``; one solution
+        may serve all of them.
+    experiments : dict of str to Experiment
+        What was measured in each.
+    bounds : dict of str to tuple
+        Intervals of the parameters that observables and noise have, which no solution has.
+    priors : dict of str to distribution
+        Of the free parameters, from the table; uniform on the scale of the parameter where it has
+        none.
+    """
+
+    solutions: dict[str, Solution]
+    experiments: dict[str, Experiment]
+    bounds: dict[str, tuple[float | str, ...]]
+    priors: dict[str, Any]
+
+    @property
+    def success(self) -> bool:
+        """Whether each is within its tolerance."""
+        return all(solution.success for solution in self.solutions.values())
+
+    @property
+    def error(self) -> float:
+        """The largest of the measured errors."""
+        return max(solution.error for solution in self.solutions.values())
+
+    def fit(self, **options: Any) -> Fit:
+        """The most likely parameters inside the box; options are those of :func:`rankone.fit`."""
+        pairs = [(self.solutions[name], each) for name, each in self.experiments.items()]
+        fixed = {name_of(key) for key in options.get("fixed") or {}}
+        bounds = {name: ends for name, ends in self.bounds.items() if name not in fixed}
+        bounds |= options.pop("bounds", None) or {}
+        return fit_experiments(pairs, bounds=bounds, **options)
+
+    def posterior(
+        self, prior: Mapping[str, Any] | None = None, *, seed: int = 0, steps: int = 1000
+    ) -> Posterior:
+        """The distribution of the parameters in the box after the data are known.
+
+        Parameters
+        ----------
+        prior, seed, steps
+            As for :meth:`Solution.posterior`; priors that are not given are those of the table.
+        """
+        priors = {**self.priors, **(prior or {})}
+        return posterior_of(self.fit(), priors, seed=seed, steps=steps)
+
+    def _table(self) -> Table:
+        different = {id(solution) for solution in self.solutions.values()}
+        rows = [
+            [name, ", ".join(solution.parameters), f"{solution.error:.2g}",
+             "yes" if solution.success else "no"]
+            for name, solution in self.solutions.items()
+        ]  # fmt: skip
+        summary = (
+            f"CalibrationSolutions: {count(len(different), 'solution')} for "
+            f"{count(len(self.solutions), 'experiment')}"
+        )
+        return Table(summary, ["experiment", "free", "error", "success"], rows)
+
+    def __repr__(self) -> str:
+        summary, header, rows, *_ = self._table()
+        return text_table(summary, header, rows)
+
+    def _repr_html_(self) -> str:
+        return html_of(self._table())

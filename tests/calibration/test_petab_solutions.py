@@ -1,0 +1,112 @@
+"""Solutions of PEtab problems over boxes: what they say is what trajectories say."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from tests.calibration.conversion import (
+    HEADER,
+    OBSERVABLES,
+    PARAMETERS,
+    rows,
+    write,
+)
+
+pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
+
+NORMAL = OBSERVABLES.replace("laplace", "normal")
+BOX = {"k1": (0.4, 1.6), "k2": (0.3, 1.2)}
+
+
+def table(lines):
+    return "\n".join("\t".join(line) for line in [HEADER, *lines]) + "\n"
+
+
+def fixed(*names):
+    """The table of parameters, some of which are not estimated."""
+    lines = PARAMETERS.strip().split("\n")
+    return "\n".join(x[:-1] + "0" if x.split("\t")[0] in names else x for x in lines) + "\n"
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """Without measurements at infinite times, Laplace's noise and levels of noise."""
+    finite = [line for line in rows() if line[4] != "inf"]
+    files = {"observables": NORMAL, "measurements": table(finite), "parameters": fixed("sd_B")}
+    return ro.read_petab(write(tmp_path_factory.mktemp("petab"), **files))
+
+
+@pytest.fixture(scope="module")
+def solutions(problem):
+    return problem.solve(1e-6, BOX)
+
+
+def test_each_experiment_has_a_solution(problem, solutions):
+    assert solutions.success
+    assert list(solutions.solutions) == ["low", "rest -> high"]
+    assert solutions.error <= 1e-6
+    high = problem.problem("rest -> high", BOX)
+    t, at = np.array([0.3, 1.5]), {"k1": 0.5, "k2": 1.1}
+    np.testing.assert_allclose(
+        solutions.solutions["rest -> high"](t=t, **at),
+        high.trajectory(t, at, rtol=1e-10).values,
+        rtol=1e-5,
+    )
+    assert repr(solutions).splitlines()[0] == "CalibrationSolutions: 2 solutions for 2 experiments"
+
+
+def test_a_fit_has_the_likelihood_of_trajectories(problem, solutions):
+    """The scale is fitted with the rates, though no solution has it; a0 is nominal."""
+    fit = solutions.fit()
+    assert set(fit.x) == {"k1", "k2", "scale"}
+    assert -fit.log_likelihood == pytest.approx(problem.objective(fit.x), abs=1e-4)
+    at = problem.evaluate(fit.x)
+    assert np.abs(at.gradient[[at.parameters.index(name) for name in fit.x]]).max() < 1e-2
+
+
+def test_a_posterior_has_the_mean_of_the_density_by_trajectories(problem, solutions):
+    """One free rate, uniform in its logarithm: the mean over a grid of objectives."""
+    fixed = {"k2": 0.6, "scale": 2.0}
+    posterior = ro.posterior(solutions.fit(fixed=fixed))
+    z, weights = np.polynomial.legendre.leggauss(24)
+    k1 = np.exp(0.5 * (np.log(1.6) + np.log(0.4) + z * np.log(4.0)))
+    logs = np.array([-problem.objective({"k1": x, **fixed}, rtol=1e-7) for x in k1])
+    density = weights * np.exp(logs - logs.max())
+    mean = float(k1 @ density / density.sum())
+    assert posterior.mean["k1"] == pytest.approx(mean, rel=1e-3)
+
+
+def test_many_conditions_share_a_solution(tmp_path):
+    doses = np.linspace(0.2, 1.4, 5)
+    conditions = "conditionId\tdose\n" + "".join(f"d{i}\t{d}\n" for i, d in enumerate(doses))
+    lines = [
+        ("obs_A", "", f"d{i}", repr(float(np.exp(-d))), at, "", "")
+        for i, d in enumerate(doses)
+        for at in ("0.5", "1")
+    ]
+    parameters = "\n".join(PARAMETERS.split("\n")[:4]) + "\n"
+    observables = "\n".join([NORMAL.split("\n")[0], NORMAL.split("\n")[3]]) + "\n"
+    files = {"measurements": table(lines), "parameters": parameters, "observables": observables}
+    problem = ro.read_petab(write(tmp_path, conditions=conditions, **files))
+    solutions = problem.solve(1e-5, ["k1", "k2"], spread=1.3)
+    assert len({id(solution) for solution in solutions.solutions.values()}) == 1
+    assert [*solutions.solutions["d0"].parameters] == ["k1", "k2", "dose"]
+    fit = solutions.fit()
+    assert -fit.log_likelihood == pytest.approx(problem.objective(fit.x), abs=1e-3)
+
+
+def test_what_solutions_do_not_have_is_refused(tmp_path):
+    problem = ro.read_petab(write(tmp_path))
+    with pytest.raises(ro.ProblemError, match="`obs_share` is Laplace's"):
+        problem.solve(1e-3, BOX)
+    with pytest.raises(ro.OptionError, match="`scale` is in no rate"):
+        problem.solve(1e-3, ["scale"])
+    with pytest.raises(ro.OptionError, match="no parameter `k3`"):
+        problem.solve(1e-3, {"k3": (1, 2)})
+    with pytest.raises(ro.OptionError, match="an experiment has to be chosen"):
+        problem.problem()
+    with pytest.raises(ro.OptionError, match="no experiment `lo`"):
+        problem.problem("lo")
+    normal = ro.read_petab(write(tmp_path, observables=NORMAL))
+    with pytest.raises(ro.ProblemError, match="at the steady state in `rest -> high`"):
+        normal.solve(1e-3, BOX)
