@@ -11,6 +11,7 @@
 ``steady``      steady states as solutions of the parameters alone
 ``many``        solves on many boxes, side by side
 ``observed``    outputs of a solve: quantities that are evaluated along its trajectories
+``checkpoint``  finished solves in a folder
 ``solution``    the solution with its statistics, outputs, fits, exports and files
 ==============  ====================================================================================
 """

@@ -8,12 +8,15 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from os import PathLike
+from pathlib import Path
 from typing import Any, cast, overload
 
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
 from rankone.frontend.problem import Problem
+from rankone.interface.checkpoint import Checkpoint, finished, keep
 from rankone.interface.compiled import CompiledProblem, compile_problem
 from rankone.interface.solution import Solution
 from rankone.ir.request import Domain
@@ -27,7 +30,7 @@ from rankone.support.errors import (
     check_kind,
     warn,
 )
-from rankone.support.executors import checked_executor, open_pool
+from rankone.support.executors import Pool, checked_executor, open_pool
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import refuse_positional
 from rankone.support.progress import counting_bar
@@ -130,6 +133,7 @@ def solve_many(
     rtol: float = 1e-6,
     *arguments: object,
     executor: Any = None,
+    checkpoint: str | PathLike[str] | None = None,
     progress: Progress = False,
     **options: Any,
 ) -> Solutions:
@@ -149,6 +153,10 @@ def solve_many(
         Where boxes are solved, each by one worker: a number of processes, which are started and
         end with the call, an executor or a client of dask, which are left running, or the address
         of a scheduler of dask. None: here, one after the other. Solutions are the same to the bit.
+    checkpoint : path-like, optional
+        A folder for finished solutions, which is made if there is none. After an interrupt, or if
+        processes were killed, the same call goes on and solves what is missing alone. Several
+        processes may share the folder: each takes what the others have finished.
     progress : bool or callable
         True shows a bar on stderr; a callable gets the numbers of finished and of all boxes.
     **options
@@ -167,6 +175,9 @@ def solve_many(
         If a box or an option is not valid, or something cannot be sent to a worker.
     ProblemError, SeparationError
         As for :func:`rankone.solve`.
+    StorageError
+        If the checkpoint is of another problem, other options or another version of rankone, or
+        cannot be written.
     RankoneError
         If workers die before any of them has finished a box.
 
@@ -182,7 +193,9 @@ def solve_many(
     kind: Any = CompiledProblem if isinstance(problem, CompiledProblem) else Problem
     check_kind("solve_many", problem, kind, remedy="build one with rankone.Problem(...)")
     options = _checked_options(options, rtol)
-    solves = _solves(problem, boxes, options)
+    base = problem if isinstance(problem, CompiledProblem) else compile_problem(problem)
+    solves = _solves(base, boxes, options)
+    kept = None if checkpoint is None else Checkpoint.open(checkpoint, base, options)
     outcomes: dict[int, _Outcome] = {}
     with counting_bar(progress, len(solves)) as report:
 
@@ -196,7 +209,7 @@ def solve_many(
             outcomes[number] = outcome
             report(len(outcomes), len(solves))
 
-        _run_all(solves, executor, done)
+        _run_all(solves, executor, kept, done)
     ordered = [outcomes[k] for k in range(len(solves))]
     return Solutions(
         tuple(solve.changes for solve in solves),
@@ -238,7 +251,7 @@ def _checked_options(options: Mapping[str, Any], rtol: float) -> dict[str, Any]:
 
 
 def _solves(
-    problem: Problem | CompiledProblem, boxes: Sequence[Box], options: Mapping[str, Any]
+    base: CompiledProblem, boxes: Sequence[Box], options: Mapping[str, Any]
 ) -> list[_Solve]:
     """The solves of all boxes, which are checked; equal conditions share a compiled problem."""
     if isinstance(boxes, Mapping | str) or not isinstance(boxes, Sequence):
@@ -247,7 +260,6 @@ def _solves(
             term=boxes,
             remedy="give [{k: (1, 2)}, {k: (2, 3)}], or problem.split(k=2)",
         )
-    base = problem if isinstance(problem, CompiledProblem) else compile_problem(problem)
     under: dict[tuple[tuple[str, Any], ...], CompiledProblem] = {(): base}
     solves = []
     for number, box in enumerate(boxes):
@@ -287,25 +299,59 @@ def _of_box(number: int, error: RankoneError) -> RankoneError:
     return told(f"box {number}: {error.message}", term=error.term, remedy=error.remedy)
 
 
-def _run_all(
-    solves: Sequence[_Solve], executor: Any, done: Callable[[int, _Outcome | RankoneError], None]
-) -> None:
-    """Run all solves, here or on workers."""
-    if executor is None:
-        for number, solve in enumerate(solves):
-            done(number, _outcome_of(solve.compiled, solve.options))
-        return
-    with open_pool(checked_executor("executor", executor)) as pool:
-        sent: dict[int, bytes | CompiledProblem] = {}
+_Done = Callable[[int, "_Outcome | RankoneError"], None]
 
-        def begin(number: int) -> tuple[Callable[..., _Outcome], tuple[object, ...]]:
-            solve = solves[number]
-            key = id(solve.compiled)
-            if key not in sent:
-                sent[key] = _pickled(solve.compiled) if pool.takes_bytes else solve.compiled
-            return _outcome_elsewhere, (sent[key], solve.options)
 
-        Tasks(pool, begin, done).run(range(len(solves)))
+def _run_all(solves: Sequence[_Solve], executor: Any, kept: Checkpoint | None, done: _Done) -> None:
+    """Run all solves that are not finished yet, here or on workers."""
+    wanted = None if executor is None else checked_executor("executor", executor)
+    paths: dict[int, Path] = {}
+    if kept is not None:
+        boxes = [solve.options["parameters"] for solve in solves]
+        paths = {k: kept.path(solve.compiled, boxes[k]) for k, solve in enumerate(solves)}
+
+    def is_finished(number: int) -> bool:
+        solution = finished(paths[number]) if paths else None
+        if solution is not None:
+            done(number, _Outcome(solution, None, solution.timings.get("solve", 0.0)))
+        return solution is not None
+
+    def hand_over(number: int, outcome: _Outcome | RankoneError) -> None:
+        if paths and isinstance(outcome, _Outcome) and outcome.solution is not None:
+            keep(paths[number], outcome.solution)
+        done(number, outcome)
+
+    missing = [number for number in range(len(solves)) if not is_finished(number)]
+    if wanted is None:
+        for number in missing:
+            if not is_finished(number):
+                hand_over(number, _outcome_of(solves[number].compiled, solves[number].options))
+    elif missing:
+        with open_pool(wanted) as pool:
+            Tasks(pool, _Sender(solves, pool, is_finished), hand_over).run(missing)
+
+
+class _Sender:
+    """What workers run for each solve that is not finished; each compiled problem is sent as one.
+
+    Processes get it pickled, and keep what they loaded.
+    """
+
+    def __init__(
+        self, solves: Sequence[_Solve], pool: Pool, is_finished: Callable[[int], bool]
+    ) -> None:
+        self._solves, self._pool, self._is_finished = solves, pool, is_finished
+        self._sent: dict[int, bytes | CompiledProblem] = {}
+
+    def __call__(self, number: int) -> tuple[Callable[..., _Outcome], tuple[object, ...]] | None:
+        if self._is_finished(number):
+            return None
+        solve = self._solves[number]
+        key = id(solve.compiled)
+        if key not in self._sent:
+            as_bytes = self._pool.takes_bytes
+            self._sent[key] = _pickled(solve.compiled) if as_bytes else solve.compiled
+        return _outcome_elsewhere, (self._sent[key], solve.options)
 
 
 def _outcome_of(compiled: CompiledProblem, options: Mapping[str, Any]) -> _Outcome:

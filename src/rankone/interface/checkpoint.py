@@ -1,0 +1,182 @@
+"""Finished solves in a folder, so that the same command goes on after it was killed.
+
+Each solve is a file of its own, ``solve-<digest>.npz``, complete or absent; its name is a digest of
+the problem, the box, the options and the version of rankone. ``checkpoint.json`` says in words what
+the folder is of: a folder of another problem, of other options or of another version is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from types import CodeType
+from typing import Any
+
+import numpy as np
+
+from rankone.interface.compiled import CompiledProblem
+from rankone.interface.solution import Solution, load
+from rankone.support import __version__
+from rankone.support.errors import StorageError, warn
+from rankone.support.files import as_path, write_files
+from rankone.support.plain_data import plain
+from rankone.support.wording import shown
+
+_MANIFEST = "checkpoint.json"
+_FORMAT = "rankone-checkpoint"
+_OTHER_FOLDER = "choose another folder, or delete this one"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A folder of finished solves of one problem with the same options."""
+
+    folder: Path
+    options: Mapping[str, Any]
+
+    @classmethod
+    def open(
+        cls, folder: str | PathLike[str], compiled: CompiledProblem, options: Mapping[str, Any]
+    ) -> Checkpoint:
+        """The checkpoint in a folder, which is made if there is none.
+
+        A StorageError if it is of another problem, of other options or of another version, or the
+        folder cannot be written.
+        """
+        place = as_path(folder, StorageError)
+        manifest = {
+            "format": _FORMAT,
+            "problem": _title(compiled),
+            "digest": problem_digest(compiled),
+            "options": _plain_options(options),
+            "rankone": __version__,
+        }
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            written = _read(place / _MANIFEST)
+        except OSError as error:
+            raise StorageError(
+                f"checkpoint `{place}` cannot be used: {error.strerror or error}",
+                term=folder,
+                remedy="give a folder that can be written",
+            ) from error
+        if written is None:
+            text = json.dumps(manifest, indent=1)
+            write_files({place / _MANIFEST: text}, True, StorageError)
+        else:
+            _check_same(place, written, manifest)
+        return cls(place, options)
+
+    def path(self, compiled: CompiledProblem, box: Mapping[Any, Any]) -> Path:
+        """The file of the solve of a compiled problem on a box."""
+        changes = {str(name): _plain_option(change) for name, change in box.items()}
+        asked = [problem_digest(compiled), changes, _plain_options(self.options), __version__]
+        return self.folder / f"solve-{_digest(json.dumps(asked, sort_keys=True))[:24]}.npz"
+
+
+def finished(path: Path) -> Solution | None:
+    """The solution in a file; None if there is none, or it is damaged, of which is warned."""
+    if not path.exists():
+        return None
+    try:
+        return load(path)
+    except StorageError as error:
+        warn(f"a finished solve is damaged and is solved again: {error.message}")
+        return None
+
+
+def keep(path: Path, solution: Solution) -> None:
+    """Write a finished solution; the file is complete or absent, whatever happens."""
+    solution.save(path, overwrite=True)
+
+
+def problem_digest(compiled: CompiledProblem) -> str:
+    """SHA-256 of all that a problem says; functions of the user count by their names and code."""
+    functions = {name: _code(f) for name, f in sorted(compiled.user_functions.items())}
+    return _digest(json.dumps([plain(compiled.metadata()), functions], sort_keys=True))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _code(wrapped: Callable[..., object]) -> str:
+    """What a function of the user is known by: its name, what Python runs, and what it holds."""
+    function = getattr(wrapped, "value", wrapped)
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    cells = [repr(cell.cell_contents) for cell in getattr(function, "__closure__", None) or ()]
+    held = repr(getattr(function, "__defaults__", None)), cells
+    code = _of_code(getattr(function, "__code__", None))
+    return f"{getattr(function, '__module__', '')}.{name} {code} {held}"
+
+
+def _of_code(code: CodeType | None) -> str:
+    if code is None:
+        return ""
+    constants = [_of_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    return f"{code.co_code.hex()} {constants} {code.co_names}"
+
+
+def _plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _plain_option(option) for name, option in sorted(options.items())}
+
+
+def _plain_option(option: Any) -> Any:
+    """An option as JSON holds it; symbols and other objects as text."""
+    if isinstance(option, Mapping):
+        return {str(key): _plain_option(entry) for key, entry in option.items()}
+    if isinstance(option, list | tuple | set | frozenset | np.ndarray):
+        return [_plain_option(entry) for entry in option]
+    if isinstance(option, bool | str | None):
+        return option
+    if isinstance(option, int | float | np.generic):
+        return float(option)
+    return str(option)
+
+
+def _title(compiled: CompiledProblem) -> str:
+    """A problem in one line: its name and its equations."""
+    name, texts = compiled.problem.name, compiled.metadata().equations
+    equations = shown("; ".join(texts)).strip("'")
+    return f"{name} ({equations})" if name else equations
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """The manifest of a checkpoint; None if there is none, or it is damaged."""
+    if not path.exists():
+        return None
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return None
+    complete = isinstance(manifest, dict) and manifest.get("format") == _FORMAT
+    fields = ("problem", "digest", "options", "rankone")
+    return manifest if complete and all(name in manifest for name in fields) else None
+
+
+def _check_same(place: Path, written: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise a StorageError unless a checkpoint is of what is asked for."""
+    if written["rankone"] != asked["rankone"]:
+        raise StorageError(
+            f"checkpoint `{place}` was written by rankone {written['rankone']}, "
+            f"and this is {asked['rankone']}",
+            remedy=_OTHER_FOLDER,
+        )
+    if written["digest"] != asked["digest"]:
+        same = written["problem"] == asked["problem"]
+        other = "another box, horizon or detail of it" if same else asked["problem"]
+        raise StorageError(
+            f"checkpoint `{place}` is of the problem {written['problem']}, not of {other}",
+            remedy=_OTHER_FOLDER,
+        )
+    for name in sorted({*written["options"], *asked["options"]}):
+        one, other = (side["options"].get(name) for side in (written, asked))
+        if one != other:
+            raise StorageError(
+                f"checkpoint `{place}` is of solves with {name}={one!r}, not {other!r}",
+                remedy=_OTHER_FOLDER,
+            )

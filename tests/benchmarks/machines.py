@@ -1,0 +1,193 @@
+"""What ``solve_many`` costs and withstands.
+
+``python tests/benchmarks/machines.py speed`` solves 16 pieces of a double well here, on two
+processes and, where distributed is installed, on a LocalCluster of two workers. Times on the clock
+need a quiet machine. The speed with two free cores is taken from processor times: of the busiest
+worker, or half of all, the main process with dask's scheduler included, whichever is larger.
+
+``... kill 20`` kills worker and main process 20 times at random moments, and starts the same
+command again until it ends: the bits have to be the same, and no finished file may change.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rankone as ro
+
+
+def double_well(horizon: float, rtol: float) -> tuple[ro.Problem, list[Any], float]:
+    """A driven particle between two wells, its box in 16 pieces, and a tolerance."""
+    problem = ro.Problem.from_strings(
+        {"x": "v", "v": "x - x**3 - c*v + a*cos(t)"},
+        {"x": "x0", "v": "v0"},
+        {"c": (0.1, 0.4), "x0": (0.5, 1.3), "a": (0.0, 0.1), "v0": (-0.1, 0.1)},
+        (0, horizon),
+        name="double well",
+    )
+    return problem, problem.split(c=4, x0=4), rtol
+
+
+SHORT, LONG = (4.0, 1e-6), (12.0, 1e-7)
+"""Horizon and tolerance of solves that are killed, and of those that are timed."""
+
+
+def bits(solutions: Any) -> str:
+    """A digest of values of all solutions."""
+    digest = hashlib.sha256()
+    for solution in solutions:
+        middle = {name: sum(ends) / 2 for name, ends in solution.parameters.items()}
+        digest.update(solution(np.linspace(*solution.time, 33), middle).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def processor_times(_: int) -> tuple[int, float]:
+    """The number of a worker process, and the seconds of processor time that it took."""
+    time.sleep(0.2)
+    return os.getpid(), time.process_time()
+
+
+def timed(executor: Any) -> tuple[str, float, float]:
+    """The bits, seconds on the clock, and seconds of processor time of this process."""
+    problem, boxes, rtol = double_well(*LONG)
+    compiled = ro.compile(problem)
+    began, used = time.perf_counter(), time.process_time()
+    solutions = ro.solve_many(compiled, boxes, rtol, executor=executor)
+    assert solutions.success, solutions
+    return bits(solutions), time.perf_counter() - began, time.process_time() - used
+
+
+def report(name: str, executor: Any, alone: tuple[str, float, float]) -> None:
+    """Solve on an executor that is warm, and compare with the solves here."""
+    dict(executor.map(processor_times, range(4)))
+    before = dict(executor.map(processor_times, range(8)))
+    found, seconds, main = timed(executor)
+    after = dict(executor.map(processor_times, range(8)))
+    used = [after[pid] - before.get(pid, 0.0) for pid in after]
+    assert found == alone[0], "the bits differ"
+    spent = " + ".join(f"{each:.2f}" for each in [*used, main])
+    two_cores = alone[2] / max(*used, (sum(used) + main) / 2)
+    print(
+        f"{name}: {seconds:.2f} s, {alone[1] / seconds:.2f} x faster on the clock; {spent} s of "
+        f"processor time (workers, main): {two_cores:.2f} x with two free cores; the same bits",
+        flush=True,
+    )
+
+
+def speed() -> None:
+    """Compare with and without workers."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    timed(None)  # imports, and what is kept between solves
+    alone = timed(None)
+    print(f"here: {alone[1]:.2f} s, {alone[2]:.2f} s of processor time", flush=True)
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        ro.solve_many(*double_well(1.0, 1e-2), executor=executor)
+        report("two processes", executor, alone)
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        print("LocalCluster: distributed is not installed")
+        return
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        executor = client.get_executor(pure=False)
+        ro.solve_many(*double_well(1.0, 1e-2), executor=client)
+        report("LocalCluster", executor, alone)
+
+
+def command(folder: str) -> None:
+    """What is killed: 16 pieces on two processes, with a checkpoint."""
+    problem, boxes, rtol = double_well(*SHORT)
+    solutions = ro.solve_many(problem, boxes, rtol, executor=2, checkpoint=folder)
+    print(bits(solutions), solutions.success, flush=True)
+
+
+def children(pid: int) -> list[int]:
+    """The processes that a process started, but for the one that tracks resources."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid and "spawn_main" in (folder / "cmdline").read_text():
+                found.append(int(folder.name))
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def wait(main: subprocess.Popen[str], rng: random.Random) -> None:
+    """Wait for a random moment: mostly one while workers work, sometimes one before."""
+    if rng.random() < 0.2:
+        time.sleep(rng.uniform(0.0, 5.0))
+        return
+    while main.poll() is None and not children(main.pid):
+        time.sleep(0.1)
+    time.sleep(rng.uniform(0.0, 15.0))
+
+
+def kill(count: int, seed: int = 0) -> None:
+    """Kill a worker or the main process ``count`` times, and start the same command again."""
+    rng = random.Random(seed)
+    problem, boxes, rtol = double_well(*SHORT)
+    expected = bits(ro.solve_many(problem, boxes, rtol))
+    killed: dict[str, int] = {"main": 0, "worker": 0}
+    orphans, rewritten = 0, 0
+    while sum(killed.values()) < count:
+        with tempfile.TemporaryDirectory() as folder:
+            stamps: dict[str, int] = {}
+            while True:
+                call = [sys.executable, __file__, "command", folder]
+                main = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
+                while main.poll() is None:
+                    wait(main, rng)
+                    finished = {p.name: p.stat().st_mtime_ns for p in Path(folder).glob("solve-*")}
+                    rewritten += sum(finished.get(name) != at for name, at in stamps.items())
+                    stamps |= finished
+                    if main.poll() is not None or sum(killed.values()) >= count:
+                        continue
+                    workers = children(main.pid)
+                    victim = "worker" if workers and rng.random() < 0.5 else "main"
+                    target = rng.choice(workers) if victim == "worker" else main.pid
+                    try:
+                        os.kill(target, signal.SIGKILL)
+                    except ProcessLookupError:
+                        continue
+                    killed[victim] += 1
+                    if victim == "main":
+                        main.wait()
+                        time.sleep(0.5)
+                        orphans += sum(Path(f"/proc/{pid}").exists() for pid in workers)
+                assert main.stdout is not None
+                lines = main.stdout.read().split()
+                if main.returncode == 0:
+                    break
+            assert lines == [expected, "True"], lines
+        print(f"killed so far: {killed}", flush=True)
+    print(f"{killed}: the same bits, {orphans} orphans, {rewritten} finished files solved again")
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"peak of one process {peak:.0f} MB")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["command"]:
+        command(sys.argv[2])
+    elif sys.argv[1:2] == ["kill"]:
+        kill(int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+    else:
+        speed()
