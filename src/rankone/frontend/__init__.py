@@ -10,6 +10,7 @@
 :mod:`~.run_time`       which constants are run-time values of compiled problems
 :mod:`~.changes`        other problems from one: constants set, parameters fixed or set free
 :mod:`~.matrices`       equations between matrices, problems from mass, damping and stiffness
+:mod:`~.reactions`      problems from stoichiometric matrices and rate laws
 :mod:`~.addends`        matrices and vectors as sums of coefficients times arrays
 :mod:`~.term_table`     the rates of many states as a table of terms, and no expressions
 :mod:`~.mistakes`       what is often written in place of an unknown at the time t

@@ -46,7 +46,7 @@ def explicit(side: Any, index: int) -> sp.MatrixBase:
 def addends_of(written: Any, subject: str) -> Addends:
     """A matrix or vector as a sum of coefficients times arrays."""
     if not isinstance(written, Mapping):
-        return [(sp.S.One, _array(written, subject))]
+        return [(sp.S.One, array_of(written, subject))]
     addends: Addends = []
     for key, array in written.items():
         try:
@@ -59,13 +59,13 @@ def addends_of(written: Any, subject: str) -> Addends:
                 term=key,
                 remedy="use symbols of parameters and numbers as keys: {1: K0, k: K1}",
             )
-        addends.append((coefficient, _array(array, subject)))
+        addends.append((coefficient, array_of(array, subject)))
     if not addends:
         raise ProblemError(f"{subject} has no terms", term=written, remedy=f"give {_FORMS}")
     return addends
 
 
-def _array(written: Any, subject: str) -> Any:
+def array_of(written: Any, subject: str) -> Any:
     """An array of floats, or a SymPy matrix if there are expressions."""
     if isinstance(written, sp.MatrixExpr):
         written = explicit(written, 0)

@@ -107,7 +107,7 @@ class MatrixSystem:
                     term=force,
                     remedy=f"give {count(size, 'entry', 'entries')}",
                 )
-        return cls(_unknowns(names, size, time), time, terms, vector)
+        return cls(named_unknowns(names, size, time), time, terms, vector)
 
     @property
     def order(self) -> int:
@@ -201,47 +201,51 @@ class MatrixSystem:
         return [sp.Add(*row) for row in rows]
 
     def initial(self, written: Any) -> dict[sp.Expr, Any]:
-        """Initial values of all states: of an array, of a pair of arrays, or of a mapping.
+        """Initial values of all states; see :func:`initial_values`."""
+        return initial_values(written, self.unknowns, self.time, self.order)
 
-        What is left out is zero.
-        """
-        states = [
-            rate_of(q, self.time, order) if order else q
-            for order in range(self.order)
-            for q in self.unknowns
-        ]
-        start: dict[sp.Expr, Any] = dict.fromkeys(states, sp.S.Zero)
-        if isinstance(written, Mapping):
-            return {**start, **self._by_state(written)}
-        columns = [written]
-        if isinstance(written, tuple | list) and written and all(map(_is_column, written)):
-            columns = [*written]
-        if len(columns) > self.order:
+
+def initial_values(
+    written: Any, unknowns: Sequence[sp.Expr], time: sp.Symbol, order: int
+) -> dict[sp.Expr, Any]:
+    """Initial values of all states: of an array, of a pair of arrays, or of a mapping.
+
+    What is left out is zero.
+    """
+    states = [rate_of(q, time, k) if k else q for k in range(order) for q in unknowns]
+    start: dict[sp.Expr, Any] = dict.fromkeys(states, sp.S.Zero)
+    if isinstance(written, Mapping):
+        return {**start, **_by_state(written, unknowns, time)}
+    columns = [written]
+    if isinstance(written, tuple | list) and written and all(map(_is_column, written)):
+        columns = [*written]
+    if len(columns) > order:
+        raise ProblemError(
+            f"initial has {len(columns)} arrays for a system of order {order}",
+            term=written,
+            remedy="give the values of the unknowns, then those of their derivatives",
+        )
+    for k, column in enumerate(columns):
+        entries = [*column] if _is_column(column) else None
+        if entries is None or len(entries) != len(unknowns):
             raise ProblemError(
-                f"initial has {len(columns)} arrays for a system of order {self.order}",
+                f"initial is {shown(written)}",
                 term=written,
-                remedy="give the values of the unknowns, then those of their derivatives",
+                remedy=f"give {count(len(unknowns), 'value')}, or a pair of such arrays "
+                "for values and derivatives, or a mapping",
             )
-        for order, column in enumerate(columns):
-            entries = [*column] if _is_column(column) else None
-            if entries is None or len(entries) != len(self.unknowns):
-                raise ProblemError(
-                    f"initial is {shown(written)}",
-                    term=written,
-                    remedy=f"give {count(len(self.unknowns), 'value')}, or a pair of such arrays "
-                    "for values and derivatives, or a mapping",
-                )
-            first = order * len(self.unknowns)
-            start |= dict(zip(states[first : first + len(entries)], entries, strict=True))
-        return start
+        first = k * len(unknowns)
+        start |= dict(zip(states[first : first + len(entries)], entries, strict=True))
+    return start
 
-    def _by_state(self, written: Mapping[Any, Any]) -> dict[Any, Any]:
-        """Initial values by states, given by their names or as they are."""
-        named = {q.func.__name__: q for q in self.unknowns}
-        named |= {f"{name}_t": rate_of(q, self.time) for name, q in named.items()}
-        return {
-            named.get(key, key) if isinstance(key, str) else key: at for key, at in written.items()
-        }
+
+def _by_state(
+    written: Mapping[Any, Any], unknowns: Sequence[sp.Expr], time: sp.Symbol
+) -> dict[Any, Any]:
+    """Initial values by states, given by their names or as they are."""
+    named = {q.func.__name__: q for q in unknowns}
+    named |= {f"{name}_t": rate_of(q, time) for name, q in named.items()}
+    return {named.get(key, key) if isinstance(key, str) else key: at for key, at in written.items()}
 
 
 def _is_column(written: object) -> bool:
@@ -251,7 +255,7 @@ def _is_column(written: object) -> bool:
     return isinstance(written, list | tuple) or np.ndim(written) == 1  # type: ignore[arg-type]
 
 
-def _unknowns(names: object, size: int, time: sp.Symbol) -> tuple[sp.Expr, ...]:
+def named_unknowns(names: object, size: int, time: sp.Symbol) -> tuple[sp.Expr, ...]:
     """Functions of time with the names given, or ``q0``, ``q1``, ... for ``"q"``."""
     if isinstance(names, str):
         listed = [f"{names}{i}" for i in range(size)]

@@ -23,8 +23,9 @@ from rankone.frontend.checked import CheckedProblem
 from rankone.frontend.events import (
     Event,
 )
-from rankone.frontend.matrices import MatrixSystem
+from rankone.frontend.matrices import MatrixSystem, initial_values
 from rankone.frontend.numeric import NumericEquations
+from rankone.frontend.reactions import Network
 from rankone.frontend.saving import save_problem
 from rankone.frontend.shorthand import Shorthand
 from rankone.frontend.steady_start import (
@@ -319,6 +320,73 @@ class Problem(CheckedProblem):
         matrices = {"M": M, "C": C, "K": K}
         system = MatrixSystem.of(matrices, force, check_time(time)[0], names)
         return cls(system.equations, time, parameters, system.initial(initial), **further)
+
+    @classmethod
+    def from_reactions(
+        cls,
+        stoichiometry: Any,
+        laws: Sequence[Any],
+        *,
+        orders: Any = None,
+        time: tuple[sp.Symbol, float, float],
+        parameters: Mapping[sp.Symbol, Any],
+        initial: Any,
+        names: str | Sequence[str] = "x",
+        **further: Any,
+    ) -> Problem:
+        """Build a problem ``x' = N v(x)`` from a stoichiometric matrix and rate laws.
+
+        Parameters
+        ----------
+        stoichiometry : matrix
+            What a reaction adds to a species, or takes from it with a minus sign: (species,
+            reactions) numbers, as an array or a sparse matrix of SciPy.
+        laws : sequence of Expr or float
+            The rate of each reaction, in unknowns, parameters and time; with ``orders`` its rate
+            constant.
+        orders : "reactants" or matrix, optional
+            Mass action: laws are multiplied by powers of species, (species, reactions). For
+            "reactants" they are what reactions take. What is not in the net change, such as a
+            catalyst, needs the matrix.
+        time, parameters
+            As for the class.
+        initial : array or mapping
+            The values of the species (n,), numbers or expressions of parameters; or a mapping from
+            unknowns or their names. What is left out is zero.
+        names : str or sequence of str
+            ``"x"`` calls the unknowns ``x0``, ``x1``, ...; or a name for each.
+        **further
+            ``name``, ``jumps``, ``units``, ``constants`` and other arguments of the class.
+
+        Raises
+        ------
+        ProblemError
+            As for the class, and if the laws do not fit the matrix.
+
+        Examples
+        --------
+        >>> t, k1, k2 = sp.symbols("t k1 k2")
+        >>> binding = [[-1, 1], [-1, 1], [1, -1]]
+        >>> box = {k1: (1, 2), k2: (0.5, 1)}
+        >>> Problem.from_reactions(
+        ...     binding,
+        ...     [k1, k2],
+        ...     orders="reactants",
+        ...     time=(t, 0, 5),
+        ...     parameters=box,
+        ...     initial=[1, 2, 0],
+        ...     names=["a", "b", "ab"],
+        ... )
+        Problem: 3 unknowns, 2 parameters
+          da/dt = -k1*a*b + k2*ab
+          db/dt = -k1*a*b + k2*ab
+          dab/dt = k1*a*b - k2*ab
+          a(0) = 1, b(0) = 2, ab(0) = 0
+          t in [0, 5], k1 in [1, 2], k2 in [0.5, 1]
+        """
+        network = Network.of(stoichiometry, laws, orders, check_time(time)[0], names)
+        start = initial_values(initial, network.unknowns, network.time, order=1)
+        return cls(network.equations, time, parameters, start, **further)
 
     def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
         """Integrate one ordinary trajectory by SciPy, for a first check.
