@@ -1,48 +1,15 @@
-"""A small PEtab problem: a conversion A <-> B with a dose, written to files from a fixed seed."""
+"""The conversion of the examples with other tables: Laplace's noise, times at rest, scales."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-MODEL = """<?xml version="1.0" encoding="UTF-8"?>
-<sbml xmlns="http://www.sbml.org/sbml/level3/version1/core" level="3" version="1">
-<model id="conversion">
-<listOfCompartments>
-<compartment id="cell" size="2" constant="true" spatialDimensions="3"/>
-</listOfCompartments>
-<listOfSpecies>
-<species id="A" compartment="cell" initialConcentration="1" hasOnlySubstanceUnits="false"
- boundaryCondition="false" constant="false"/>
-<species id="B" compartment="cell" initialConcentration="0.2" hasOnlySubstanceUnits="false"
- boundaryCondition="false" constant="false"/>
-</listOfSpecies>
-<listOfParameters>
-<parameter id="k1" value="1" constant="true"/>
-<parameter id="k2" value="1" constant="true"/>
-<parameter id="dose" value="0" constant="true"/>
-<parameter id="a0" value="1" constant="true"/>
-</listOfParameters>
-<listOfInitialAssignments>
-<initialAssignment symbol="A"><math xmlns="http://www.w3.org/1998/Math/MathML"><ci>a0</ci></math>
-</initialAssignment>
-</listOfInitialAssignments>
-<listOfReactions>
-<reaction id="there" reversible="false" fast="false">
-<listOfReactants><speciesReference species="A" stoichiometry="1" constant="true"/></listOfReactants>
-<listOfProducts><speciesReference species="B" stoichiometry="1" constant="true"/></listOfProducts>
-<kineticLaw><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>cell</ci>
-<apply><plus/><ci>k1</ci><ci>dose</ci></apply><ci>A</ci></apply></math></kineticLaw>
-</reaction>
-<reaction id="back" reversible="false" fast="false">
-<listOfReactants><speciesReference species="B" stoichiometry="1" constant="true"/></listOfReactants>
-<listOfProducts><speciesReference species="A" stoichiometry="1" constant="true"/></listOfProducts>
-<kineticLaw><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>cell</ci>
-<ci>k2</ci><ci>B</ci></apply></math></kineticLaw>
-</reaction>
-</listOfReactions>
-</model>
-</sbml>
-"""
+FILES = Path(__file__).parents[2] / "examples" / "conversion"
+MODEL = (FILES / "model.xml").read_text(encoding="utf-8")
+YAML = (FILES / "conversion.yaml").read_text(encoding="utf-8")
+CONDITIONS = (FILES / "conditions.tsv").read_text(encoding="utf-8")
 NOMINAL = {"k1": 0.8, "k2": 0.6, "a0": 1.5, "scale": 2.0, "sd_B": 0.1, "sd_share": 0.05}
 DOSES = {"low": 0.5, "high": 3.0}
 TIMES = (0.0, 0.5, 1.0, 2.0)
@@ -54,20 +21,11 @@ scale	log10	0.01	100	2	1
 sd_B	log10	0.001	10	0.1	1
 sd_share	lin	0.001	1	0.05	0
 """
-CONDITIONS = "conditionId\tdose\nrest\t0\nlow\t0.5\nhigh\t3\n"
 OBSERVABLES = """observableId	observableFormula	noiseFormula	observableTransformation\
 	noiseDistribution
 obs_B	observableParameter1_obs_B * B + 0.1	noiseParameter1_obs_B	log10	normal
 obs_share	A / (A + B)	sd_share + 0.01 * A	lin	laplace
 obs_A	A	0.2	log	normal
-"""
-YAML = """format_version: 1
-parameter_file: parameters.tsv
-problems:
-- condition_files: [conditions.tsv]
-  measurement_files: [measurements.tsv]
-  observable_files: [observables.tsv]
-  sbml_files: [model.xml]
 """
 
 

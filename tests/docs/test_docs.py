@@ -45,6 +45,7 @@ LONG = {
         "cross.md",
         "export/fmu.md",
         "export/standalone-solver.md",
+        "guide/calibration.md",
         "guide/changing-orders.md",
         "guide/events.md",
         "guide/falling-card.md",
@@ -109,6 +110,8 @@ def _skip_without_tools(path: Path) -> None:
     """An FMU is run by FMPy, and has a binary only where there is a compiler; SBML is optional."""
     if path.name == "models.md":
         pytest.importorskip("libsbml", reason="needs python-libsbml: pip install python-libsbml")
+    if path.name == "calibration.md":
+        pytest.importorskip("petab", reason="needs petab: pip install petab")
     if path.name == "fmu.md":
         pytest.importorskip("fmpy", reason="FMPy is not installed (pip install fmpy)")
         if not any(map(shutil.which, ("cc", "gcc", "clang"))):
@@ -120,6 +123,7 @@ def test_blocks(path, tmp_path, monkeypatch, request):
     _skip_without_tools(path)
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples" / "enzyme.xml", tmp_path)
+    shutil.copytree(ROOT / "examples" / "conversion", tmp_path / "conversion")
     text = path.read_text()
     namespace: dict[str, object] = {"__name__": "__main__"}
     pieces, end = [], 0
