@@ -1,10 +1,12 @@
 """Solutions in which the order of events changes inside the box, against closed forms."""
 
+import itertools
 import warnings
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 
@@ -160,6 +162,7 @@ def test_statistics_go_across_branches(time):
     assert solution.skewness(time)[0] == pytest.approx(third, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_sobol_indices_go_across_branches():
     solution, time = washed().fix(k=0.4), 5.0
     a, b = np.meshgrid(1 + (np.arange(2000) + 0.5) / 1000, 1.5 + (np.arange(2000) + 0.5) / 1000)
@@ -203,12 +206,60 @@ def test_fits_go_across_branches():
     assert fit.x["k"] == pytest.approx(0.4, abs=0.01)
 
 
+def test_outputs_go_across_branches(tmp_path):
+    solution = washed()
+    dose = solution.output({"area": "integral(x, 0, 6)", "when": "event_time(dose, 0)"})
+    assert dose.success
+    for point in (POINT, SWAPPED):
+        breaks = [0.0, *sorted((point["a"], point["b"])), END]
+        amount = partial(exact, **point)
+        area = sum(quad(amount, *ends)[0] for ends in itertools.pairwise(breaks))
+        assert dose(point) == pytest.approx([area, point["a"]], rel=dose.rtol)
+    again = ro.load(dose.save(tmp_path / "dose.npz"))
+    np.testing.assert_array_equal(again(SWAPPED), dose(SWAPPED))
+    assert 0.0 < dose.timeline.undecided < 0.01
+    with pytest.warns(ro.RankoneWarning, match="undecided in which order"):
+        assert np.isnan(dose["area"](a=2.0, b=2.0, k=0.4))
+    assert dose.fix(k=0.4).mean()[1] == pytest.approx(2.0, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_outputs_over_time_go_across_branches():
+    square = washed().output({"y": "x**2"})
+    assert square.success
+    times = np.array([0.5, 1.8, 2.2, 5.0])
+    for point in (POINT, SWAPPED):
+        assert square(times, point)[0] == pytest.approx(exact(times, **point) ** 2, abs=1e-3)
+
+
+def test_one_time_across_branches():
+    solution = washed()
+    late = solution.at(5.0)
+    assert late.success
+    for point in (POINT, SWAPPED):
+        assert late(point)[0] == pytest.approx(exact(5.0, **point), rel=1e-3)
+    with pytest.raises(ro.EvaluationError, match="`dose` has happened for some parameters alone"):
+        solution.at(2.2)
+
+
+def test_outputs_where_guards_decide():
+    """The dissipated work, by the closed form of each swing."""
+    output = rubbing().output({"work": "mu*integral(v**2, 0, 6)"})
+    assert output.success
+    for start in (1.52, 1.8, 2.3):  # two swings end after 2 pi, or the mass sticks after one
+        amplitudes = [start - 0.35, start - 3 * 0.35]
+        squares = amplitudes[0] ** 2 * np.pi / 2
+        if start > 3 * 0.35:
+            rest = 6.0 - np.pi
+            squares += amplitudes[1] ** 2 * (rest / 2 - np.sin(2 * rest) / 4)
+        assert output(mu=0.35, start=start)[0] == pytest.approx(0.35 * squares, rel=5e-4)
+
+
 @pytest.mark.parametrize(
     "use",
     [
-        lambda s: s.output({"q": "x**2"}),
-        lambda s: s.at(2.0),
         lambda s: s.diff("a"),
+        lambda s: s.output({"rate": sp.Function("x")(sp.Symbol("t")).diff()}),
         lambda s: s.in_clock_time(),
         lambda s: s.to_canonical(),
     ],
@@ -236,10 +287,15 @@ def swings(times, start, mu):
     return positions
 
 
-def test_a_mass_that_sticks_at_a_turning_point_or_slips_on():
+@cache
+def rubbing():
     rates = {"x": "v", "v": "-x - mu*sign(v)"}
     box = {"start": (1.5, 2.5), "mu": (0.3, 0.4)}
-    solution = ro.solve(text(rates, {"x": "start", "v": 0}, box, 9), RTOL)
+    return ro.solve(text(rates, {"x": "start", "v": 0}, box, 9), RTOL)
+
+
+def test_a_mass_that_sticks_at_a_turning_point_or_slips_on():
+    solution = rubbing()
     assert solution.success
     assert len(solution.timeline.branches) == 2
     at, times = points(solution, 60, 3), np.linspace(0.0, 9.0, 30)

@@ -7,15 +7,18 @@ from functools import cached_property, partial
 from itertools import chain
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import Piece, SlabRecord
-from rankone.outputs.interpolation import samples_of, with_outputs
+from rankone.ir.timeline import Timeline
+from rankone.outputs.quantities import Quantities
+from rankone.outputs.quantity_solutions import samples_of, with_outputs
 from rankone.outputs.states import at_instant, derivative, over_clock_time
 from rankone.populations import PopulationsFromData
+from rankone.solution.core import SolutionCore
 from rankone.solution.joining import joined
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
@@ -414,17 +417,20 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         if self.outcome.pieces:
             options: Any = {"rtol": rtol, "effort": effort, "max_seconds": max_seconds}
             return self._in_pieces(lambda piece: piece.output(quantities, units=units, **options))
-        timeline = self.outcome.timeline_of_one_order("output")
         expressions = optional_module(
             "rankone.codegen.output_expressions",
             "outputs are given as expressions of SymPy",
             "pip install sympy",
         )
-        asked = quantities, self.metadata, self.time, samples_of(self), timeline
-        outputs = expressions.quantities_of(*asked)
-        if units is None and not isinstance(quantities, Mapping):
-            units = {name: unit for name, unit in self.metadata.units if name in outputs.names}
-        return Solution(*with_outputs(self, outputs, rtol, effort, max_seconds, units or {}))
+        metadata, horizon = self.metadata, self.time
+
+        def of_branch(part: SolutionCore, timeline: Timeline | None) -> Quantities:
+            asked = quantities, metadata, horizon, samples_of(part), timeline
+            return cast(Quantities, expressions.quantities_of(*asked))
+
+        if units is None and isinstance(quantities, Mapping):
+            units = {}
+        return Solution(*with_outputs(self, of_branch, rtol, effort, max_seconds, units))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.

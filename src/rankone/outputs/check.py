@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,7 @@ class Check:
 
         def error(at: Array) -> Array:
             missed = Check(at, sampler(at), self.sizes).missed(slabs, sampler)
-            return np.asarray(missed.max(axis=0))
+            return np.where(sampler.holds(at), missed.max(axis=0), 0.0)
 
         points, _ = climbed(error, points, errors, domain.bounds, _TO_ERRORS)
         return Check(points, sampler(points), self.sizes)
@@ -145,6 +145,12 @@ class CheckPoints:
         halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
+
+    def where(self, holds: Callable[[Array], NDArray[np.bool_]]) -> CheckPoints:
+        """The points at which a condition holds."""
+        corners = int(holds(self.aimed[: self.corners]).sum())
+        aimed, further = (points[holds(points)] for points in (self.aimed, self.further))
+        return CheckPoints(corners, aimed, further)
 
 
 def spread_over(domain: Domain, count: int) -> Array:

@@ -6,8 +6,7 @@ of the interpolation, measured at further points, plus the effect of the solutio
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -15,12 +14,10 @@ import numpy as np
 
 from rankone.discretization import BASES
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
-from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import (
-    EarlyEnd,
     Note,
     OutputError,
     Remedy,
@@ -38,13 +35,10 @@ from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
     limited,
-    operations_for,
     seconds_left,
     work_left,
 )
-from rankone.support.errors import ConvergenceError, OptionError
-from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, quote
+from rankone.support.errors import ConvergenceError
 from rankone.tensors.adaptive import (
     FIRST_LEFT_POINTS,
     AdaptiveInterpolation,
@@ -56,8 +50,6 @@ from rankone.tensors.cross import GrowingBasis
 from rankone.tensors.slab import SlabTrain, slab_trains
 from rankone.tensors.timeline import TimelineEvaluator
 
-LEAST_RTOL, MOST_RTOL = 1e-13, 0.999
-"""Tolerances of outputs."""
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _OF_INTERPOLATION = Remedy(
     "raise effort, loosen rtol or restrict the solution; what jumps or kinks as parameters change "
@@ -81,73 +73,6 @@ _HELD_NUMBERS = 2**22  # Integrands at several points and times that are held at
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
 _BORDER_ROUNDING = 1e-12  # Part of the horizon within which borders of stretches are the same
 _CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
-_SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
-_SAMPLE_SEED = 1795  # Seed of these points
-
-
-def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
-    """Some times (m,), parameters (d, m) and the states there (n, m)."""
-    rng = np.random.default_rng(_SAMPLE_SEED)
-    box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
-    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), _SAMPLE_COUNT))
-    start, end = solution.time
-    t = start + (end - start) * rng.random(_SAMPLE_COUNT)
-    named = dict(zip(solution.parameters, p, strict=True))
-    at = () if solution.metadata.timeless else (t,)
-    states = [np.broadcast_to(solution[s](*at, **named), t.shape) for s in solution.states]
-    at_times = np.array(states)
-    runs = ~np.isnan(at_times).any(axis=0) if solution.outcome.timeline else slice(None)
-    return t[runs], p[:, runs], at_times[:, runs]
-
-
-def with_outputs(
-    solution: SolutionCore,
-    quantities: Quantities,
-    rtol: float | None,
-    effort: str | float,
-    max_seconds: float | None,
-    units: Mapping[str, str],
-) -> tuple[Outcome, SolutionMetadata]:
-    """Quantities of interest; see :meth:`rankone.Solution.output`."""
-    if rtol is not None:
-        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
-    seconds = math.inf
-    if max_seconds is not None:
-        seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
-    operations = operations_for(effort)
-    _check_units(units, quantities)
-    outcome, rtol = OutputInterpolation(solution, quantities).solve(rtol, operations, seconds)
-    metadata = solution.metadata
-    if solution.time[1] < metadata.horizon[1]:
-        verdicts = outcome.verdict, solution.outcome.verdict
-        cause = EarlyEnd(*solution.time, metadata.horizon[1], *verdicts)
-        outcome = replace(outcome, status=solution.status, cause=cause, notes=())
-    return outcome, replace(
-        metadata,
-        states=quantities.names,
-        roles=(Role.UNKNOWN,) * len(quantities.names),
-        horizon=solution.time,
-        rtol=rtol,
-        equations=quantities.texts,
-        source=None,
-        timeless=quantities.timeless,
-        units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
-        definitions=(),
-        atol=(),
-    )
-
-
-def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
-    """Raise unless units are texts by names of quantities."""
-    if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
-        raise OptionError(
-            f"units={units!r} is not a mapping to texts", term=units, remedy='give {"name": "m/s"}'
-        )
-    for name in units:
-        if name not in quantities.names:
-            raise OptionError(
-                f"there is no output {quote(name)}{did_you_mean(name, quantities.names)}", term=name
-            )
 
 
 @contextmanager
@@ -170,12 +95,14 @@ class OutputInterpolation:
     """Quantities of a solution as trains over its box and horizon.
 
     Those of a solution with events that depend on time are over its stretches, or else over
-    ``clock_time``.
+    ``clock_time``. Errors are relative to the largest values, or to the ``least_sizes`` of the
+    first quantities.
     """
 
     solution: SolutionCore
     quantities: Quantities
     clock_time: bool = False
+    least_sizes: tuple[float, ...] = ()
     options: CrossOptions = field(default_factory=CrossOptions)
 
     @property
@@ -200,8 +127,10 @@ class OutputInterpolation:
         with _limited(operations, seconds):
             grid = self._resolving_grid(_AIMED_SHARE * (rtol or solution.rtol), points)
             sampler, finer = self._sampler(grid), self._sampler(split(grid))
+            points = points.where(sampler.holds)
             critical = critical_points(sampler, domain)
-            check = Check.at(finer, np.concatenate([points.further, critical]))
+            critical = critical[sampler.holds(critical)]
+            check = self._check(finer, np.concatenate([points.further, critical]))
             absolute, states = dict(solution.metadata.atol), solution.states
             sources = self.quantities.sources
             atol = np.array([absolute.get(states[source.row], 0.0) for source in sources])
@@ -210,7 +139,7 @@ class OutputInterpolation:
                 effect = float(amplified.sum(axis=0).max(initial=0.0))
                 default = _DEFAULT_MARGIN * max(solution.rtol, effect)
                 rtol = min(default, max(_LARGEST_DEFAULT, solution.rtol))
-            target = Check.at(sampler, np.concatenate([points.aimed, critical]))
+            target = self._check(sampler, np.concatenate([points.aimed, critical]))
             with limited(_TRAIN_SHARE * work_left(), _TRAIN_SHARE * seconds_left()):
                 slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         errors = list(solution.errors.values())
@@ -226,6 +155,13 @@ class OutputInterpolation:
         if isinstance(finer, StretchSampler) and not self.quantities.timeless:
             missed = self._missed_over_clock_time(missed, slabs, finer, check)
         return self._outcome(slabs, missed, from_solution, points.corners, rtol), rtol
+
+    def _check(self, sampler: Sampler, points: Array) -> Check:
+        """Exact quantities at points, with the least sizes."""
+        check = Check.at(sampler, points)
+        least = np.zeros_like(check.sizes)
+        least[: len(self.least_sizes)] = self.least_sizes
+        return replace(check, sizes=np.maximum(check.sizes, least))
 
     def _missed_over_clock_time(
         self, missed: Array, slabs: tuple[SlabTrain, ...], sampler: StretchSampler, check: Check

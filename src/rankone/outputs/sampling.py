@@ -65,6 +65,10 @@ class Sampler:
         """The time (T, 1) or (T, m) at places of the grid (T,) for points (m, d)."""
         return times[:, None]
 
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """At which points (m, d) the quantities count: elsewhere they are continued."""
+        return np.ones(len(points), dtype=bool)
+
     def moved(self, points: Array) -> Array | None:
         """Quantities at points if events were later by their error; None without events."""
         return None
@@ -247,7 +251,7 @@ class Sampler:
 
     def _refuse(self, missing: NDArray[np.bool_], reduction: Reduction, points: Array) -> None:
         """Raise an EvaluationError if something does not happen at some points."""
-        if missing.any():
+        if missing.any() and (missing := missing & self.holds(points)).any():
             raise EvaluationError(
                 f"`{reduction.text}` does not happen at {self._named(points[missing][0])}",
                 term=reduction.text,
@@ -258,7 +262,10 @@ class Sampler:
         """Raise an EvaluationError unless a function (T, m) is finite at all points."""
         if np.isfinite(sampled).all():
             return
-        point = self._named(points[~np.isfinite(sampled).all(axis=0)][0])
+        missing = np.asarray(~np.isfinite(sampled).all(axis=0))
+        inside = missing & self.holds(points)
+        missing = inside if inside.any() else missing  # nothing is continued across infinity
+        point = self._named(points[missing][0])
         raise EvaluationError(
             f"`{text}` is not finite{point and f' at {point}'}",
             term=text,

@@ -10,10 +10,13 @@ import numpy as np
 from rankone.discretization.coordinates import name_of
 from rankone.ir.metadata import SolutionMetadata, of_derivatives
 from rankone.ir.outcome import Outcome
+from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import DerivativeOf, Status
+from rankone.outputs.branches import over_branches, require_states
 from rankone.outputs.check import CheckPoints
-from rankone.outputs.interpolation import LEAST_RTOL, MOST_RTOL, OutputInterpolation
+from rankone.outputs.interpolation import OutputInterpolation
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
 from rankone.solution.core import SolutionCore
 from rankone.solution.smaller import position
 from rankone.support.budget import operations_for
@@ -29,19 +32,40 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
     An EvaluationError if an event that resets states, or ends them, comes before that time for some
     parameters alone.
     """
-    metadata, evaluator = solution.metadata, solution._evaluator
-    timeline = solution.outcome.timeline_of_one_order("at")
+    metadata, timeline = solution.metadata, solution.outcome.timeline
+    operations = operations_for("normal")
+    if isinstance(timeline, BranchedTimeline):
+
+        def of_branch(part: SolutionCore, own: Timeline | None) -> Quantities:
+            assert own is not None
+            return _at_instant(part, own, metadata, time)
+
+        sizes = [tolerance / solution.rtol for tolerance in timeline.tolerances]
+        asked = solution.rtol, operations, math.inf, sizes
+        outcome, rtol, _ = over_branches(solution, of_branch, *asked)
+    else:
+        assert timeline is not None
+        quantities = _at_instant(solution, timeline, metadata, time)
+        outcome, rtol = OutputInterpolation(solution, quantities).solve(None, operations, math.inf)
+    fixed = (*metadata.fixed, (metadata.time, time))
+    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
+
+
+def _at_instant(
+    solution: SolutionCore, timeline: Timeline, metadata: SolutionMetadata, time: float
+) -> Quantities:
+    """The states at one time, by which the same events have happened everywhere."""
+    evaluator = solution._evaluator
     assert isinstance(evaluator, TimelineEvaluator)
-    assert timeline is not None
     texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
     reductions = tuple(
         Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
     )
     sources = tuple(Source(i) for i in range(len(texts)))
     quantities = _as_they_are(metadata, texts, sources, reductions)
-    interpolation = OutputInterpolation(solution, quantities)
-    points = CheckPoints.of(interpolation.domain, quantities).aimed
-    borders = evaluator.borders(np.ascontiguousarray(points.T))
+    domain = OutputInterpolation(solution, quantities).domain
+    points = np.ascontiguousarray(CheckPoints.of(domain, quantities).aimed.T)
+    borders = evaluator.borders(points[:, evaluator.holds(points)])
     jumping = [i for i, resets in enumerate(timeline.resets) if resets or timeline.terminal]
     jumped = (borders[1:][jumping] <= time).sum(axis=0)
     passed = (borders[1:] <= time).sum(axis=0)
@@ -58,20 +82,19 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
             term=time,
             remedy="give an earlier time; solution.end(...) says when it ends",
         )
-    outcome, rtol = interpolation.solve(None, operations_for("normal"), math.inf)
-    fixed = (*metadata.fixed, (metadata.time, time))
-    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
+    return quantities
 
 
 def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
     """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
     metadata, name = solution.metadata, name_of(coordinate)
-    solution.outcome.timeline_of_one_order("diff")
     by_time = name == metadata.time
     j = None if by_time else position(metadata, name)
     sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
     texts = tuple(f"d{state}/d{name}" for state in metadata.states)
     quantities = _as_they_are(metadata, texts, sources, ())
+    if isinstance(solution.outcome.timeline, BranchedTimeline):
+        require_states(quantities)
     interpolation = OutputInterpolation(solution, quantities)
     outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
     units = of_derivatives(metadata.units, metadata.states, name)

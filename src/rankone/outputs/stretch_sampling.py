@@ -52,6 +52,9 @@ class StretchSampler(Sampler):
     def span(self) -> tuple[float, float]:
         return self.evaluator.horizon
 
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        return self.evaluator.holds(np.ascontiguousarray(points.T))
+
     def clock(self, times: Array, points: Array) -> Array:
         return self._clock(np.broadcast_to(times[:, None], (times.size, len(points))), points)
 
@@ -91,7 +94,7 @@ class StretchSampler(Sampler):
         stretch = (borders[1:-1, None] <= at).sum(axis=0)
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
-        share = (at - begin) / np.where(length > 0.0, length, 1.0)
+        share = (at - begin) / np.where(length != 0.0, length, 1.0)
         clock, on_grid = self.clock(self.grid.times, points), self.sources(points)
         with np.errstate(all="ignore"):
             integrands = self.quantities.integrands(clock, on_grid, points.T)
@@ -148,7 +151,7 @@ class StretchSampler(Sampler):
         stretch = np.minimum(stretch, met)
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
-        share = (self._clock(times, points) - begin) / np.where(length > 0.0, length, 1.0)
+        share = (self._clock(times, points) - begin) / np.where(length != 0.0, length, 1.0)
         return self._read(stretch, share, length, points)
 
     def _read(self, stretch: NDArray[np.intp], share: Array, length: Array, points: Array) -> Array:
@@ -157,7 +160,7 @@ class StretchSampler(Sampler):
         pseudo = np.clip(stretch + share, stretch, last)
         columns = np.ascontiguousarray(points.T)
         sources = np.empty((len(self.quantities.sources), *pseudo.shape))
-        lengths = np.where(length > 0.0, length, np.inf)
+        lengths = np.where(length != 0.0, length, np.inf)
         kinds: dict[tuple[int, int | None], list[int]] = {}
         for i, source in enumerate(self.quantities.sources):
             kinds.setdefault((source.order, source.parameter), []).append(i)
@@ -251,7 +254,7 @@ class StretchSampler(Sampler):
         columns = np.arange(len(points))
         begin = within[stretch, columns]
         length = within[stretch + 1, columns] - begin
-        share = np.where(length > 0.0, (at - begin) / np.where(length > 0.0, length, 1.0), 1.0)
+        share = np.where(length != 0.0, (at - begin) / np.where(length != 0.0, length, 1.0), 1.0)
         return np.asarray(stretch + np.clip(share, 0.0, 1.0))
 
     def _at_instant(self, reduction: Reduction, points: Array, shifts: Array | None) -> Array:
@@ -269,7 +272,7 @@ class StretchSampler(Sampler):
         begin = borders[stretch, columns]
         length = borders[stretch + 1, columns] - begin
         share = np.where(
-            length > 0.0, (at + later - begin) / np.where(length > 0.0, length, 1.0), 1.0
+            length != 0.0, (at + later - begin) / np.where(length != 0.0, length, 1.0), 1.0
         )
         sources = self._read(stretch[None], share[None], length[None], points)
         if shifts is not None:

@@ -227,6 +227,26 @@ class BranchEvaluator(ClockEvaluator):
         return merged, doubtful
 
 
+class ContinuedBranch(TimelineEvaluator):
+    """One branch over the whole box: where it does not hold, stretches may have negative lengths.
+
+    Borders are in the order of the stretches, so that they are smooth.
+    """
+
+    def __init__(self, branches: BranchEvaluator, branch: int) -> None:
+        own = branches.branches[branch]
+        super().__init__(own.slabs, own.horizon, own.affine_borders)
+        self._branches, self._branch = branches, branch
+
+    def borders(self, points: Array) -> Array:
+        return self.borders_as_solved(points)
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Where the branch holds at points (d, N), and not just about."""
+        decision = self._branches.decided(points)
+        return np.asarray((decision.chosen == self._branch) & ~decision.undecided)
+
+
 def _earlier(one: Array, other: Array, may_be_past: tuple[bool, bool]) -> Array:
     """By how much the first of two events (N,) is the next one; those in the past are not."""
     margin = other - one

@@ -64,6 +64,10 @@ class TimelineEvaluator(ClockEvaluator):
         states[:, outside] = math.nan
         return states
 
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Where the order of the stretches holds at points (d, N): everywhere."""
+        return np.ones(points.shape[1], dtype=bool)
+
     def deciders(self, points: Array) -> Array:
         """Smooth functions (k, N) of points (d, N) that tell in which stretch a time is."""
         return self.borders_as_solved(points)

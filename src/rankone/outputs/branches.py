@@ -1,0 +1,195 @@
+"""Quantities of a solution in branches: those of each branch, continued over the whole box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rankone.ir.metadata import Role
+from rankone.ir.outcome import Measured, Outcome
+from rankone.ir.request import Domain
+from rankone.ir.timeline import BranchedTimeline, Timeline
+from rankone.ir.verdict import OutputError, Remedy, Status, UndecidedShare
+from rankone.outputs.check import spread_over
+from rankone.outputs.interpolation import OutputInterpolation
+from rankone.outputs.quantities import Quantities, Source
+from rankone.solution.branches import branch_evaluator, slabs_of_branches
+from rankone.solution.core import SolutionCore
+from rankone.solvers.branches import MOST_UNDECIDED, one_after_the_other
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError
+from rankone.support.wording import quote
+from rankone.tensors.branches import BranchEvaluator, ContinuedBranch
+from rankone.tensors.slab import SlabTrain
+from rankone.verification.branches import undecided_share
+from rankone.verification.coverage import Coverage
+
+OfBranch = Callable[[SolutionCore, Timeline | None], Quantities]
+"""The quantities of one branch, or of a solution without, whose timeline places their events."""
+
+_SIZE_POINTS, _SIZE_TIMES = 256, 25  # Points and times that tell the sizes of quantities
+
+
+class BranchPart(SolutionCore):
+    """One branch of a solution, whose guards are states behind the others."""
+
+    def __init__(self, solution: SolutionCore, branch: int) -> None:
+        self._whole, self._branch = solution, branch
+        timeline, metadata = solution.outcome.timeline, solution.metadata
+        assert isinstance(timeline, BranchedTimeline)
+        guards = tuple(f"guard {k}" for k in range(timeline.guards[branch]))
+        measured = solution.outcome.measured
+        if measured is not None:
+            measured = replace(measured, interior=(*measured.interior, *(0.0 for _ in guards)))
+        outcome = replace(
+            solution.outcome,
+            slabs=slabs_of_branches(solution.outcome.slabs, timeline)[branch],
+            timeline=timeline.branches[branch],
+            measured=measured,
+        )
+        roles = (*metadata.roles, *(Role.LIFTED for _ in guards))
+        states = (*metadata.states, *guards)
+        super().__init__(outcome, replace(metadata, states=states, roles=roles))
+
+    @property
+    def _evaluator(self) -> ContinuedBranch:
+        evaluator = self._whole._evaluator
+        assert isinstance(evaluator, BranchEvaluator)
+        return ContinuedBranch(evaluator, self._branch)
+
+
+def over_branches(
+    solution: SolutionCore,
+    of_branch: OfBranch,
+    rtol: float | None,
+    operations: float,
+    seconds: float,
+    sizes: Sequence[float] = (),
+) -> tuple[Outcome, float, Quantities]:
+    """Quantities as an outcome in branches, the tolerance, and those of the first branch.
+
+    Each branch is interpolated over the whole box, and measured where it holds. Errors are relative
+    to the largest values there, or to larger ``sizes``.
+    """
+    timeline = solution.outcome.timeline
+    assert isinstance(timeline, BranchedTimeline)
+    outcomes, tolerances, every = list[Outcome](), list[float](), list[Quantities]()
+    count = len(timeline.branches)
+    for k, branch in enumerate(timeline.branches):
+        part = BranchPart(solution, k)
+        quantities = of_branch(part, branch)
+        require_states(quantities)
+        every.append(quantities)
+        guarded = _with_guards(quantities, len(solution.states), timeline.guards[k])
+        interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes))
+        outcome, tolerance = interpolation.solve(rtol, operations / count, seconds / count)
+        outcomes.append(outcome)
+        tolerances.append(tolerance)
+    rtol, quantities = max(tolerances), every[0]
+    least = np.zeros(len(quantities.names))
+    least[: len(sizes)] = sizes
+    return _joined(solution, outcomes, rtol, least), rtol, quantities
+
+
+def require_states(quantities: Quantities) -> None:
+    """Raise an EvaluationError if quantities need derivatives of states, over lengths that vanish.
+
+    Where the order of events changes, a stretch has no length, and the states as functions of its
+    shares, known to the tolerance, no derivative by time.
+    """
+    if not all(source.is_state for source in quantities.sources):
+        raise EvaluationError(
+            f"{quote(quantities.texts[0])} needs derivatives of states, which are not resolved "
+            "where the order of events changes inside the box",
+            remedy="write rates instead of derivatives by time, take `solution.gradient(...)` at "
+            "points, or solve on a box in which one order holds (print solution.timeline)",
+        )
+
+
+def _with_guards(quantities: Quantities, first: int, count: int) -> Quantities:
+    """The quantities over stretches, and behind them the guards, which are sources."""
+    own = len(quantities.sources)
+    names = tuple(f"guard {k}" for k in range(count))
+
+    def values(t: Array, s: Array, p: Array, r: Sequence[Array]) -> list[Array]:
+        return [*quantities.values(t, s[:own], p, r), *s[own:]]
+
+    return replace(
+        quantities,
+        names=(*quantities.names, *names),
+        texts=(*quantities.texts, *names),
+        timeless=False,
+        sources=(*quantities.sources, *(Source(first + k) for k in range(count))),
+        values=values,
+    )
+
+
+def _joined(
+    solution: SolutionCore, outcomes: Sequence[Outcome], rtol: float, least: Array
+) -> Outcome:
+    """The outcome in branches of those of the branches, with the ``least`` sizes of quantities."""
+    timeline = solution.outcome.timeline
+    assert isinstance(timeline, BranchedTimeline)
+    domain = Domain(solution.time, solution.metadata.box)
+    slabs = one_after_the_other(outcomes, timeline)
+    timeline = replace(timeline, width=max(timeline.width, rtol))
+    sizes = np.maximum(_sizes(slabs, timeline, domain, least.size), least)
+    timeline = replace(timeline, tolerances=tuple((rtol * sizes).tolist()))
+    undecided = undecided_share(branch_evaluator(slabs, timeline), Coverage.of_domain(domain))
+    timeline = replace(timeline, undecided=undecided)
+    measured = [_of_quantities(outcome.measured, least.size) for outcome in outcomes]
+    errors = [-1.0 if each is None else each.error for each in measured]
+    worst = int(np.argmax(errors))
+    unchecked = next((k for k, each in enumerate(measured) if each is None), None)
+    if unchecked is not None:
+        return replace(outcomes[unchecked], slabs=slabs, timeline=timeline)
+    status = Status.CONVERGED if errors[worst] <= rtol else Status.TOLERANCE
+    notes = outcomes[worst].notes
+    if status is Status.CONVERGED:
+        notes = tuple(n for n in notes if not isinstance(n, Remedy))
+        notes = tuple(replace(n, worst=None) if isinstance(n, OutputError) else n for n in notes)
+    if undecided:
+        notes = (*notes, UndecidedShare(undecided))
+        status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
+    return replace(
+        outcomes[worst],
+        slabs=slabs,
+        timeline=timeline,
+        status=status,
+        measured=_largest([each for each in measured if each is not None]),
+        notes=notes,
+    )
+
+
+def _sizes(
+    slabs: Sequence[SlabTrain], timeline: BranchedTimeline, domain: Domain, count: int
+) -> Array:
+    """The largest values (count,) of quantities in the branches that hold."""
+    everything = replace(timeline, tolerances=(np.inf,) * count)
+    evaluator = branch_evaluator(slabs, everything).likeliest()
+    points = np.ascontiguousarray(spread_over(domain, _SIZE_POINTS).T)
+    times = np.linspace(*domain.horizon, _SIZE_TIMES)[:, None]
+    states = np.abs(evaluator.curves(times, points, slice(0, count)))
+    return np.asarray(np.nan_to_num(states).max(axis=(1, 2)))
+
+
+def _of_quantities(measured: Measured | None, count: int) -> Measured | None:
+    """What was measured of the quantities, without guards."""
+    if measured is None:
+        return None
+    return replace(measured, interior=measured.interior[:count], corners=measured.corners[:count])
+
+
+def _largest(measured: Sequence[Measured]) -> Measured:
+    """The largest errors of all branches."""
+    interior = tuple(map(max, zip(*(each.interior for each in measured), strict=True)))
+    of_corners = [each.corners for each in measured if each.corners]
+    return replace(
+        measured[0],
+        interior=interior,
+        corners=tuple(map(max, zip(*of_corners, strict=True))),
+        points=sum(each.points for each in measured),
+        time_error=max(each.time_error or 0.0 for each in measured),
+    )
