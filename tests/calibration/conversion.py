@@ -63,15 +63,19 @@ HEADER = (
 )
 
 
+def table(lines):
+    """The text of a measurement table."""
+    return "\n".join("\t".join(line) for line in [HEADER, *lines]) + "\n"
+
+
 def write(folder, **files):
     """Write the problem to a folder, with other texts of some files, and return its YAML file."""
-    measurements = "\n".join("\t".join(line) for line in [HEADER, *rows()]) + "\n"
     texts = {
         "model.xml": MODEL,
         "parameters.tsv": PARAMETERS,
         "conditions.tsv": CONDITIONS,
         "observables.tsv": OBSERVABLES,
-        "measurements.tsv": measurements,
+        "measurements.tsv": table(rows()),
         "conversion.yaml": YAML,
     }
     for name, text in texts.items():

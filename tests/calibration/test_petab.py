@@ -12,13 +12,18 @@ from tests.calibration.conversion import (
     NOMINAL,
     OBSERVABLES,
     PARAMETERS,
+    YAML,
     rows,
     simulated,
+    table,
     write,
 )
 
 petab = pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+MEASURED = table(rows())
 
 
 @pytest.fixture(scope="module")
@@ -165,10 +170,15 @@ def test_text(problem):
         ),
         ({"parameters": PARAMETERS.replace("k2\tlog\t", "k2\troot\t")}, "root"),
         ({"model": MODEL.replace("<model", "<modell")}, "conversion.yaml"),
+        ({"measurements": MEASURED.replace("\t0.5\t", "\t-0.5\t", 1)}, "row 4: the time -0.5"),
+        ({"conditions": "conditionId\tdose\tcell\nrest\t0\t2\nlow\t1\t2\nhigh\t3\t1\n"}, "`cell`"),
+        ({"conversion": YAML.replace("format_version: 1", "format_version: 2.0.0")}, "2.0.0"),
+        ({"conversion": ""}, "format_version"),
+        ({"conditions": CONDITIONS.replace("3\n", "\n").replace("0\n", "-9\n")}, "steady state"),
     ],
 )
 def test_faults_are_named(tmp_path, files, message):
-    with pytest.raises(ro.ProblemError, match=message):
+    with pytest.raises(ro.RankoneError, match=message):
         ro.read_petab(write(tmp_path, **files)).objective()
 
 
@@ -179,6 +189,10 @@ def test_values(problem):
         problem.objective([1.0])
     with pytest.raises(ro.ProblemError, match="noise of `obs_B` is -1 at row 1"):
         problem.objective({"sd_B": -1.0})
+    with pytest.raises(ro.EvaluationError, match=r"`obs_B` is -.* has no logarithm, at row"):
+        problem.objective({"scale": -1.0})
+    with pytest.raises(ro.OptionError, match="`k1` is inf, not a finite number"):
+        problem.objective({"k1": float("inf")})
     with pytest.raises(ro.ProblemError, match="there is no file"):
         ro.read_petab("nowhere.yaml")
 

@@ -5,10 +5,10 @@ import pytest
 
 import rankone as ro
 from tests.calibration.conversion import (
-    HEADER,
     OBSERVABLES,
     PARAMETERS,
     rows,
+    table,
     write,
 )
 
@@ -16,10 +16,6 @@ pytest.importorskip("petab.v1", reason="petab is not installed (pip install peta
 
 NORMAL = OBSERVABLES.replace("laplace", "normal")
 BOX = {"k1": (0.4, 1.6), "k2": (0.3, 1.2)}
-
-
-def table(lines):
-    return "\n".join("\t".join(line) for line in [HEADER, *lines]) + "\n"
 
 
 def fixed(*names):

@@ -76,8 +76,12 @@ class Settings:
         for column, assigned in condition.assigned.items():
             if assigned is not None:
                 numbers[records.starts[column]] = self._resolved(condition, column, assigned, own)
+        kept = self._kept(condition)
         for name in records.model.used:
             number = numbers[name]
+            if name in kept:
+                numbers[name] = 0.0
+                continue
             if isinstance(number, float) and math.isnan(number):
                 raise ProblemError(
                     f"condition {quote(condition.name)} has no value for {quote(name)}, and "
@@ -86,6 +90,17 @@ class Settings:
                     remedy="fill the cell of the condition table",
                 )
         return numbers
+
+    def _kept(self, condition: Condition) -> set[str]:
+        """Starts of species that keep their steady states whenever the condition is simulated."""
+        experiments = self.records.experiments
+        begins = any(
+            each.before is condition or (each.before is None and each.condition is condition)
+            for each in experiments
+        )
+        empty = {column for column, assigned in condition.assigned.items() if assigned is None}
+        states = {symbol.name for symbol in self.records.model.rates}
+        return set() if begins else {self.records.starts[name] for name in empty & states}
 
     def _resolved(
         self, condition: Condition, column: str, assigned: Assigned, own: Mapping[str, Assigned]

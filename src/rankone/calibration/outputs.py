@@ -12,7 +12,7 @@ from rankone.calibration.simulation import States
 from rankone.estimation.duals import Dual, Operand, with_shape
 from rankone.estimation.formulas import Formula
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
+from rankone.support.errors import EvaluationError, ProblemError
 from rankone.support.wording import did_you_mean, quote
 
 
@@ -83,7 +83,22 @@ class Outputs:
                 with_shape(formula({name: operand(name) for name in formula.names}), (m,), w)
                 for formula in (series.observable.formula, series.observable.noise)
             )
+        self._check_prediction(series, observable.value)
         return observable, noise
+
+    def _check_prediction(self, series: Series, predicted: Array) -> None:
+        """Raise if an observable has no value, or no logarithm where that is compared."""
+        positive = series.observable.transformation != "lin"
+        wrong = np.flatnonzero(~np.isfinite(predicted) | (positive & ~(predicted > 0.0)))
+        if wrong.size:
+            row, value = series.rows[int(wrong[0])] + 1, predicted[wrong[0]]
+            what = ", which has no logarithm," if np.isfinite(value) else ""
+            raise EvaluationError(
+                f"the observable {quote(series.observable.name)} is {value:.6g}{what} at row "
+                f"{row} of the measurement table",
+                term=series.observable.name,
+                remedy="the parameters are probably far from those of the data",
+            )
 
     def check_noise(self, series: Series, noise: Array) -> None:
         """Raise if a standard deviation is not positive."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -31,7 +31,7 @@ from rankone.models.model import Model
 from rankone.models.sbml import read_with_starts
 from rankone.support.errors import OptionError, ProblemError, optional_module
 from rankone.support.files import as_path
-from rankone.support.wording import listing, quote
+from rankone.support.wording import clip, listing, quote
 
 _PRIORS = {
     "uniform": ("uniform", "lin"),
@@ -46,6 +46,7 @@ _PRIORS = {
 """For each type of prior its shape, and the coordinate; None is the scale of the parameter."""
 _DISTRIBUTIONS = ("normal", "laplace")
 _MOST_FAULTS = 5  # Faults of the files that a message lists
+_LONGEST_FAULT = 400  # Characters of them
 _LOADERS = "petab"  # Logger of the package
 
 
@@ -65,6 +66,7 @@ def open_petab(path: str | PathLike[str]) -> Any:
     if not file.is_file():
         raise ProblemError(f"there is no file `{file}`", term=file)
     petab = petab_library()
+    _check_format(file)
     with _messages() as messages:
         try:
             problem = petab.Problem.from_yaml(str(file))
@@ -86,9 +88,43 @@ def open_petab(path: str | PathLike[str]) -> Any:
     return problem
 
 
+def _content(file: Path) -> Any:
+    """What a YAML file has."""
+    yaml = optional_module("yaml", "reading PEtab problems needs PyYAML", "pip install pyyaml")
+    try:
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise _broken(file, "readable", str(error)) from None
+
+
+def _check_format(file: Path) -> None:
+    """Raise unless a file is of version 1 and names one problem with one model."""
+    content = _content(file)
+    if not isinstance(content, dict) or "format_version" not in content:
+        raise ProblemError(
+            f"`{file}` has no `format_version`",
+            term=file,
+            remedy="give the YAML file of a PEtab problem",
+        )
+    version = str(content["format_version"])
+    if version.partition(".")[0] != "1":
+        raise ProblemError(
+            f"`{file}` is of version {version} of PEtab, and version 1 is read",
+            term=file,
+            remedy="write it in version 1",
+        )
+    problems = content.get("problems") or []
+    if len(problems) != 1 or len(problems[0].get("sbml_files") or []) != 1:
+        raise ProblemError(
+            f"`{file}` has several problems or models, or none",
+            term=file,
+            remedy="give one file for each, with one model in SBML",
+        )
+
+
 def _broken(file: Path, what: str, fault: str) -> ProblemError:
     return ProblemError(
-        f"`{file}` is not a {what} PEtab problem: {fault}",
+        f"`{file}` is not a {what} PEtab problem: {clip(' '.join(fault.split()), _LONGEST_FAULT)}",
         term=file,
         remedy="`petablint` lists all faults",
     )
@@ -137,7 +173,15 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
                 term=column,
                 remedy="remove the column, or the rule that determines it",
             )
+    for name in problem.parameter_df.index:
+        if name not in starts and name in {symbol.name for symbol in model.definitions}:
+            raise ProblemError(
+                f"the parameter table has {quote(name)}, which a rule of the model determines",
+                term=name,
+                remedy="remove one of them",
+            )
     experiments = _experiments(problem.measurement_df, conditions)
+    _check_sizes(problem.model.sbml_model, experiments.values())
     observables = {
         name: _observable(str(name), row, model) for name, row in problem.observable_df.iterrows()
     }
@@ -153,14 +197,8 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
 
 def _model_file(path: str | PathLike[str]) -> Path:
     """The one SBML file of a problem."""
-    yaml = optional_module("yaml", "reading PEtab problems needs PyYAML", "pip install pyyaml")
-    content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    problems = content["problems"]
-    if len(problems) != 1 or len(problems[0]["sbml_files"]) != 1:
-        raise ProblemError(
-            f"`{path}` has several problems or models", term=path, remedy="give one file for each"
-        )
-    return Path(path).parent / str(problems[0]["sbml_files"][0])
+    (name,) = _content(Path(path))["problems"][0]["sbml_files"]
+    return Path(path).parent / str(name)
 
 
 # -- parameters and conditions --------------------------------------------------------------------
@@ -239,6 +277,22 @@ def _experiments(table: Any, conditions: dict[str, Condition]) -> dict[tuple[str
     }
 
 
+def _check_sizes(model: Any, experiments: Iterable[Experiment]) -> None:
+    """Raise where a compartment changes after a steady state: what becomes of its contents?"""
+    for compartment in model.getListOfCompartments():
+        name = compartment.getId()
+        for each in experiments:
+            if each.before is not None and each.before.assigned.get(
+                name
+            ) != each.condition.assigned.get(name):
+                raise ProblemError(
+                    f"the condition table gives compartment {quote(name)} other sizes in "
+                    f"{quote(each.before.name)} and {quote(each.condition.name)}, which follows it",
+                    term=name,
+                    remedy="give it one size",
+                )
+
+
 # -- observables and measurements -----------------------------------------------------------------
 
 
@@ -281,6 +335,12 @@ def _series(
         if not rows:
             continue
         some = table.iloc[rows]
+        for row, at in zip(rows, some["time"], strict=True):
+            if not float(at) >= 0.0:
+                raise ProblemError(
+                    f"the measurement table, row {row + 1}: the time {at} is before the start at 0",
+                    term=at,
+                )
         placeholders: dict[str, list[Assigned]] = {}
         for word in ("observable", "noise"):
             cells = [row.get(f"{word}Parameters") for _, row in some.iterrows()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import numbers
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
@@ -112,6 +113,8 @@ class CalibrationProblem:
             If a trajectory does not reach the last measurement, or no steady state.
         ProblemError
             If noise is not positive.
+        EvaluationError
+            If an observable has no value, or no logarithm where that is compared.
         """
         return self._evaluated(values, (), rtol).objective
 
@@ -252,7 +255,7 @@ class CalibrationProblem:
 
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
-        numbers = {name: p.nominal for name, p in self.parameters.items()}
+        point = {name: p.nominal for name, p in self.parameters.items()}
         given: Mapping[Any, Any] = {} if values is None else values
         if not isinstance(given, Mapping):
             raise OptionError(
@@ -261,18 +264,22 @@ class CalibrationProblem:
                 remedy='write {"k1": 0.1}',
             )
         for name, value in given.items():
-            if name not in numbers:
+            if name not in point:
                 raise OptionError(
-                    f"there is no parameter {quote(name)}{did_you_mean(str(name), numbers)}",
+                    f"there is no parameter {quote(name)}{did_you_mean(str(name), point)}",
                     term=name,
                 )
-            numbers[name] = checked_number(str(name), value, -math.inf, math.inf, float)
-        for name, number in numbers.items():
+            if not isinstance(value, numbers.Real) or not math.isfinite(value):
+                raise OptionError(
+                    f"{quote(name)} is {shown(value)}, not a finite number", term=value
+                )
+            point[name] = float(value)
+        for name, number in point.items():
             if math.isnan(number):
                 raise OptionError(
                     f"{quote(name)} has no nominal value", term=name, remedy="give its value"
                 )
-        return numbers
+        return point
 
     # -- evaluation -------------------------------------------------------------------------------
 

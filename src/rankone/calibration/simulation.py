@@ -13,7 +13,7 @@ from rankone.calibration.dynamics import Dynamics
 from rankone.calibration.records import Assigned, Condition, Records
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.errors import BlowUpError, ProblemError
+from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote
 from rankone.trajectories.integrator import DenseTrajectories, Tolerances
 from rankone.trajectories.rest import SteadyStates, from_states
@@ -107,6 +107,11 @@ class Simulation:
 
     def _check_smooth(self, by: Sequence[str]) -> None:
         """Raise if a parameter that derivatives are asked for decides where rates jump."""
+        if by and self.dynamics.system.features.n_steps:
+            raise ProblemError(
+                "rates jump with the states, and cannot be differentiated yet",
+                remedy="ask for the objective alone",
+            )
         for condition in self.settings.conditions:
             numbers = self.settings.at[condition.name]
             for name in sorted(self.dynamics.decisive):
@@ -185,7 +190,13 @@ class Simulation:
             moved = np.concatenate([some.points[k], some.states[:, k]])
             system = self._starting(moved, _SETTLE * horizon)
             steady = SteadyStates(system, horizon, _SETTLE * horizon)
-            states[:, k] = steady(moved[:, None])[:, 0]
+            try:
+                states[:, k] = steady(moved[:, None])[:, 0]
+            except (ConvergenceError, BlowUpError) as error:
+                raise ConvergenceError(
+                    f"no steady state is reached: {error.message}",
+                    remedy="the parameters are probably far from those of the data",
+                ) from None
             self._check_rest(some.points[k], states[:, k])
             if slopes.shape[1]:
                 slopes[:, :, k] = self._slopes_at_rest(steady, some, k, states[:, k])
@@ -194,7 +205,7 @@ class Simulation:
     def _starting(self, moved: Array, end: float) -> System:
         """The system that starts at the states behind the parameters."""
         whole = from_states(self.dynamics.system, (0.0, end))
-        names = (*whole.parameters, *(f"{name}_start" for name in whole.states))
+        names = (*whole.parameters, *(f"{name}(0)" for name in whole.states))
         box = tuple((float(x), float(x)) for x in moved)
         return replace(whole, parameters=names, box=box)
 
@@ -321,6 +332,8 @@ class Simulation:
         """Times inside the horizon at which rates may jump, at any of the points."""
         features = self.dynamics.system.features
         times = [float(at) for at in features.cuts[0]]
+        for at, period in features.periodic_cuts[0]:
+            times += (at + period * np.arange(-(at // period), (end - at) // period + 1)).tolist()
         if features.n_moving_cuts:
             times += np.ravel(features.moving_cuts(np.ascontiguousarray(points.T))).tolist()
         return sorted({at for at in times if 0.0 < at < end})
