@@ -78,6 +78,7 @@ def test_boxes_follow_the_fit_to_an_optimum_far_outside_of_the_first(kinetics):
     assert best > log_likelihood(data, sigma, **TRUTH)
 
 
+@pytest.mark.slow
 def test_the_best_of_two_minima_is_reported_and_the_other_shown():
     problem = ro.Problem.from_strings(
         rhs={"x": "v", "v": "-w**2*x"},

@@ -61,6 +61,7 @@ def test_solutions_are_those_of_single_solves(problem):
     assert "<table" in many._repr_html_()
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bits_and_end(problem):
     boxes = problem.split(k=3)
     calls = []

@@ -156,6 +156,7 @@ def weighed(seed, exponent=0.75):
     }
 
 
+@pytest.mark.slow
 def test_covariates():
     options = {
         "random": {"ka": "lognormal", "CL": "lognormal", "V": "lognormal"},

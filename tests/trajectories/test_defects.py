@@ -136,6 +136,7 @@ def test_a_parameter_carried_by_a_state_is_seen():
     assert not solution.success or np.isnan(there) or there == pytest.approx(exact, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_tiny_source_that_an_instability_amplifies():
     """x' = c + k*x*(1 - x) from zero: the roots r1, r2 of the right-hand side give x."""
     problem = compiled("1e-15 + k*x*(1 - x)", {"k": (8, 10)}, end=6)

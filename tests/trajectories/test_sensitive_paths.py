@@ -1,6 +1,7 @@
 """Derivatives of trajectories with respect to parameters."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
@@ -8,6 +9,7 @@ from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.sensitive_paths import sensitive_to_parameters
 
 
+@pytest.mark.slow
 def test_stiff_kinetics_agree_with_differences_of_tight_trajectories():
     problem = ro.Problem.from_strings(
         rhs={
