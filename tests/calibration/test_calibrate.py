@@ -64,6 +64,8 @@ def test_every_start_over_eight_decades_reaches_the_optimum(kinetics):
     assert box.solved and box.inside  # noqa: PT018
     for name, (low, high) in calibration.fit.interval(0.99).items():
         assert low < TRUTH[name] < high
+    for name, ends in calibration.fit.interval().items():
+        np.testing.assert_allclose(calibration.intervals[name], ends, rtol=2e-3)
 
 
 @pytest.mark.slow

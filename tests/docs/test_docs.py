@@ -53,6 +53,7 @@ LONG = {
         "guide/functions-of-unknowns.md",
         "guide/friction.md",
         "guide/models.md",
+        "guide/many-decades.md",
         "guide/models-as-written.md",
         "guide/more-than-one-machine.md",
         "guide/neuron.md",

@@ -65,6 +65,15 @@ def test_sums_of_many_terms():
     np.testing.assert_allclose(scalar_rates(system)(0.0, start.tolist(), [0.9]), expected, 1e-13)
 
 
+def test_constants_are_read_by_name():
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x/m"}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 1), constants={"m": 3.0}
+    )
+    for mass in (3.0, 2.0):
+        system = ro.compile(problem.set(m=mass)).system
+        assert scalar_rates(system)(0.0, [2.0], [0.9]) == pytest.approx([-1.8 / mass], rel=1e-15)
+
+
 def test_functions_of_the_user_are_not_called_with_floats():
     bump = ro.function("bump", lambda s: np.exp(-(s**2)), lambda s: -2 * s * np.exp(-(s**2)))
     assert scalar_rates(system_of(-K * bump(X))) is None

@@ -17,7 +17,9 @@
 ``descent``             the way down from one start, by least squares in a box of trust
 ``starts``              many starts, and which of them go on
 ``uncertainty``         how far the data determine each parameter
+``comparison``          measurements beside predictions, for plots
 ``of_files``            the likelihood of a problem from files, as searches take it
+``from_files``          the calibration of a problem from files
 ``of_experiments``      the likelihood of experiments by trajectories
 ``boxes``               the box that follows the fit
 ``result``              :class:`rankone.Calibration`: what was found, and whether to believe it

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 
 from rankone.calibration.descent import Expansion, bounded_step
 from rankone.calibration.of_experiments import OfExperiments
+from rankone.calibration.result import Box
 from rankone.estimation.experiments import Experiment
 from rankone.estimation.fit import Fit
 from rankone.estimation.search import fit_experiments
@@ -43,30 +43,6 @@ _STANDARD_DEVIATIONS = 4.0  # Half the width of a box around the optimum
 _LEAST_END, _MOST_END = 0.05, 0.7  # Factors on the first widths between which such boxes are
 _SIDE = 1e-6  # Distance from a side, in widths of the box, that counts as at the side
 _MARGIN = 1e-3  # Half the width of a condition that all experiments share, relative
-
-
-class Box(NamedTuple):
-    """A box that was taken, and what came of it.
-
-    Attributes
-    ----------
-    intervals : dict of str to (float, float)
-        The parameters that were free in it; the others stayed at the best point so far.
-    solved : bool
-        Whether the solution was a success at the tolerance ``rtol``.
-    rtol : float
-        The tolerance that was asked for.
-    log_likelihood : float
-        By trajectories at the point where the fit in this box ended; NaN without a fit.
-    inside : bool
-        Whether it ended inside of the box.
-    """
-
-    intervals: dict[str, tuple[float, float]]
-    solved: bool
-    rtol: float
-    log_likelihood: float = math.nan
-    inside: bool = False
 
 
 @dataclass

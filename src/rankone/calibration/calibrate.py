@@ -24,6 +24,7 @@ from rankone.support.wording import count, listing, quote, shown
 
 MOST_END_PARAMETERS = 6
 """Most parameters of the box around the optimum."""
+_SEARCH_TOLERANCE = 1e-3  # Of solutions on boxes, until the optimum is inside of one
 _SEARCHES = ("trajectories", "boxes")
 
 
@@ -120,14 +121,16 @@ def _own_bounds(likelihood: OfExperiments, bounds: Bounds) -> dict[str, tuple[fl
 
 def _by_boxes(boxes: BoxSearch, starts: int, seed: int) -> list[Descent]:
     """Ways down from box to box, the best first."""
-    ways = []
+    ways, rtol = [], boxes.rtol
     for z in random_starts(starts, len(boxes.likelihood.names), seed):
         boxes.at, before = boxes.likelihood.expanded(z), len(boxes.boxes)
+        boxes.rtol = max(rtol, _SEARCH_TOLERANCE)
         way = Descent(boxes.at, z)
         if np.isfinite(boxes.at.cost):
             way.arrived = boxes.search()
         way.at, way.iterations = boxes.at, len(boxes.boxes) - before
         ways.append(way)
+    boxes.rtol = rtol
     return sorted(ways, key=lambda way: way.at.cost)
 
 
@@ -143,6 +146,7 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
         boxes=tuple(boxes.boxes),
         fit=boxes.fit,
         solution=boxes.solution,
+        comparisons=likelihood.comparisons(boxes.at),
         remark=remark,
     )
 

@@ -39,6 +39,8 @@ class Evaluation:
         ``jacobian.T @ jacobian`` the Fisher information.
     standardised : ndarray (m,)
         For each row of the measurement table prediction minus measurement over its noise.
+    predicted, noise : ndarray (m,)
+        For each row the prediction, and the standard deviation or the scale of its noise.
     """
 
     parameters: tuple[str, ...]
@@ -47,6 +49,8 @@ class Evaluation:
     residuals: Array
     jacobian: Array
     standardised: Array
+    predicted: Array
+    noise: Array
 
 
 class Terms(NamedTuple):

@@ -8,7 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from rankone.calibration.comparison import Comparison, compared
 from rankone.calibration.descent import Expansion
+from rankone.calibration.uncertainty import covariance_at, spread_of
+from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Experiment, trials_of
 from rankone.estimation.free_parameters import Bounds
 from rankone.estimation.integrated import IntegratedSolution
@@ -73,6 +76,34 @@ class OfExperiments:
         if not np.isfinite(at.cost):
             return -np.inf
         return self.likelihood.largest_log_likelihood(at.z, at.cost)
+
+    def comparisons(self, at: Expansion) -> tuple[Comparison, ...]:
+        """Measurements and predictions at z (n,); none without trajectories."""
+        if not np.isfinite(at.cost):
+            return ()
+        covariance, unit = covariance_at(at, self.variance(at)), np.sqrt(self.variance(at))
+        each = self.likelihood.predictions(self.likelihood.free.values(at.z[None]))
+        predictions = dict(zip(map(id, self.likelihood.trials), each, strict=True))
+        comparisons = []
+        for trial, i, rows in self.likelihood.blocks:
+            observations = trial.observations
+            own = predictions[id(trial)][i]
+            here, noise = observations.of(i), observations.noises[i]
+            size = observations.values[here].size
+            predicted, sigma = (
+                np.broadcast_to(value_of(each), (1, size))[0] for each in (own.value, own.sigma)
+            )
+            comparisons.append(
+                compared(
+                    (observations.names[i], trial.name),
+                    (observations.times[here], observations.values[here]),
+                    predicted,
+                    sigma * unit,
+                    spread_of(at.jacobian[rows], covariance) / unit,
+                    "log" if noise.distribution == "log-normal" else "lin",
+                )
+            )
+        return tuple(comparisons)
 
     def variance(self, at: Expansion) -> float:
         """The variance of the residuals; one where standard deviations are known or estimated."""

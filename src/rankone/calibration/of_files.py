@@ -9,7 +9,7 @@ import numpy as np
 
 from rankone.calibration.descent import Expansion
 from rankone.calibration.likelihood import Evaluation
-from rankone.calibration.parameters import Parameter
+from rankone.calibration.parameters import Parameter, slope_of_scale
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import OptionError, RankoneError
@@ -73,13 +73,35 @@ class OfFiles:
         nothing = Expansion(z, np.inf, np.zeros(1), np.zeros((1, z.size)))
         try:
             with limited(_MOST_WORK), np.errstate(all="ignore"):
-                at = self.quick(self.named(z), _SEARCH_ACCURACY)
+                at = self.evaluated(z)
         except (RankoneError, OutOfBudgetError, np.linalg.LinAlgError):
             return nothing
-        jacobian = at.jacobian * (self.upper - self.lower)
+        residuals, rows = self._prior_rows(z, at.gradient - at.jacobian.T @ at.residuals)
+        jacobian = np.concatenate([at.jacobian, rows]) * (self.upper - self.lower)
         if not np.isfinite(at.objective) or not np.isfinite(jacobian).all():
             return nothing
-        return Expansion(z, 2.0 * at.objective, at.residuals, jacobian)
+        return Expansion(z, 2.0 * at.objective, np.concatenate([at.residuals, residuals]), jacobian)
+
+    def evaluated(self, z: Array) -> Evaluation:
+        """The evaluation at z (n,), at the accuracy of searches."""
+        return self.quick(self.named(z), _SEARCH_ACCURACY)
+
+    def _prior_rows(self, z: Array, gradient: Array) -> tuple[Array, Array]:
+        """Pseudo-residuals (q,) of q priors, and their Jacobian (q, n), by their gradients (n,).
+
+        Their curvatures are those of normal densities of the same widths.
+        """
+        values = self.named(z)
+        residuals, rows = list[float](), list[Array]()
+        for j, parameter in enumerate(self.parameters):
+            prior = parameter.prior
+            if prior is None or prior.shape == "uniform":
+                continue
+            value = values[parameter.name]
+            root = parameter.slope(value) / slope_of_scale(value, prior.scale) / prior.width
+            residuals.append(gradient[j] / root)
+            rows.append(root * (np.arange(z.size) == j))
+        return np.array(residuals), np.array(rows).reshape(-1, z.size)
 
     def log_likelihood(self, at: Expansion) -> float:
         """Minus the objective, at its full accuracy; minus infinity without trajectories."""

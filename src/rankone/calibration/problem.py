@@ -15,6 +15,7 @@ import numpy as np
 from rankone.calibration.conditioned import Free
 from rankone.calibration.conditions import Settings
 from rankone.calibration.dynamics import Dynamics
+from rankone.calibration.from_files import calibrated
 from rankone.calibration.likelihood import Evaluation, terms
 from rankone.calibration.of_files import OfFiles
 from rankone.calibration.outputs import Outputs
@@ -25,7 +26,6 @@ from rankone.calibration.result import Calibration
 from rankone.calibration.simulation import Simulation
 from rankone.calibration.solutions import CalibrationSolutions
 from rankone.calibration.solving import free_of, problem_of, solved
-from rankone.calibration.starts import MOST_STARTS, descents
 from rankone.estimation.posterior import Posterior
 from rankone.frontend.problem import Problem
 from rankone.support.arrays import Array
@@ -155,14 +155,12 @@ class CalibrationProblem:
         OptionError
             If nothing is estimated, or a parameter has no finite bounds on its scale.
         """
-        starts = checked_number("starts", starts, 1, MOST_STARTS)
         estimated = [self.parameters[name] for name in self.estimated]
 
         def quick(values: Mapping[str, float], rtol: float) -> Evaluation:
             return self._evaluated(values, self.estimated, rtol, quick=True)
 
-        likelihood = OfFiles.of(estimated, quick, self.objective)
-        return Calibration.of(likelihood, descents(likelihood, starts, seed))
+        return calibrated(self._records, OfFiles.of(estimated, quick, self.objective), starts, seed)
 
     def problem(
         self,
@@ -309,7 +307,7 @@ class CalibrationProblem:
         columns = [by.index(name) for name in active]
         each = self._simulation.states(point, active, accuracy, quick=quick)
         total, residuals, jacobians = 0.0, list[Array](), list[Array]()
-        standardised = np.empty(len(self._tables["measurements"]))
+        standardised, at_rows, noises = np.empty((3, len(self._tables["measurements"])))
         for series, states in zip(self._records.series, each, strict=True):
             wide = np.zeros((*states.states.shape, len(by)))
             wide[..., columns] = states.slopes
@@ -322,7 +320,9 @@ class CalibrationProblem:
             total += float(added.costs.sum())
             residuals.append(added.residuals)
             jacobians.append(added.jacobian)
-            standardised[list(series.rows)] = added.standardised
+            rows = list(series.rows)
+            standardised[rows], at_rows[rows] = added.standardised, predicted.value
+            noises[rows] = noise.value
         slopes = np.array([self.parameters[name].slope(point[name]) for name in by])
         jacobian = np.concatenate(jacobians) * slopes
         residual = np.concatenate(residuals)
@@ -333,7 +333,7 @@ class CalibrationProblem:
                 total += cost
                 if name in by:
                     gradient[by.index(name)] += slope * slopes[by.index(name)]
-        return Evaluation(by, total, gradient, residual, jacobian, standardised)
+        return Evaluation(by, total, gradient, residual, jacobian, standardised, at_rows, noises)
 
     # -- text -------------------------------------------------------------------------------------
 

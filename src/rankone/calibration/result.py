@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from rankone.calibration.boxes import Box
+from rankone.calibration.comparison import Comparison
 from rankone.calibration.descent import Descent, Expandable, Expansion
 from rankone.calibration.uncertainty import deviations_at, unidentified
 from rankone.estimation.fit import Fit
@@ -20,6 +21,7 @@ from rankone.support.errors import with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import count, listing, quote
 
+_NORMAL_95 = 1.959963985  # Standard deviations to either side of a mean that hold 95 %
 _SAME = 0.1  # Difference of log-likelihoods below which starts ended at the same optimum
 
 
@@ -44,6 +46,30 @@ class Start(NamedTuple):
     log_likelihood: float
     iterations: int
     arrived: bool
+
+
+class Box(NamedTuple):
+    """A box that was taken, and what came of it.
+
+    Attributes
+    ----------
+    intervals : dict of str to (float, float)
+        The parameters that were free in it; the others stayed at the best point so far.
+    solved : bool
+        Whether the solution was a success at the tolerance ``rtol``.
+    rtol : float
+        The tolerance that was asked for.
+    log_likelihood : float
+        By trajectories at the point where the fit in this box ended; NaN without a fit.
+    inside : bool
+        Whether it ended inside of the box.
+    """
+
+    intervals: dict[str, tuple[float, float]]
+    solved: bool
+    rtol: float
+    log_likelihood: float = math.nan
+    inside: bool = False
 
 
 class Calibrated(Expandable, Protocol):
@@ -73,6 +99,9 @@ class Calibration(Labelled):
         All starts, the best first.
     boxes : tuple of Box
         The boxes that were solved, in order.
+    intervals : dict of str to (float, float)
+        Where each identified parameter is with 95 %, by linearisation in the coordinates of the
+        search.
     not_identified : tuple of str
         Parameters that the data leave free over a good part of their bounds.
     at_bounds : dict of str to str
@@ -81,6 +110,8 @@ class Calibration(Labelled):
         The fit in the last box around the best values, with intervals; None without such a box.
     solution : Solution or None
         The solution on that box, for a posterior and for statistics.
+    comparisons : tuple of Comparison
+        Measurements of each observable in each experiment beside the predictions.
     remark : str
         Why there is no such box; empty if there is one.
     """
@@ -89,10 +120,12 @@ class Calibration(Labelled):
     log_likelihood: float
     starts: tuple[Start, ...]
     boxes: tuple[Box, ...] = ()
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     not_identified: tuple[str, ...] = ()
     at_bounds: Mapping[str, str] = field(default_factory=dict)
     fit: Fit | None = None
     solution: Solution | None = None
+    comparisons: tuple[Comparison, ...] = ()
     remark: str = ""
 
     @classmethod
@@ -108,13 +141,16 @@ class Calibration(Labelled):
             )
             for way in ways
         )
-        at, free = ways[0].at, tuple[str, ...]()
+        at, free, intervals = ways[0].at, tuple[str, ...](), {}
         if np.isfinite(at.cost):
-            free = unidentified(problem.names, deviations_at(at, problem.variance(at)))
+            deviations = deviations_at(at, problem.variance(at))
+            free = unidentified(problem.names, deviations)
+            intervals = _intervals(problem, at.z, deviations)
         return cls(
             starts[0].x,
             starts[0].log_likelihood,
             starts,
+            intervals={name: ends for name, ends in intervals.items() if name not in free},
             not_identified=free,
             at_bounds=ends_at_bounds(problem.names, at.z),
             **further,
@@ -176,7 +212,7 @@ class Calibration(Labelled):
 
     def _table(self) -> Table:
         """The estimates, a line each."""
-        intervals = {} if self.fit is None else self.fit.interval()
+        intervals = {**self.intervals, **(self.fit.interval() if self.fit is not None else {})}
         rows = []
         for name, x in self.x.items():
             cell = "not identified" if name in self.not_identified else ""
@@ -206,3 +242,14 @@ class Calibration(Labelled):
             {**arrays, "log_likelihood": (("start",), ends)},
             {"parameter": names, "start": list(range(len(self.starts)))},
         )
+
+
+def _intervals(problem: Calibrated, z: Array, deviations: Array) -> dict[str, tuple[float, float]]:
+    """Intervals of 95 % around z (n,) within the bounds, one parameter after the other."""
+    intervals = {}
+    for j, name in enumerate(problem.names):
+        ends = np.repeat(z[None], 2, axis=0)
+        ends[:, j] = np.clip(z[j] + _NORMAL_95 * np.array([-1.0, 1.0]) * deviations[j], 0.0, 1.0)
+        low, high = (problem.named(end)[name] for end in ends)
+        intervals[name] = low, high
+    return intervals

@@ -12,6 +12,8 @@ MOST_STARTS = 10_000
 # Starts that go on, the best of those before, and for how many iterations more at most
 _LEGS = ((MOST_STARTS, 40), (5, 60), (3, 200))
 _REPLACEMENTS = 20  # Points that are tried for each start whose trajectories do not reach the data
+_SAME_COST = 0.2  # Difference of -2 log L below which starts ended at the same optimum
+_AGREEING_SHARE = 0.5  # Share of the starts at the same optimum from which it is believed
 _HOPS = 2  # Hops from the best ends, for each start
 _HOP_ITERATIONS = 40
 _HOP_GAIN = 0.01  # Decrease of -2 log L from which a hop is worth while
@@ -29,8 +31,9 @@ def descents(problem: Expandable, count: int, seed: int) -> list[Descent]:
     """Descents from random starts, the best of them first.
 
     A start without trajectories is replaced by another random point. All go on for some
-    iterations, the best for more. Then the best end hops: some of its coordinates are drawn anew,
-    and where the way down from there leads lower, it stays.
+    iterations, the best for more. Unless half of them end at the same optimum, the best end then
+    hops: some of its coordinates are drawn anew, and where the way down from there leads lower, it
+    stays.
     """
     generator = np.random.default_rng(seed)
     ways = []
@@ -38,7 +41,8 @@ def descents(problem: Expandable, count: int, seed: int) -> list[Descent]:
         at = _usable(problem, z, generator)
         ways.append(Descent(at, at.z, arrived=not np.isfinite(at.cost)))
     _go_on(problem, ways)
-    if np.isfinite(ways[0].at.cost):
+    agree = sum(way.at.cost <= ways[0].at.cost + _SAME_COST for way in ways)
+    if np.isfinite(ways[0].at.cost) and agree < _AGREEING_SHARE * count:
         for _ in range(_HOPS * count):
             _hop(problem, ways[0], generator)
         _go_on(problem, ways)

@@ -13,14 +13,24 @@ _UNIFORM_VARIANCE = 1.0 / 12.0  # Of a parameter that may be anywhere between it
 _NOT_REDUCED = 0.5  # Share of that standard deviation above which the data say too little
 
 
-def deviations_at(at: Expansion, variance: float = 1.0) -> Array:
-    """Standard deviations (n,) in z, of a prior that is uniform between the bounds.
+def covariance_at(at: Expansion, variance: float = 1.0) -> Array:
+    """The covariance (n, n) in z, of a prior that is uniform between the bounds.
 
     ``variance`` is that of the residuals.
     """
     information = at.jacobian.T @ at.jacobian / variance
     information[np.diag_indices_from(information)] += 1.0 / _UNIFORM_VARIANCE
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
+    return np.asarray(np.linalg.inv(information))
+
+
+def deviations_at(at: Expansion, variance: float = 1.0) -> Array:
+    """Standard deviations (n,) in z; see :func:`covariance_at`."""
+    return np.asarray(np.sqrt(np.diag(covariance_at(at, variance))))
+
+
+def spread_of(rows: Array, covariance: Array) -> Array:
+    """Standard deviations (m,) of quantities with derivatives (m, n)."""
+    return np.asarray(np.sqrt(np.einsum("mi,ij,mj->m", rows, covariance, rows)))
 
 
 def unidentified(names: Sequence[str], deviations: Array) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ shows it. All draw into the axes given as ``ax``, or into those of a new figure,
 those with several panels an array of them.
 """
 
+from rankone.plotting.calibrations import plot_calibration
 from rankone.plotting.densities import plot_density
 from rankone.plotting.estimates import plot_design, plot_posterior, plot_profiles
 from rankone.plotting.fits import plot_fit
@@ -19,6 +20,7 @@ from rankone.plotting.trajectories import plot_bands, plot_trajectories
 
 __all__ = [
     "plot_bands",
+    "plot_calibration",
     "plot_density",
     "plot_design",
     "plot_fit",

@@ -48,6 +48,7 @@ _FUNCTIONS: dict[str, object] = {
     "sign": lambda x: math.copysign(1.0, x) if x else x,
     "sinc": lambda x: math.sin(math.pi * x) / (math.pi * x) if x else 1.0,
 }
+_NUMBERS = "CONSTANTS"  # The dictionary of a generated module that has numbers by name
 _CONSTANTS: dict[str, object] = {"pi": math.pi, "e": math.e, "nan": math.nan, "inf": math.inf}
 
 
@@ -159,6 +160,8 @@ class _Expressions(ast.NodeTransformer):
         return _call(name, arguments)
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
+        if ast.unparse(node.value) == _NUMBERS:
+            return node
         return self._part(node)
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:

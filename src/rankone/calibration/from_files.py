@@ -1,0 +1,47 @@
+"""The calibration of a problem from files, with measurements beside predictions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rankone.calibration.comparison import Comparison, compared
+from rankone.calibration.descent import Expansion
+from rankone.calibration.of_files import OfFiles
+from rankone.calibration.records import Records
+from rankone.calibration.result import Calibration
+from rankone.calibration.starts import MOST_STARTS, descents
+from rankone.calibration.uncertainty import covariance_at, spread_of
+from rankone.support.options import checked_number
+
+
+def calibrated(records: Records, likelihood: OfFiles, starts: int, seed: int) -> Calibration:
+    """The calibration from random starts; see :meth:`.CalibrationProblem.fit`."""
+    starts = checked_number("starts", starts, 1, MOST_STARTS)
+    ways = descents(likelihood, starts, seed)
+    comparisons = comparisons_of(records, likelihood, ways[0].at)
+    return Calibration.of(likelihood, ways, comparisons=comparisons)
+
+
+def comparisons_of(records: Records, likelihood: OfFiles, at: Expansion) -> tuple[Comparison, ...]:
+    """Measurements and predictions at the end of a search; none without trajectories."""
+    if not np.isfinite(at.cost):
+        return ()
+    evaluation, covariance = likelihood.evaluated(at.z), covariance_at(at)
+    comparisons, first = list[Comparison](), 0
+    for series in records.series:
+        count, rows = series.times.size, np.array(series.rows)
+        deviations = spread_of(at.jacobian[first : first + count], covariance)
+        first += 2 * count
+        for e in np.unique(series.experiments):
+            here = np.flatnonzero(series.experiments == e)
+            comparisons.append(
+                compared(
+                    (series.observable.name, records.experiments[e].name),
+                    (series.times[here], series.measurements[here]),
+                    evaluation.predicted[rows[here]],
+                    evaluation.noise[rows[here]],
+                    deviations[here],
+                    series.observable.transformation,
+                )
+            )
+    return tuple(comparisons)
