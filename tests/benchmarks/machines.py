@@ -7,6 +7,8 @@ worker, or half of all, the main process with dask's scheduler included, whichev
 
 ``... kill 20`` kills worker and main process 20 times at random moments, and starts the same
 command again until it ends: the bits have to be the same, and no finished file may change.
+
+``... memory`` compares peaks, beyond what the process had before, with ``max_memory``.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from typing import Any
 import numpy as np
 
 import rankone as ro
+from rankone.support.memory import checked_memory, in_words
 
 
 def double_well(horizon: float, rtol: float) -> tuple[ro.Problem, list[Any], float]:
@@ -131,6 +134,14 @@ def children(pid: int) -> list[int]:
     return found
 
 
+def left_behind(pids: list[int]) -> int:
+    """How many processes are still there after half a minute."""
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end and any(Path(f"/proc/{pid}").exists() for pid in pids):
+        time.sleep(0.1)
+    return sum(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
 def wait(main: subprocess.Popen[str], rng: random.Random) -> None:
     """Wait for a random moment: mostly one while workers work, sometimes one before."""
     if rng.random() < 0.2:
@@ -171,8 +182,7 @@ def kill(count: int, seed: int = 0) -> None:
                     killed[victim] += 1
                     if victim == "main":
                         main.wait()
-                        time.sleep(0.5)
-                        orphans += sum(Path(f"/proc/{pid}").exists() for pid in workers)
+                        orphans += left_behind(workers)
                 assert main.stdout is not None
                 lines = main.stdout.read().split()
                 if main.returncode == 0:
@@ -184,10 +194,58 @@ def kill(count: int, seed: int = 0) -> None:
     print(f"peak of one process {peak:.0f} MB")
 
 
+def peak() -> float:
+    """Largest memory of this process so far, in bytes."""
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def stream(count: int, limit: str) -> None:
+    """Evaluate so many points in blocks, and print the peak beyond what the process had."""
+    solution = ro.solve(*double_well(1.0, 1e-3)[::2])
+    side, before = round(count**0.5), peak()
+    axes = {"c": np.linspace(0.1, 0.4, side)[:, None], "x0": np.linspace(0.5, 1.3, side)}
+    began, total, values = time.process_time(), 0, 0.0
+    for _, block in solution.blocks(t=0.5, a=0.05, v0=0.0, **axes, max_memory=limit):
+        total, values = total + block[0].size, values + float(block.sum())
+    share = (peak() - before) / checked_memory("limit", limit)
+    seconds = time.process_time() - began
+    print(f"{total:.3g} points in {seconds:.1f} s: peak {share:.2f} x {limit}", flush=True)
+
+
+def chain(states: int, limit: str | None) -> None:
+    """Solve a chain of compartments with a limit, and print how it ends and the peak."""
+    rates = {f"x{i}": f"k*x{i - 1} - (k + c)*x{i}" for i in range(1, states)}
+    problem = ro.Problem.from_strings(
+        {"x0": "-k*x0", **rates},
+        {f"x{i}": "1" if i == 0 else "0" for i in range(states)},
+        {"k": (7, 14), "c": (1, 2)},
+        (0, 2),
+    )
+    compiled, before = ro.compile(problem), peak()
+    solution = compiled.solve(1e-3, max_memory=limit)
+    grown = peak() - before
+    text = "" if limit is None else f", {grown / checked_memory('limit', limit):.2f} x {limit}"
+    print(f"{states} states: {in_words(grown)}{text}; {solution.message[:150]}", flush=True)
+
+
+def memory() -> None:
+    """Compare peaks with limits, each in a process of its own."""
+    calls = [["stream", "1e7", "100MB"], ["stream", "1e8", "500MB"]]
+    calls += [["chain", n, limit] for n in ("50", "300") for limit in ("", "50MB", "100MB", "1GB")]
+    for call in calls:
+        subprocess.run([sys.executable, __file__, *call], check=True)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["command"]:
         command(sys.argv[2])
     elif sys.argv[1:2] == ["kill"]:
         kill(int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+    elif sys.argv[1:2] == ["stream"]:
+        stream(int(float(sys.argv[2])), sys.argv[3])
+    elif sys.argv[1:2] == ["chain"]:
+        chain(int(sys.argv[2]), sys.argv[3] or None)
+    elif sys.argv[1:2] == ["memory"]:
+        memory()
     else:
         speed()

@@ -31,12 +31,12 @@ def test_auto_takes_the_engines_that_fit() -> None:
     assert names() == ["cross", "train"]
     assert names(parameters=1) == ["train", "cross"]
     assert names(separated=False) == ["cross"]
-    assert names("max_memory") == ["train"]
+    assert names("max_sweeps") == ["train"]
     assert names("max_trajectories") == ["cross"]
     with pytest.raises(OptionError, match="'max_modes' belongs to method='greedy'"):
         names("max_modes")
-    with pytest.raises(OptionError, match="'max_memory' belongs to method='train'"):
-        names("max_memory", separated=False)
+    with pytest.raises(OptionError, match="'max_sweeps' belongs to method='train'"):
+        names("max_sweeps", separated=False)
 
 
 @pytest.mark.parametrize("name", ["gredy", "", None, 3, ["train"]])

@@ -115,6 +115,7 @@ class CompiledProblem(CompiledStages):
         cover: Literal["interior", "box"] | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,
+        max_memory: str | float | None = None,
         unknowns: Sequence[object] | None = None,
         outputs: Mapping[str, object] | str | Sequence[str] | None = None,
         integrator: Literal["auto", "stack", "single", "compiled"] = "auto",
@@ -156,6 +157,10 @@ class CompiledProblem(CompiledStages):
             measured, so the result does not depend on how busy the machine is.
         max_seconds : float, optional
             Time limit on the clock besides; the result then depends on the machine.
+        max_memory : float or str, optional
+            Bytes that arrays may take at once, or a text such as ``"2GB"``. Needs are foreseen from
+            counts of trajectories, states and ranks; what does not fit ends the solve before it
+            is begun, with a message that says how much it needs.
         unknowns : sequence, optional
             The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
             derivatives or names. By default all count, derivatives that are states too.
@@ -215,6 +220,7 @@ class CompiledProblem(CompiledStages):
                 cover=cover,
                 effort=effort,
                 max_seconds=max_seconds,
+                max_memory=max_memory,
                 unknowns=unknowns,
                 integrator=integrator,
                 on_failure=on_failure,
@@ -234,6 +240,7 @@ class CompiledProblem(CompiledStages):
             cover=cover,
             effort=effort,
             max_seconds=max_seconds,
+            max_memory=max_memory,
             unknowns=unknowns,
             integrator=integrator,
             markers=markers == "auto",

@@ -21,6 +21,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, optional_module
+from rankone.support.memory import checked_memory
 from rankone.support.options import INTEGRATORS, Options, checked_number
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
@@ -30,6 +31,7 @@ SOLVE_ARGUMENTS = (
     "t_final",
     "check",
     "cover",
+    "max_memory",
     "max_seconds",
     "unknowns",
     "effort",
@@ -237,25 +239,34 @@ class Check:
 
 @dataclass(frozen=True)
 class Limits:
-    """The budget of a solve: operations of counted work, and seconds if a user set a limit."""
+    """The budget of a solve: operations of counted work; seconds and bytes if a user set them."""
 
     operations: float = math.inf
     seconds: float = math.inf
+    memory: float = math.inf
 
     @classmethod
     def of(
-        cls, system: System, effort: str | float = "normal", max_seconds: float | None = None
+        cls,
+        system: System,
+        effort: str | float = "normal",
+        max_seconds: float | None = None,
+        max_memory: str | float | None = None,
     ) -> Limits:
         """The limits for arguments of ``solve``, or an OptionError."""
         factor = _USER_FUNCTION_FACTOR if system.user_functions else 1.0
         operations = operations_for(effort) * factor
-        if max_seconds is None:
-            return cls(operations)
-        return cls(operations, checked_number("max_seconds", max_seconds, 0.0, kind=float))
+        seconds = memory = math.inf
+        if max_seconds is not None:
+            seconds = checked_number("max_seconds", max_seconds, 0.0, kind=float)
+        if max_memory is not None:
+            memory = checked_memory("max_memory", max_memory)
+        return cls(operations, seconds, memory)
 
     def scaled(self, factor: float) -> Limits:
         """A fraction of these limits."""
-        return Limits(max(factor * self.operations, LEAST_EFFORT * NORMAL), factor * self.seconds)
+        operations = max(factor * self.operations, LEAST_EFFORT * NORMAL)
+        return replace(self, operations=operations, seconds=factor * self.seconds)
 
 
 @dataclass(frozen=True)
@@ -294,6 +305,7 @@ class SolveRequest:
         cover: str | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,
+        max_memory: str | float | None = None,
         unknowns: object = None,
         integrator: str = "auto",
         markers: bool = True,
@@ -316,7 +328,7 @@ class SolveRequest:
             for group in groups
         )
         domain = Domain.of(system).moved(system.parameters, parameters, t_final)
-        limits = Limits.of(system, effort, max_seconds)
+        limits = Limits.of(system, effort, max_seconds, max_memory)
         words = ((_name(key), split(interval)[1]) for key, interval in (parameters or {}).items())
         measures = tuple((name, word) for name, word in words if word is not None)
         integrator = checked_integrator(integrator)

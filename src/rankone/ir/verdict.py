@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import ClassVar
 
-from rankone.support.budget import OutOfBudgetError, OutOfWorkError
+from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, OutOfWorkError
+from rankone.support.memory import in_words
 from rankone.support.plain_data import Tagged
 from rankone.support.wording import listing, quote
 
@@ -54,6 +55,8 @@ class Status(Enum):
     @classmethod
     def of_limit(cls, error: OutOfBudgetError) -> Status:
         """How a solve ended that ran out of its budget."""
+        if isinstance(error, OutOfMemoryError):
+            return cls.MEMORY_LIMIT
         return cls.WORK_LIMIT if isinstance(error, OutOfWorkError) else cls.TIME_LIMIT
 
 
@@ -337,6 +340,17 @@ class Budget(Note):
         (first, share), *others = self.shares
         further = "".join(f", {_STAGES[stage]} {100.0 * each:.0f} %" for stage, each in others)
         return f"{_STAGES[first]} took {100.0 * share:.0f} % of the budget{further}"
+
+
+@dataclass(frozen=True)
+class MemoryNeeded(Note):
+    """The bytes that the next step needs, by counts of arrays, and the limit."""
+
+    needed: float
+    limit: float
+
+    def sentence(self, status: Status) -> str:
+        return f"it needs {in_words(self.needed)}, and max_memory is {in_words(self.limit)}"
 
 
 @dataclass(frozen=True)

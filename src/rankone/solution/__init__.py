@@ -6,6 +6,7 @@
 ``branches``      the evaluator where several orders of events hold
 ``smaller``       parameters fixed, the box restricted, derivatives
 ``joining``       one solution over a box, of solutions on pieces that tile it
+``streaming``     evaluation in blocks of bounded memory
 ``presentation``  the printed summary; xarray and pandas
 ================  ==================================================================================
 """

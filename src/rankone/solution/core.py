@@ -22,9 +22,11 @@ from rankone.ir.outcome import Outcome, SafeInterval
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import Status, SwitchingTerm
 from rankone.solution.branches import branch_evaluator
+from rankone.solution.streaming import Index, in_blocks
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
+from rankone.support.memory import checked_memory
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
@@ -109,6 +111,44 @@ class SolutionCore:
             Without times if nothing depends on time.
         """
         return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
+
+    def blocks(
+        self, *at: object, max_memory: str | float = "256MB", **named: object
+    ) -> Iterator[tuple[Index, Array]]:
+        """Evaluate all unknowns block after block, in bounded memory.
+
+        Parameters
+        ----------
+        *at, **named
+            As for a call; memory-mapped arrays are read as they are needed.
+        max_memory : float or str
+            Bytes that a block may take, its values included, or a text such as ``"2GB"``.
+
+        Yields
+        ------
+        index : tuple of int and slice
+            Where the block is in the broadcast shape of the values.
+        values : ndarray (unknowns, *shape of the block)
+
+        Raises
+        ------
+        EvaluationError
+            As for a call, or if not even a point fits.
+
+        Examples
+        --------
+        >>> total = 0.0
+        >>> for index, values in solution.blocks(t=1.0, k=many):  # doctest: +SKIP
+        ...     total += values.sum()
+        """
+        most = checked_memory("max_memory", max_memory)
+        gathered = self._coordinates.gather(at, named)
+        arrays = [np.asarray(argument) for argument in gathered]
+
+        def evaluate(part: list[Array]) -> Array:
+            return self._evaluate(part, self._unknowns)
+
+        yield from in_blocks(arrays, len(self.unknowns), most, evaluate)
 
     def __getitem__(self, state: object) -> UnknownView:
         """Return one unknown, or one derivative that is a state: ``solution[x.diff(t)]``."""
@@ -341,7 +381,8 @@ def _memory() -> Iterator[None]:
         yield
     except MemoryError as error:
         raise EvaluationError(
-            f"there is no memory for all values: {error}", remedy="evaluate part after part"
+            f"there is no memory for all values: {error}",
+            remedy="evaluate block after block: solution.blocks(...)",
         ) from None
 
 

@@ -21,6 +21,7 @@ from rankone.ir.verdict import (
     Budget,
     Cause,
     MeasuredError,
+    MemoryNeeded,
     Note,
     NothingInterpolated,
     ReferenceLimit,
@@ -32,7 +33,14 @@ from rankone.ir.verdict import (
 from rankone.solvers.march import MarchResult
 from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
+from rankone.support.budget import (
+    OutOfBudgetError,
+    OutOfMemoryError,
+    limited,
+    seconds_left,
+    work_done,
+    work_left,
+)
 from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.trajectories.choice import tell_fallback
@@ -61,7 +69,7 @@ _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONV
 _REMEDIES = {
     Status.WORK_LIMIT: "raise effort",
     Status.TIME_LIMIT: "give more time by max_seconds",
-    Status.MEMORY_LIMIT: "narrow the box, loosen rtol or take another method",
+    Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
 }
 # Limits that a later attempt may meet, although an earlier one is the best
 _LIMITS_OF_THE_SOLVE = (
@@ -283,12 +291,15 @@ def _narrowed(
 
 def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:
     """The outcome when a limit is met by the reference."""
-    status, cause, switching = Status.of_limit(out), ReferenceLimit(), None
+    status, switching = Status.of_limit(out), None
+    cause: Cause | None = ReferenceLimit()
     if out.reached is not None:
         switching = out.reached.chattering
         name = None if switching is None else system.states[switching]
         cause = ReferenceLimit(float(out.reached.time), out.reached.steps, name)
     notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
+    if isinstance(out, OutOfMemoryError):
+        cause, notes = None, [MemoryNeeded(out.needed, out.limit)]
     if switching is None:
         notes.append(Remedy(_REMEDIES[status]))
     ended = Outcome((), status, None, (), stages.timings, stages.work, switching=switching)

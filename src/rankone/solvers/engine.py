@@ -202,7 +202,8 @@ def solve_with(
     domain, limits = request.domain, request.limits
     check_factors(system, domain)
     system.jumps.warn_of_last(*domain.horizon)
-    with limited(limits.operations, limits.seconds), np.errstate(all="ignore"):  # is checked
+    held = limited(limits.operations, limits.seconds, limits.memory)
+    with held, np.errstate(all="ignore"):  # is checked
         outcome, method = _best_outcome(engines, system, request, report)
         outcome = _without_lifted(outcome, system, request, truth)
     box, horizon, rtol = domain.box, domain.horizon, request.rtol

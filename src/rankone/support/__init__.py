@@ -6,6 +6,7 @@
 ``wording``     quotes, lists, names, tables and equations in text
 ``labelled``    results as tables of pandas, data sets of xarray, and in notebooks
 ``budget``      counted work, and a deadline where a user asked for one
+``memory``      amounts of memory as users write and read them
 ``costs``       what numerical work costs, in operations
 ``options``     options of engines: declared with their ranges, checked in one place
 ``executors``   processes that end with this one, executors of others, clusters of dask

@@ -56,18 +56,30 @@ class OutOfTimeError(OutOfBudgetError):
     """The time limit that a user gave has passed."""
 
 
+class OutOfMemoryError(OutOfBudgetError):
+    """What comes next needs more bytes, ``needed``, than the ``limit`` that a user gave."""
+
+    def __init__(self, needed: float, limit: float) -> None:
+        super().__init__()
+        self.needed, self.limit = needed, limit
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.needed, self.limit)
+
+
 class Account:
     """The work that was counted, and the limits on it.
 
-    ``done`` operations are counted, at most ``most`` may be. ``end`` is the deadline, by
+    ``done`` operations are counted, at most ``most`` may be. ``memory`` are the bytes that may be
+    held at once; infinite unless a user asked for a limit. ``end`` is the deadline, by
     ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
     whose answer is kept.
     """
 
-    __slots__ = ("done", "end", "most", "once")
+    __slots__ = ("done", "end", "memory", "most", "once")
 
     def __init__(self) -> None:
-        self.done, self.most, self.end = 0.0, math.inf, math.inf
+        self.done, self.most, self.end, self.memory = 0.0, math.inf, math.inf, math.inf
         self.once: set[Hashable] = set()
 
 
@@ -75,19 +87,25 @@ _ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None
 
 
 @contextmanager
-def limited(operations: float = math.inf, seconds: float = math.inf) -> Iterator[Account]:
-    """Limit the work inside; outer limits hold as well, and count the same work."""
+def limited(
+    operations: float = math.inf, seconds: float = math.inf, memory: float = math.inf
+) -> Iterator[Account]:
+    """Limit the work inside, and the bytes that are held; outer limits hold as well.
+
+    They count the same work.
+    """
     outer = _ACCOUNT.get()
     account = outer or Account()
-    before = account.most, account.end
+    before = account.most, account.end, account.memory
     token = _ACCOUNT.set(account)
+    account.memory = min(account.memory, memory)
     account.most = min(account.most, account.done + operations)
     if seconds < math.inf:
         account.end = min(account.end, clock.perf_counter() + seconds)
     try:
         yield account
     finally:
-        account.most, account.end = before
+        account.most, account.end, account.memory = before
         _ACCOUNT.reset(token)
 
 
@@ -154,6 +172,19 @@ def charge_once(key: Hashable, operations: float) -> None:
 def check_time() -> None:
     """Raise OutOfTimeError after the deadline; for work that no budget counts."""
     charge(0.0)
+
+
+def memory_limit() -> float:
+    """The bytes that may be held at once; infinite unless a user asked for a limit."""
+    account = _ACCOUNT.get()
+    return math.inf if account is None else account.memory
+
+
+def reserve(count: float) -> None:
+    """Raise an OutOfMemoryError if so many bytes, which come next, are more than may be held."""
+    limit = memory_limit()
+    if count > limit:
+        raise OutOfMemoryError(count, limit)
 
 
 def work_done() -> float:

@@ -17,7 +17,7 @@ from rankone.ir.outcome import SafeInterval
 from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array, bisected
-from rankone.support.budget import OutOfBudgetError, charge, limited, work_left
+from rankone.support.budget import OutOfBudgetError, charge, limited, reserve, work_left
 from rankone.support.costs import Cost, eigenvalues
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.choice import following, integrator_for
@@ -55,6 +55,8 @@ _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, a
 _HELD_NUMBERS = (
     2**22
 )  # Numbers of states at several times that are held at once, unless one has more
+# Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
+_NUMBERS_OF_STATE = 100
 _MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
 
 _FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
@@ -180,6 +182,7 @@ def integrate_reference(
     how far the integration came.
     """
     start, end = horizon
+    reserve(8.0 * _NUMBERS_OF_STATE * len(points) * system.n_differential)
     edges = [start, *_with_moving_cuts(system, points, start, end, cuts), end]
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)

@@ -11,13 +11,16 @@ from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.system import System
 from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
-from rankone.support.budget import work_done
+from rankone.support.budget import memory_limit, reserve, work_done
 from rankone.tensors.cross import GrowingBasis
 from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.integrator import Integrator, Tolerances
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
+
+# Copies of sampled trajectories that are held at once: stages of steps, columns, coefficients
+_COPIES = 6
 
 
 class TooManyTrajectories(Exception):
@@ -77,6 +80,7 @@ class Trajectories:
             raise TooManyTrajectories
         blocks = []
         for group in self._groups(points):
+            self._reserve(len(group))
             columns = self._integrated(group) if self.calibrated else self._calibrated(group)
             self.count += len(group)
             blocks.append(self._coefficients(columns))
@@ -94,8 +98,15 @@ class Trajectories:
     def _groups(self, points: Array) -> list[Array]:
         """Points whose columns are held at a time: few of many states, whole chunks of others."""
         numbers = self._read * self.grid.times.size
-        size = max(constants.HELD_NUMBERS // numbers, self._chunk_size())
+        held = min(constants.HELD_NUMBERS, memory_limit() / (8.0 * _COPIES))
+        size = max(int(held // numbers), self._chunk_size())
         return np.array_split(points, max(-(-len(points) // size), 1))
+
+    def _reserve(self, count: int) -> None:
+        """Raise an OutOfMemoryError if so many trajectories do not fit beside the basis."""
+        times = self.grid.times.size
+        numbers = _COPIES * count * self._read * times + 2.0 * self.basis.vectors.size
+        reserve(8.0 * numbers)
 
     @property
     def _read(self) -> int:

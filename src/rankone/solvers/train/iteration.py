@@ -20,6 +20,7 @@ from rankone.solvers.train.options import (
     JUMP_SHARE,
     LEAST_CONTRACTION,
     MAX_PROBES,
+    MOST_MEMORY,
     RELIABLE_CONTRACTION,
     SLOWEST_CONTRACTION,
     STAGNANT_CONTRACTION,
@@ -28,6 +29,7 @@ from rankone.solvers.train.options import (
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
+from rankone.support.budget import memory_limit
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
@@ -189,7 +191,8 @@ class SlabIteration:
                 limits.add(Status.RANK_LIMIT)
             if convergence.hopeless(limited):
                 break
-            if sweeper.memory > self.options.max_memory:
+            limit = memory_limit()
+            if sweeper.memory > (MOST_MEMORY if limit == math.inf else limit):
                 limits.add(Status.MEMORY_LIMIT)
                 break
             sweeper.settle(0.2 * tolerance, 12)

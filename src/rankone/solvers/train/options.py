@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from rankone.discretization import BASES
 from rankone.support.costs import CALL, Cost
-from rankone.support.options import Options, choice, integer, number
+from rankone.support.options import Options, choice, integer
 
 # Accuracy of slabs
 
@@ -34,6 +34,7 @@ FAST_FACTOR = 1.5  # Factor on the length of the next slab after few sweeps
 RECOVERY_FACTOR = 1.15  # Largest growth of the length per slab after a rejection
 REFERENCE_NOISE = 1e-7  # Relative size below which the dense output of the reference is not smooth
 RETRY_LENGTH_RATIO = 0.8  # A slab whose proper length is below this part of its own is solved again
+MOST_MEMORY = 4e9  # Bytes of a sweep, estimated, unless max_memory is less
 MEMORY_HALVING_LIMIT = 1e-3  # Shortest slab, relative to the horizon, that is halved to save memory
 SHORTEST_SLAB = 1e-10  # Shortest slab, relative to the horizon
 
@@ -89,8 +90,6 @@ class TrainOptions(Options):
     max_attempts : int or None
         How often the solve may be repeated with a tighter inner tolerance;
         None: 5 times, and more while that pays.
-    max_memory : float
-        Largest estimated working memory in bytes.
     """
 
     usual_attempts: ClassVar[int] = 5
@@ -103,7 +102,6 @@ class TrainOptions(Options):
     max_slabs: int = integer(2000)
     max_sweeps: int = integer(14, 3)
     max_attempts: int | None = integer(None)
-    max_memory: float = number(4e9, 1)
 
     def nodes_in_time(self, rtol: float) -> int:
         """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""
