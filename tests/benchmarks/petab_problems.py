@@ -1,7 +1,8 @@
 """Compare objectives of PEtab problems: python tests/benchmarks/petab_problems.py FOLDER
 
 FOLDER is the PEtab benchmark collection, or has a folder for each problem in the same way. For each
-problem the objective at the nominal point is compared with one that uses nothing of rankone: the
+problem the objective at the nominal point, and at a random point up to a factor of two around it,
+is compared with one that uses nothing of rankone: the
 model is turned into Python by libsbml (as in published_sbml.py), integrated by SciPy's LSODA at
 1e-10, brought to steady states by long integration and Newton's method, and the likelihood is that
 of ``petab.calculate_llh`` on the simulated measurements. *Gradient* compares the derivatives by the
@@ -16,6 +17,7 @@ import argparse
 import re
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ from tests.benchmarks.published_sbml import NAMES, Published  # noqa: E402
 
 RTOL, ATOL = 1e-10, 1e-13
 LONG = 1e7  # Time to a steady state, in the units of the model
-DIRECTIONS, STEP = 3, 1e-4
+POINTS, DIRECTIONS, STEP = 1, 3, 1e-4
 
 
 def main() -> None:
@@ -37,7 +39,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", nargs="+", metavar="NAME", default=NAMES)
     arguments = parser.parse_args()
-    print(f"{'problem':36}objective        independent      relative  gradient  seconds")
+    print(f"{'problem':36}objective        independent      relative  around    gradient  seconds")
     for name in arguments.only:
         for file in sorted(arguments.folder.glob(f"{name}*/{name}*[0-9].yaml")):
             print(f"{file.stem:36}{_tried(file)}", flush=True)
@@ -55,13 +57,28 @@ def _tried(file: Path) -> str:
     seconds.append(time.process_time())
     gradient = problem.evaluate().gradient
     seconds.append(time.process_time())
-    independent = Independent(file).objective()
+    reference = Independent(file)
+    independent = reference.objective()
     relative = abs(objective - independent) / abs(independent)
+    around = max(_differences(problem, reference), default=0.0)
     first, again, slopes = np.diff(seconds)
     return (
-        f"{objective:<17.10g}{independent:<17.10g}{relative:.1e}   "
+        f"{objective:<17.10g}{independent:<17.10g}{relative:.1e}   {around:.1e}   "
         f"{_gradient_error(problem, gradient):.1e}   {first:.1f} {again:.2f} {slopes:.2f}"
     )
+
+
+def _differences(problem: Any, reference: Any) -> Iterator[float]:
+    """Relative differences of objectives at random points within the bounds."""
+    generator = np.random.default_rng(3)
+    for _ in range(POINTS):
+        values = dict(reference.nominal)
+        for name in problem.estimated:
+            p = problem.parameters[name]
+            factor = 2.0 ** generator.uniform(-1.0, 1.0)
+            values[name] = float(np.clip(factor * values[name], p.lower, p.upper))
+        independent = reference.objective(values)
+        yield abs(problem.objective(values) - independent) / abs(independent)
 
 
 def _gradient_error(problem: Any, gradient: Any) -> float:
@@ -97,11 +114,14 @@ class Independent:
         table = self.problem.parameter_df
         self.nominal = {str(name): float(row["nominalValue"]) for name, row in table.iterrows()}
 
-    def objective(self) -> float:
-        """Minus the log-likelihood at the nominal point."""
-        simulated = self.problem.measurement_df.rename(columns={"measurement": "simulation"})
+    def objective(self, values: dict[str, float] | None = None) -> float:
+        """Minus the log-likelihood at values of all parameters, by default the nominal point."""
+        self.nominal = self.nominal if values is None else values
+        parameters = self.problem.parameter_df.copy()
+        parameters["nominalValue"] = [self.nominal[str(name)] for name in parameters.index]
+        measured = self.problem.measurement_df.copy()
+        simulated = measured.rename(columns={"measurement": "simulation"})
         simulated["simulation"] = np.nan
-        measured = self.problem.measurement_df
         before = measured.get("preequilibrationConditionId")
         keys = list(
             zip(
@@ -120,11 +140,7 @@ class Independent:
                     measured.iloc[k], values, state
                 )
         simulated["row"] = measured["row"] = np.arange(len(measured))
-        return -float(
-            self.petab.calculate_llh(
-                measured, simulated, self._with_noise(), self.problem.parameter_df
-            )
-        )
+        return -float(self.petab.calculate_llh(measured, simulated, self._with_noise(), parameters))
 
     def _with_noise(self) -> Any:
         """The observable table, with the observable where noise formulas repeat its formula."""

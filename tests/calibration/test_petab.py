@@ -151,6 +151,42 @@ def test_a_condition_sets_a_species(problem, tmp_path):
     np.testing.assert_allclose(changed[start], wanted, rtol=1e-10)
 
 
+def test_a_dose_after_a_lag_and_a_species_set_in_all_conditions(tmp_path):
+    """No file has a number for A, and rates jump at a time that is a parameter."""
+    pieces = "<piecewise><piece><ci>dose</ci><apply><geq/>{}<ci>lag</ci></apply></piece>{}"
+    time = (
+        '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">time'
+        "</csymbol>"
+    )
+    late = pieces.format(time, "<otherwise><cn>0</cn></otherwise></piecewise>")
+    lag = '<parameter id="lag" value="9" constant="true"/><parameter id="dose"'
+    model = MODEL.replace("<ci>dose</ci>", late).replace('<parameter id="dose"', lag)
+    files = {
+        "model": model,
+        "parameters": "\n".join(PARAMETERS.split("\n")[:3]) + "\nlag\tlin\t0\t2\t0.7\t0\n",
+        "conditions": "conditionId\tdose\tA\tB\nlow\t0.5\t1.5\t0.2\n",
+        "observables": "observableId\tobservableFormula\tnoiseFormula\nobs_A\tA\t1\n",
+        "measurements": table([("obs_A", "", "low", "0", at, "", "") for at in ("0.5", "2")]),
+    }
+    problem = ro.read_petab(write(tmp_path, **files))
+
+    def amount(k1, k2):
+        a, b = 1.5, 1.7 * k2 / (k1 + k2)
+        early = [b + (a - b) * np.exp(-(k1 + k2) * t) for t in (0.5, 0.7)]
+        rest = 1.7 * k2 / (k1 + 0.5 + k2)
+        return early[0], rest + (early[1] - rest) * np.exp(-(k1 + 0.5 + k2) * 1.3)
+
+    at = problem.evaluate()
+    np.testing.assert_allclose(at.standardised, amount(0.8, 0.6), rtol=1e-8)
+    step = 1e-5
+    difference = np.subtract(amount(0.8 * 10**step, 0.6), amount(0.8 / 10**step, 0.6)) / (2 * step)
+    np.testing.assert_allclose(at.jacobian[:2, 0], difference, rtol=1e-6)
+    files["parameters"] = files["parameters"].replace("0.7\t0", "0.7\t1")
+    estimated = ro.read_petab(write(tmp_path, **files))
+    with pytest.raises(ro.ProblemError, match="rates jump where `lag` says"):
+        estimated.evaluate()
+
+
 def test_text(problem):
     assert repr(problem).splitlines()[0] == (
         "CalibrationProblem conversion: 2 experiments, 27 measurements of 3 observables, "

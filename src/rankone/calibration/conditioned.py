@@ -51,14 +51,13 @@ def problem_for(
         if name in records.model.used and name not in free.inputs
     }
     names = {name: a for name, a in numbers.items() if isinstance(a, str)}
-    model = _renamed(records.model, names)
+    constants = {name: a for name, a in numbers.items() if isinstance(a, float)}
+    model = _renamed(records.model.with_numbers(constants), names)
     used = {a: free.box[a] for a in names.values()}
     problem = model.problem({**used, **free.inputs}, time=(0.0, end))
-    own = records.model.parameters
-    constants = {n: a for n, a in numbers.items() if isinstance(a, float) and a != own[n]}
     if experiment.before is not None:
         problem = _rested(problem, experiment, settings, free, names)
-    return problem.set(constants) if constants else problem
+    return problem
 
 
 def _renamed(model: Model, names: Mapping[str, str]) -> Model:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
+from sympy.core.function import AppliedUndef
 
 from rankone.calibration.conditions import Settings
 from rankone.calibration.parameters import Parameter
@@ -46,9 +47,7 @@ class Dynamics:
         self.inputs = settings.varying
         end = records.last_time or _USUAL_END
         box = {name: _interval(records, settings, name) for name in self.inputs}
-        problem = records.model.problem(box, time=(0.0, end))
-        if settings.constant:
-            problem = problem.set(settings.constant)
+        problem = records.model.with_numbers(settings.constant).problem(box, time=(0.0, end))
         self.compiled: CompiledProblem = compile_problem(problem)
         if self.system.events or self.system.jumps.times:
             raise ProblemError(
@@ -71,6 +70,12 @@ class Dynamics:
             *(each.symbol for each in form.coordinates[1:]),
         ]
         return {variable: sp.Dummy(real=True) for variable in variables}
+
+    @cached_property
+    def jumps_with_states(self) -> bool:
+        """Whether rates jump where states cross a threshold."""
+        surfaces = (s for s, _ in boundaries(self.compiled.first_order.rhs, DISCONTINUOUS))
+        return any(surface.atoms(AppliedUndef) for surface in surfaces)
 
     @cached_property
     def decisive(self) -> frozenset[str]:

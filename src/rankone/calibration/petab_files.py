@@ -79,7 +79,7 @@ def open_petab(path: str | PathLike[str]) -> Any:
             raise _broken(file, "valid", str(error)) from None
     if faulty:
         faults = [text for text in messages if text != "Not OK"][:_MOST_FAULTS]
-        raise _broken(file, "valid", "; ".join(faults))
+        raise _broken(file, "valid", "; ".join(faults) or "the model is not valid SBML")
     for name in ("measurement_df", "condition_df", "observable_df", "parameter_df", "model"):
         if getattr(problem, name) is None:
             raise ProblemError(f"`{file}` names no {name.removesuffix('_df')} table", term=file)

@@ -107,7 +107,7 @@ class Simulation:
 
     def _check_smooth(self, by: Sequence[str]) -> None:
         """Raise if a parameter that derivatives are asked for decides where rates jump."""
-        if by and self.dynamics.system.features.n_steps:
+        if by and self.dynamics.jumps_with_states:
             raise ProblemError(
                 "rates jump with the states, and cannot be differentiated yet",
                 remedy="ask for the objective alone",
@@ -190,6 +190,7 @@ class Simulation:
             moved = np.concatenate([some.points[k], some.states[:, k]])
             system = self._starting(moved, _SETTLE * horizon)
             steady = SteadyStates(system, horizon, _SETTLE * horizon)
+            self._check_rest(some.points[k], some.states[:, k])
             try:
                 states[:, k] = steady(moved[:, None])[:, 0]
             except (ConvergenceError, BlowUpError) as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -110,6 +110,11 @@ class Model:
         written = {s: symbols[s.name] for s in expression.free_symbols if s.name in symbols}
         full = expression.xreplace(written).xreplace(self._expanded)
         return full.xreplace({self.time: sp.Symbol("time"), self.start: sp.S.Zero})
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> Model:
+        """The model with other nominal values of some parameters."""
+        exact = {sp.Symbol(name): sp.Rational(repr(float(x))) for name, x in numbers.items()}
+        return replace(self, numbers={**self.numbers, **exact}) if exact else self
 
     @cached_property
     def used(self) -> frozenset[str]:
