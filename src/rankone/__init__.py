@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from rankone.ir.verdict import Status
     from rankone.models.model import Model
     from rankone.models.sbml import read_sbml
+    from rankone.populations.fit import PopulationFit
+    from rankone.populations.predictive_check import PredictiveCheck
     from rankone.solvers.cross import CrossOptions
     from rankone.solvers.greedy import GreedyOptions
     from rankone.solvers.train import TrainOptions
@@ -97,7 +99,9 @@ __all__ = [
     "Model",
     "Optimum",
     "OptionError",
+    "PopulationFit",
     "Posterior",
+    "PredictiveCheck",
     "Problem",
     "ProblemError",
     "QuadraticSystem",
@@ -171,6 +175,8 @@ _MODULES = {
     "ir.verdict": ("Status",),
     "models.model": ("Model",),
     "models.sbml": ("read_sbml",),
+    "populations.fit": ("PopulationFit",),
+    "populations.predictive_check": ("PredictiveCheck",),
     "solvers.cross": ("CrossOptions",),
     "solvers.greedy": ("GreedyOptions",),
     "solvers.train": ("TrainOptions",),

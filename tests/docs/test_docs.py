@@ -59,6 +59,7 @@ LONG = {
         "guide/neuron.md",
         "guide/oscillators.md",
         "guide/plots.md",
+        "guide/populations.md",
         "guide/steady-states.md",
         "guide/thermostat.md",
         "guide/unknown-lag.md",

@@ -61,3 +61,33 @@ def population(seed, count=30, **options):
     """The fit of one data set."""
     options = {"random": ["ka", "CL", "V"], "noise": "combined", **options}
     return oral().fit_population(table_of(seed, count), **options)
+
+
+@functools.cache
+def level():
+    """A state that is constant: u' = 0, u(0) = a."""
+    problem = ro.Problem.from_strings({"u": "0*u"}, {"u": "a"}, {"a": (-20, 40)}, (0, 4))
+    return ro.solve(problem, 1e-8)
+
+
+def one_way(seed, subjects=12, times=4):
+    """Levels of subjects around 10 with deviation 2, and noise of deviation 1."""
+    generator = np.random.default_rng(seed)
+    own = 10.0 + 2.0 * generator.standard_normal(subjects)
+    return own[:, None] + generator.standard_normal((subjects, times))
+
+
+def as_table(data):
+    subjects, times = data.shape
+    return {
+        "subject": np.repeat(np.arange(subjects), times),
+        "t": np.tile(np.linspace(0, 4, times), subjects),
+        "u": data.ravel(),
+    }
+
+
+@functools.cache
+def levels():
+    """The fit of levels, which takes a few milliseconds."""
+    table = as_table(one_way(1))
+    return level().fit_population(table, random={"a": "normal"}, noise="constant")

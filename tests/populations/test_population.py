@@ -15,7 +15,10 @@ from tests.populations.simulated import (
     MEANS,
     SPREADS,
     TRUE,
+    as_table,
     concentration,
+    levels,
+    one_way,
     oral,
     population,
     table_of,
@@ -27,34 +30,11 @@ def fit():
     return population(3)
 
 
-@functools.cache
-def level():
-    """A state that is constant: u' = 0, u(0) = a."""
-    problem = ro.Problem.from_strings({"u": "0*u"}, {"u": "a"}, {"a": (-20, 40)}, (0, 4))
-    return ro.solve(problem, 1e-8)
-
-
-def one_way(seed, subjects=12, times=4):
-    """Levels of subjects around 10 with deviation 2, and noise of deviation 1."""
-    generator = np.random.default_rng(seed)
-    own = 10.0 + 2.0 * generator.standard_normal(subjects)
-    return own[:, None] + generator.standard_normal((subjects, times))
-
-
-def as_table(data):
-    subjects, times = data.shape
-    return {
-        "subject": np.repeat(np.arange(subjects), times),
-        "t": np.tile(np.linspace(0, 4, times), subjects),
-        "u": data.ravel(),
-    }
-
-
 def test_one_way_analysis_of_variance():
     """A linear model is exact: estimates and intervals have closed forms."""
     data = one_way(1)
     n, m = data.shape
-    population = level().fit_population(as_table(data), random={"a": "normal"}, noise="constant")
+    population = levels()
     assert population.success, population.message
     within = np.sum((data - data.mean(axis=1, keepdims=True)) ** 2) / (n * (m - 1))
     between = data.mean(axis=1).var()
@@ -67,6 +47,37 @@ def test_one_way_analysis_of_variance():
     share = population.omega[0, 0] / (population.omega[0, 0] + within / m)
     drawn = data.mean() + share * (data.mean(axis=1) - data.mean())
     np.testing.assert_allclose(population.individuals["a"], drawn, rtol=1e-4)
+
+
+def test_a_subject_under_several_conditions_has_one_random_effect():
+    """Half of the rows with another dose, which shifts the level by as much."""
+    problem = ro.Problem.from_strings(
+        {"u": "0*u"}, {"u": "a + d"}, {"a": (-20, 40), "d": (0, 10)}, (0, 4)
+    )
+    table = as_table(one_way(1))
+    table["d"] = np.where(np.arange(table["u"].size) % 2, 3.0, 0.0)
+    table["u"] = table["u"] + table["d"]
+    dosed = ro.solve(problem, 1e-8).fit_population(table, random={"a": "normal"})
+    for name, x in levels().x.items():
+        assert dosed.x[name] == pytest.approx(x, rel=1e-5)
+    np.testing.assert_allclose(dosed.individuals["a"], levels().individuals["a"], rtol=1e-5)
+    assert dosed.curve(0, [1, 2]).shape == (2, 2)
+
+
+def test_a_level_that_does_not_vary():
+    """Subjects that are all the same have no variance, and the fit says so."""
+    data = np.random.default_rng(8).normal(10.0, 1.0, (10, 5))
+    data += 10.0 - data.mean(axis=1, keepdims=True)
+    options = {"random": {"a": "normal", "b": "normal"}}
+    problem = ro.Problem.from_strings(
+        {"u": "b"}, {"u": "a"}, {"a": (-20, 40), "b": (-5, 5)}, (0, 4)
+    )
+    same = ro.solve(problem, 1e-8).fit_population(as_table(data), **options)
+    assert same.idle
+    assert set(same.idle) < {"omega_a", "omega_b"}
+    assert same.x[same.idle[0]] == 0.0
+    assert np.isnan(same.interval()[same.idle[0]]).all()
+    assert "the data show no such variation" in same.checks[0]
 
 
 def laplace(table, x):

@@ -209,6 +209,18 @@ def log_likelihood(noise: Noise, data: Array, standardised: Array, sigma: Array)
     return float(np.sum(each))
 
 
+def noise_draws(
+    noise: Noise, prediction: Array, sigma: Array, generator: np.random.Generator
+) -> Array:
+    """Data drawn at random around predictions (...), with standard deviations (...)."""
+    if noise.distribution == "student":
+        tails = generator.standard_t(STUDENT_FREEDOM, prediction.shape)
+        return np.asarray(prediction + sigma * _STUDENT_SCALE * tails)
+    normal = sigma * generator.standard_normal(prediction.shape)
+    log_normal = noise.distribution == "log-normal"
+    return np.asarray(prediction * np.exp(normal) if log_normal else prediction + normal)
+
+
 def normal_scores(noise: Noise, standardised: Array) -> Array:
     """Deviations of normal noise that are as improbable as standardised ones (m,)."""
     if noise.distribution != "student":

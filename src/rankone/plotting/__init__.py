@@ -14,6 +14,7 @@ from rankone.plotting.estimates import plot_design, plot_posterior, plot_profile
 from rankone.plotting.fits import plot_fit
 from rankone.plotting.loops import plot_history
 from rankone.plotting.modes import plot_modes
+from rankone.plotting.populations import plot_population
 from rankone.plotting.sensitivities import plot_main_effects, plot_sobol
 from rankone.plotting.surfaces import plot_surface
 from rankone.plotting.trajectories import plot_bands, plot_trajectories
@@ -27,6 +28,7 @@ __all__ = [
     "plot_history",
     "plot_main_effects",
     "plot_modes",
+    "plot_population",
     "plot_posterior",
     "plot_profiles",
     "plot_sobol",

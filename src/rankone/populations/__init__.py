@@ -13,6 +13,7 @@
 ``population``     ``fit_population``
 ``estimates``      estimates of the population and of the subjects
 ``fit``            the result: both, and whether to believe it
+``predictive_check``  quantiles of data beside those of simulated data
 =================  =====================================================================
 """
 

@@ -9,10 +9,12 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike, NDArray
 
 from rankone.estimation.duals import value_of
 from rankone.estimation.intervals import checked_level
 from rankone.estimation.noise import terms
+from rankone.estimation.observations import label
 from rankone.populations.individuals import EmpiricalBayes
 from rankone.populations.layout import Layout
 from rankone.populations.marginal import Marginal
@@ -21,6 +23,8 @@ from rankone.populations.subjects import Measured, Subjects
 from rankone.populations.uncertainty import Uncertainty, uncertainty_of
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
 
 _STEP = 1e-5  # Displacement for derivatives of spreads with respect to their coordinates
 
@@ -287,6 +291,63 @@ class PopulationEstimates:
                 np.broadcast_to(prediction, full).reshape(shape),
                 np.broadcast_to(sigma, full).reshape(shape),
             )
+
+    @property
+    def owner(self) -> NDArray[np.intp]:
+        """For each record the position of its subject."""
+        return self._subjects.owner
+
+    def measured(self, observable: object = None) -> Measured:
+        """What was measured of an observable, the first one if none is named."""
+        names = [one.name for one in self._subjects.measured]
+        name = names[0] if observable is None else label(self.solution, observable)
+        if name not in names:
+            raise OptionError(
+                f"{quote(name)} was not observed{did_you_mean(name, names)}",
+                term=observable,
+                remedy=f"choose from {listing(names)}",
+            )
+        return self._subjects.measured[names.index(name)]
+
+    def curve(
+        self,
+        subject: object,
+        times: ArrayLike,
+        observable: str | None = None,
+        *,
+        typical: bool = False,
+    ) -> Array:
+        """The curve of a subject, (times,), or (records, times) if it was seen in several.
+
+        Parameters
+        ----------
+        subject : str
+            Its name.
+        times : array_like (times,)
+            Times inside of the horizon.
+        observable : str, optional
+            By default the first one.
+        typical : bool
+            Whether to leave out the random effects: the curve that its covariates predict.
+        """
+        one = self.measured(observable)
+        if str(subject) not in self.subjects:
+            raise OptionError(
+                f"there is no subject {quote(subject)}{did_you_mean(str(subject), self.subjects)}",
+                term=subject,
+                remedy=f"choose from {listing(self.subjects)}",
+            )
+        i = self.subjects.index(str(subject))
+        own = self.typical if typical else self.individuals
+        clock = np.atleast_1d(np.asarray(times, dtype=float))
+        rows = []
+        for record in np.flatnonzero(self._subjects.owner == i):
+            at = {name: float(column[i]) for name, column in own.items()}
+            at |= {name: float(column[record]) for name, column in self._subjects.held.items()}
+            states = {state: self.solution[state](clock, at) for state in one.states}
+            operands = {**at, **states, self.solution.metadata.time: clock}
+            rows.append(np.broadcast_to(value_of(one.formula(operands)), clock.shape))
+        return np.array(rows[0] if len(rows) == 1 else rows)
 
 
 def _spreads(layout: Layout, factors: Array) -> Array:

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rankone.populations import predictive_check as _check
 from rankone.populations.estimates import PopulationEstimates
 from rankone.support.errors import with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
@@ -33,6 +34,8 @@ class PopulationFit(PopulationEstimates, Labelled):
     idle : tuple of str
         Standard deviations, of random effects or of noise, that the data show to be zero.
     """
+
+    predictive_check = _check.predictive_check
 
     @cached_property
     def findings(self) -> tuple[str, ...]:

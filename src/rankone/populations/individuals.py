@@ -8,7 +8,7 @@ subjects at once. The parameters of subjects stay in the box of the solution.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from rankone.populations.subjects import Subjects
 from rankone.support.arrays import Array
 
 _MOST_STEPS = 60
+_STEPS_TOGETHER = 4  # Steps after which subjects that have converged are left out
 _LEAST_DECREMENT = 1e-11  # Squared length of a step, in standard deviations of eta, that ends
 _DAMPING_FACTOR = 6.0
 _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
@@ -30,10 +31,14 @@ _LEAST_COSINE = 1e-8  # Of the angle between a step and what a secant update add
 
 
 class Start(NamedTuple):
-    """Random effects (n, q) to begin from, and a correction (n, q, q) of their information."""
+    """Random effects (n, q) to begin from, a correction (n, q, q) of the information, and damping.
+
+    The first two perhaps with a first axis of several population parameters.
+    """
 
     eta: Array
     correction: Array
+    damping: Array | float = 0.0
 
     @classmethod
     def at(cls, eta: Array) -> Start:
@@ -61,14 +66,31 @@ class Individuals:
     """The most probable random effects ``eta`` (K, n, q), and the data linearised there.
 
     ``penalty`` (K, n) is eta' Omega^-1 eta, ``correction`` (K, n, q, q) what the Fisher information
-    lacks of half the second derivatives. ``converged`` (K, n) tells where the search ended.
+    lacks of half the second derivatives, ``damping`` (K, n) that of the last steps. ``converged``
+    (K, n) tells where the search ended.
     """
 
     eta: Array
     at: Linearised
     penalty: Array
     correction: Array
+    damping: Array
     converged: NDArray[np.bool_]
+
+    def replaced(self, which: NDArray[np.intp], others: Individuals) -> Individuals:
+        """The same with others in place of some subjects."""
+        names = [field.name for field in fields(Linearised)]
+        at = [_joined(getattr(self.at, n), getattr(others.at, n), which) for n in names]
+        converged = self.converged.copy()
+        converged[:, which] = others.converged
+        return Individuals(
+            _joined(self.eta, others.eta, which),
+            Linearised(*at),
+            _joined(self.penalty, others.penalty, which),
+            _joined(self.correction, others.correction, which),
+            _joined(self.damping, others.damping, which),
+            converged,
+        )
 
     def start(self, k: int = 0) -> Start:
         """Where a search at similar population parameters begins."""
@@ -144,15 +166,24 @@ class EmpiricalBayes:
         ends = np.array([box[name] for name in layout.names]).T
         self.lower, self.upper = layout.coordinates(ends)
 
-    def __call__(self, psi: Array, start: Start) -> Individuals:
-        """The random effects at psi (K, P)."""
+    def __call__(self, psi: Array, start: Start, steps: int = _MOST_STEPS) -> Individuals:
+        """The random effects at psi (K, P), in a number of steps at most.
+
+        A start has no first axis, or one of population parameters. Subjects that need many steps
+        go on without the others.
+        """
         descent = _Descent(self, psi, start)
-        for _ in range(_MOST_STEPS):
+        for _ in range(min(steps, _STEPS_TOGETHER)):
             if not descent.advance():
-                break
-        return Individuals(
-            descent.eta, descent.here, descent.penalty, descent.correction, descent.converged
-        )
+                return descent.individuals
+        individuals, rest = descent.individuals, steps - _STEPS_TOGETHER
+        which = np.flatnonzero(~individuals.converged.all(axis=0))
+        if rest <= 0:
+            return individuals
+        fewer = EmpiricalBayes(self.subjects.selected(which), self.layout.selected(which))
+        rows = (individuals.eta, individuals.correction, individuals.damping)
+        begin = Start(*(row[:, which] for row in rows))
+        return individuals.replaced(which, fewer(psi, begin, rest))
 
     def at_ends(self, psi: Array, eta: Array) -> NDArray[np.int_]:
         """For each subject and parameter -1 or 1 at an end of the box, else 0: (n, E)."""
@@ -178,8 +209,15 @@ class _Descent:
         self.eta = np.clip(np.broadcast_to(start.eta, middle.shape), self.lower, self.upper)
         self.here, self.penalty = self._at(self.eta)
         self.correction = np.broadcast_to(start.correction, (*middle.shape, len(self.random)))
-        self.damping = np.zeros(self.penalty.shape)
+        self.damping = np.broadcast_to(start.damping, self.penalty.shape)
         self.converged = np.zeros(self.penalty.shape, dtype=bool)
+
+    @property
+    def individuals(self) -> Individuals:
+        """What has been reached."""
+        return Individuals(
+            self.eta, self.here, self.penalty, self.correction, self.damping, self.converged
+        )
 
     def advance(self) -> bool:
         """Take a step where it lowers the sum; False once all have converged."""
@@ -236,24 +274,24 @@ class _Descent:
         fisher = np.where(pairs, fisher, identity)
         correction = np.where(pairs, self.correction, 0.0)
         push = np.where(free, gradient, 0.0)
-        full = -_solved(fisher, correction, self.damping, push)
-        step = np.asarray(np.clip(self.eta + full, self.lower, self.upper) - self.eta)
-        return step, np.asarray((step * (fisher @ step[..., None])[..., 0]).sum(axis=-1))
+        solved, decrement = _solved(fisher, correction, self.damping, push)
+        return np.asarray(np.clip(self.eta - solved, self.lower, self.upper) - self.eta), decrement
 
 
-def _solved(fisher: Array, correction: Array, damping: Array, right: Array) -> Array:
+def _solved(fisher: Array, correction: Array, damping: Array, right: Array) -> tuple[Array, Array]:
     """The solution (..., q) of a system with the information, corrected and damped.
 
-    In the metric of the Fisher information, the corrected one is kept between two factors.
+    In the metric of the Fisher information, the corrected one is kept between two factors. Beside
+    it the squared length (...) of the solution without damping.
     """
     root = np.linalg.cholesky(fisher)
     across = np.linalg.solve(root, np.linalg.solve(root, correction).swapaxes(-1, -2))
     curvatures, vectors = np.linalg.eigh(np.eye(fisher.shape[-1]) + across)
-    curvatures = np.clip(curvatures, *_TRUSTED_CURVATURES) + damping[..., None]
-    to_vectors = np.linalg.solve(root, right[..., None])
-    along = (vectors.swapaxes(-1, -2) @ to_vectors)[..., 0] / curvatures
-    there = np.linalg.solve(root.swapaxes(-1, -2), vectors @ along[..., None])
-    return np.asarray(there[..., 0])
+    curvatures = np.clip(curvatures, *_TRUSTED_CURVATURES)
+    along = (vectors.swapaxes(-1, -2) @ np.linalg.solve(root, right[..., None]))[..., 0]
+    damped = (along / (curvatures + damping[..., None]))[..., None]
+    solution = np.linalg.solve(root.swapaxes(-1, -2), vectors @ damped)[..., 0]
+    return np.asarray(solution), np.asarray((along**2 / curvatures**2).sum(axis=-1))
 
 
 def _secant(
@@ -272,6 +310,13 @@ def _secant(
         sound = taken & (np.abs(along) > _LEAST_COSINE * lengths)
         sound &= np.asarray(np.isfinite(update).all(axis=(-1, -2)))
     return np.where(sound[..., None, None], correction + update, correction)
+
+
+def _joined(rows: Array, others: Array, which: NDArray[np.intp]) -> Array:
+    """Rows (K, n, ...) with others in place of some columns."""
+    rows = rows.copy()
+    rows[:, which] = others
+    return rows
 
 
 def _chosen(better: NDArray[np.bool_], there: Linearised, here: Linearised) -> Linearised:

@@ -7,10 +7,11 @@ random effects eta ~ N(0, Omega).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.populations.scales import Scale
 from rankone.support.arrays import Array
@@ -103,6 +104,11 @@ class Layout:
         for effect in self.covariates:
             offsets[:, effect.position] += (effect.held or 0.0) * effect.x
         return offsets
+
+    def selected(self, which: NDArray[np.intp]) -> Layout:
+        """The same for some of the subjects."""
+        effects = tuple(replace(effect, x=effect.x[which]) for effect in self.covariates)
+        return replace(self, covariates=effects, subjects=which.size)
 
     def typical(self, psi: Array) -> Array:
         """Coordinates (K, n, E) of subjects without random effects at psi (K, P)."""

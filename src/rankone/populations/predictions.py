@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Protocol
 
@@ -31,6 +32,9 @@ class OwnTimes(Protocol):
 
         ``free`` are the positions of k parameters, ascending.
         """
+
+    def selected(self, records: NDArray[np.intp]) -> OwnTimes:
+        """The same for some of the records."""
 
 
 def own_times(solution: SolutionCore, rows: NDArray[np.intp], times: Array) -> OwnTimes:
@@ -107,6 +111,13 @@ class _OnSlabs:
         moved = table.transpose(2, 0, 1, 3)
         return moved[..., 0], moved[..., :0:-1]
 
+    def selected(self, records: NDArray[np.intp]) -> _OnSlabs:
+        """See :meth:`OwnTimes.selected`."""
+        fewer = copy(self)
+        fewer.shape = (records.size, self.shape[1])
+        fewer._groups = [(slab, first[records]) for slab, first in self._groups]
+        return fewer
+
 
 class _OnTimeline:
     """A solution over stretches between events."""
@@ -115,6 +126,10 @@ class _OnTimeline:
         self, evaluator: TimelineEvaluator | BranchEvaluator, rows: NDArray[np.intp], times: Array
     ) -> None:
         self.evaluator, self.rows, self.times = evaluator, rows, times
+
+    def selected(self, records: NDArray[np.intp]) -> _OnTimeline:
+        """See :meth:`OwnTimes.selected`."""
+        return _OnTimeline(self.evaluator, self.rows, self.times[records])
 
     def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
         """See :meth:`OwnTimes.linearised`."""

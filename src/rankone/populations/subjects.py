@@ -45,6 +45,12 @@ class Measured:
     present: NDArray[np.bool_]
     states: tuple[str, ...]
 
+    def selected(self, records: NDArray[np.intp]) -> Measured:
+        """The same in some of the records."""
+        noise = replace(self.noise, spread=self.noise.spread[records])
+        times, data, present = self.times[records], self.data[records], self.present[records]
+        return replace(self, noise=noise, times=times, data=data, present=present)
+
 
 @dataclass(frozen=True)
 class Subjects:
@@ -110,6 +116,18 @@ class Subjects:
                 operands[state] = np.asarray(columns)[..., begin:end]
             begin = end
         return operands
+
+    def selected(self, which: NDArray[np.intp]) -> Subjects:
+        """Some of the subjects, by ascending positions."""
+        records = np.flatnonzero(np.isin(self.owner, which))
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in which),
+            owner=np.searchsorted(which, self.owner[records]),
+            held={name: row[records] for name, row in self.held.items()},
+            measured=tuple(one.selected(records) for one in self.measured),
+            states=self.states.selected(records),
+        )
 
     def constant(self) -> float:
         """What -2 log L has beside the costs of the data."""
