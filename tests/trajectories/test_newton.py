@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse
 
 import rankone as ro
 from rankone.ir.jacobian import PatternJacobian
@@ -151,3 +152,11 @@ def test_a_stiff_field_is_solved_as_the_exponential_is() -> None:
         still = np.linalg.solve(matrix, -source)
         exact = still + scipy.linalg.expm(0.7 * matrix) @ (start - still)
         assert solution(0.7, D=conductivity) == pytest.approx(exact, abs=2e-4 * 4)
+
+
+def test_what_swings_does_not_grow():
+    """The slowest modes of a long chain of masses cluster at zero, where Arnoldi's method stalls."""
+    n = 150
+    spring = scipy.sparse.diags([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], [-1, 0, 1])
+    damped = scipy.sparse.bmat([[None, scipy.sparse.eye(n)], [-spring, -0.2 * spring]])
+    assert abs(growth_rate(scipy.sparse.csr_array(damped))) < 1e-2

@@ -1,8 +1,9 @@
 """How fast small changes of the states grow and decay, by the Jacobian.
 
 Of many states one eigenvalue is computed, at an end of the spectrum and to a few per cent, by
-Arnoldi's method (ARPACK; Lehoucq, Sorensen & Yang, 1998). Where that does not converge, the bound
-of Gershgorin's circles stands in for it.
+Arnoldi's method (ARPACK; Lehoucq, Sorensen & Yang, 1998). Where that does not converge, all of them
+are computed, or of very many states the bound of Gershgorin's circles stands in, which is never too
+small.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Matrix: TypeAlias = Array | scipy.sparse.csr_array
 _TOLERANCE = 0.03  # Relative error of an eigenvalue of a sparse matrix
 _MOST_RESTARTS = 30  # Of Arnoldi's method
 _SPARSE_COST = 20.0  # Operations of a restart for each entry and for each state
+_MOST_DENSE = 600  # States up to which all eigenvalues are computed where one does not converge
 _MOST_EXAMINED = 3  # Sparse matrices of a stack whose fastest decay is computed
 
 
@@ -38,7 +40,10 @@ def growth_rate(matrix: Matrix) -> float:
         options = {"which": "LR", "v0": start, "tol": _TOLERANCE, "maxiter": _MOST_RESTARTS}
         fastest = eigs(matrix, k=1, return_eigenvectors=False, **options)
         return float(fastest.real.max())
-    except ArpackError:  # the bound is never too small
+    except ArpackError:
+        if matrix.shape[0] <= _MOST_DENSE:  # of what swings, the bound says that it grows
+            charge(eigenvalues(matrix.shape[0]))
+            return float(np.linalg.eigvals(matrix.toarray()).real.max())
         diagonal = matrix.diagonal()
         return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())
 
