@@ -281,7 +281,8 @@ class CompiledProblem(CompiledStages):
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
             term = switching_term(self.first_order, outcome.switching)
             notes = notes if term is None else (*notes, term)
-        metadata = metadata if observed is None else metadata.observing(observed)
+        if observed is not None:  # no state is kept that could be named
+            metadata, outcome = metadata.observing(observed), replace(outcome, switching=None)
         solution = Solution(replace(outcome, timings=timings, notes=notes), metadata)
 
         def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
