@@ -1,0 +1,77 @@
+"""The examples of many states, at a small size, against trajectories and with their pictures."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import rankone as ro
+
+pytest.importorskip("matplotlib")
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "examples" / "fields"
+SIZES = {"heat": 12, "brusselator": 3, "epidemic": 12}
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Import a script as it runs: its own folder first on the path."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield importlib.import_module
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+    for name in ("common", *SIZES):
+        sys.modules.pop(name, None)
+
+
+def test_every_script_has_its_picture_in_the_docs():
+    scripts = {path.stem for path in FOLDER.glob("*.py")} - {"common"}
+    assert scripts == {*SIZES}
+    text = (ROOT / "docs" / "guide" / "fields.md").read_text()
+    for name in scripts:
+        picture = ROOT / "docs" / "guide" / "fields" / f"{name}.png"
+        assert picture.stat().st_size <= 120_000
+        assert f"(fields/{name}.png)" in text
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) for n in SIZES])
+def test_solution_and_picture(name, script, monkeypatch, capsys):
+    """States, or what is kept of them, against a trajectory of SciPy."""
+    module, solutions, solve = script(name), [], ro.CompiledProblem.solve
+
+    def recorded(*arguments, **options):
+        solutions.append(solve(*arguments, **options))
+        return solutions[-1]
+
+    monkeypatch.setattr(ro.CompiledProblem, "solve", recorded)
+    figure = module.draw(SIZES[name])
+    (solution,) = solutions
+    assert capsys.readouterr().out.startswith(repr(solution))
+    assert solution.success
+    assert solution.rtol == module.RTOL
+    point = {p: 0.3 * a + 0.7 * b for p, (a, b) in solution.parameters.items()}
+    times = np.linspace(0, module.END, 9)
+    system = ro.compile(module.problem(SIZES[name])).system
+    p = np.array(list(point.values()))[:, None]
+    exact = solve_ivp(
+        lambda t, u: system.rhs(t, u[:, None], p)[:, 0],
+        (0, module.END),
+        system.initial(p)[:, 0],
+        method="LSODA",
+        rtol=1e-9,
+        atol=1e-12,
+        t_eval=times,
+    ).y[: len(system.unknowns)]
+    if name == "epidemic":
+        exact = exact[SIZES[name] :].mean(axis=0, keepdims=True)
+    ours = np.atleast_2d(solution(times, point))
+    size = np.abs(exact).max(axis=1, keepdims=True)
+    assert (np.abs(ours - exact) / size).max() <= 5 * module.RTOL
+    assert figure.axes
