@@ -155,7 +155,7 @@ def test_a_stiff_field_is_solved_as_the_exponential_is() -> None:
 
 
 def test_what_swings_does_not_grow():
-    """The slowest modes of a long chain of masses cluster at zero, where Arnoldi's method stalls."""
+    """The slowest modes of a long row of masses are close together, and Arnoldi stalls."""
     n = 150
     spring = scipy.sparse.diags([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], [-1, 0, 1])
     damped = scipy.sparse.bmat([[None, scipy.sparse.eye(n)], [-spring, -0.2 * spring]])
