@@ -141,6 +141,8 @@ def test_folders_that_cannot_be_used(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ro.StorageError, match="cannot be used"):
         solve_many(problem(), [{}], 1e-4, checkpoint=tmp_path / "file")
+    with pytest.raises(ro.StorageError, match="is empty text"):
+        solve_many(problem(), [{}], 1e-4, checkpoint="")
     with pytest.raises(ro.StorageError, match="is not a path"):
         solve_many(problem(), [{}], 1e-4, checkpoint=3)
 

@@ -178,6 +178,11 @@ def test_pieces_of_different_problems(problem, pieces):
         ro.Solution.join([pieces[0], longer])
 
 
+def test_a_single_piece_is_itself(pieces):
+    assert ro.Solution.join(pieces[0]) is pieces[0]
+    assert pieces[0].pieces == (pieces[0],)
+
+
 def test_a_failed_piece_is_no_success(problem, pieces):
     coarse = ro.compile(problem).solve(
         1e-8, parameters={"k": (0.5, 1.0)}, max_rank=1, max_attempts=1, method="cross"

@@ -48,6 +48,8 @@ class Checkpoint:
         folder cannot be written.
         """
         place = as_path(folder, StorageError)
+        if folder == "":
+            raise StorageError("checkpoint is empty text", remedy='give a folder; "." is this one')
         manifest = {
             "format": _FORMAT,
             "problem": _title(compiled),

@@ -138,7 +138,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             If pieces overlap or leave a gap, which the message names, or belong to different
             problems, or one has nothing to evaluate.
         """
-        listed = list(pieces)
+        listed = [pieces] if isinstance(pieces, Solution) else list(pieces)
         remedy = "give solutions: ro.Solution.join(ro.solve_many(...))"
         for piece in listed:
             check_kind("join", piece, Solution, remedy=remedy)
