@@ -155,6 +155,14 @@ def test_functions_of_unknowns_mechanics_events_and_no_parameters():
         np.testing.assert_allclose(solution(times, **at), expected, rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.parametrize("rate", ["log(s)", "1/s", "s**-0.5"])
+def test_conditions_without_a_rate_name_the_term(rate):
+    with pytest.raises(ro.ProblemError, match=r"the term `.*s.*` has no value at s = 0, under"):
+        ro.Problem.from_strings(
+            {"x": f"-k*x + {rate}"}, ro.SteadyState({"s": 0}), {"k": (1, 2), "s": (1, 2)}, (0, 3)
+        )
+
+
 @pytest.mark.slow
 def test_starts_that_are_none():
     def refused(error, match, *arguments, **options):

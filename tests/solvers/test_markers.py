@@ -58,3 +58,10 @@ def test_a_short_horizon_stays_with_the_clock():
 def test_what_is_no_marker_is_refused(markers):
     with pytest.raises(ro.OptionError, match="markers="):
         ro.solve(problem(3), 1e-3, markers=markers)
+
+
+def test_markers_that_nothing_crosses_are_named():
+    decay = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (0.5, 1)}, (0, 3))
+    with pytest.warns(ro.RankoneWarning, match="no trajectory crosses zero in `x - 5`"):
+        solution = ro.solve(decay, 1e-4, markers=["x - 5", "x - 0.5"])
+    assert solution.success

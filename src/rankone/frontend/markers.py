@@ -10,8 +10,9 @@ from rankone.discretization.coordinates import name_of
 from rankone.frontend.events import Event
 from rankone.frontend.problem import Problem
 from rankone.frontend.text import formula
-from rankone.support.errors import OptionError, ProblemError
-from rankone.support.wording import quote
+from rankone.ir.timeline import BranchedTimeline, Timeline
+from rankone.support.errors import OptionError, ProblemError, warn
+from rankone.support.wording import listing, quote
 
 _REMEDY = "give a list of expressions that cross zero, such as [x - 3], or 'auto', or None"
 
@@ -45,3 +46,18 @@ def with_markers(problem: Problem, markers: object) -> Problem:
     except ProblemError as error:
         message = f"markers={quote(markers)}: {error.message}"
         raise OptionError(message, term=error.term, remedy=error.remedy or _REMEDY) from None
+
+
+def warn_of_missed_markers(
+    markers: Sequence[object], timeline: Timeline | BranchedTimeline | None
+) -> None:
+    """Warn of markers that no trajectory crosses, so that no stretch ends with them."""
+    if timeline is None:
+        return
+    met = {name for instant in timeline.met for name in instant}
+    missed = [str(marker) for k, marker in enumerate(markers) if f"marker_{k}" not in met]
+    if missed:
+        warn(
+            f"no trajectory crosses zero in {listing(missed)}: time is that of the clock there",
+            remedy="mark what every trajectory crosses, or leave markers out",
+        )

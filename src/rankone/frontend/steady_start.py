@@ -117,6 +117,7 @@ def conditioned(written: Mapping[str, Any], rest: SteadyState, symbols: Symbols)
     }
 
     def under(expression: Any) -> Any:
+        _check_defined(sp.sympify(expression), changed)
         return sp.sympify(expression).xreplace(changed)
 
     start = {state_of(key, symbols): under(value) for key, value in rest.start.items()}
@@ -132,6 +133,23 @@ def conditioned(written: Mapping[str, Any], rest: SteadyState, symbols: Symbols)
         "name": None,
         "correlation": None,
     }
+
+
+def _check_defined(expression: sp.Basic, changed: Mapping[sp.Basic, sp.Expr]) -> None:
+    """Raise a ProblemError if some term has no value where symbols are replaced, as log(s) at 0."""
+    for term in sp.postorder_traversal(expression):
+        if term.is_Atom or not term.free_symbols & changed.keys():
+            continue
+        if term.xreplace(changed).has(sp.zoo, sp.nan, sp.oo, -sp.oo):
+            where = ", ".join(
+                f"{symbol} = {changed[symbol]}" for symbol in changed if term.has(symbol)
+            )
+            raise ProblemError(
+                f"the term {quote(text_of(term))} has no value at {where}, under the "
+                "conditions of the start",
+                term=term,
+                remedy="give conditions under which all rates are defined",
+            )
 
 
 def check_autonomous(residuals: Sequence[sp.Expr], time: sp.Symbol) -> None:

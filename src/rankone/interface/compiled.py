@@ -38,7 +38,7 @@ from rankone.agreement.problems import DisagreementError, check_problem
 from rankone.agreement.tables import check_table
 from rankone.codegen.module import general_source, generated_module
 from rankone.codegen.text import with_constants
-from rankone.frontend.markers import with_markers
+from rankone.frontend.markers import warn_of_missed_markers, with_markers
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem
 from rankone.interface.observed import observation_of
@@ -210,7 +210,7 @@ class CompiledProblem(CompiledStages):
             method, unknowns, markers = "cross", None, None
         if markers is not None and markers != "auto":
             marked = compile_problem(with_markers(self.problem, markers))
-            return marked.solve(
+            solution = marked.solve(
                 rtol,
                 method=method,
                 parameters=parameters,
@@ -226,6 +226,8 @@ class CompiledProblem(CompiledStages):
                 on_failure=on_failure,
                 **options,
             )
+            warn_of_missed_markers(markers, solution.outcome.timeline)
+            return solution
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=self._has_operators)
         form = self.form_for(str(method))
