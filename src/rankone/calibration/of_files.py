@@ -74,10 +74,10 @@ class OfFiles:
         try:
             with limited(_MOST_WORK), np.errstate(all="ignore"):
                 at = self.evaluated(z)
+                residuals, rows = self._prior_rows(z, at.gradient - at.jacobian.T @ at.residuals)
+                jacobian = np.concatenate([at.jacobian, rows]) * (self.upper - self.lower)
         except (RankoneError, OutOfBudgetError, np.linalg.LinAlgError):
             return nothing
-        residuals, rows = self._prior_rows(z, at.gradient - at.jacobian.T @ at.residuals)
-        jacobian = np.concatenate([at.jacobian, rows]) * (self.upper - self.lower)
         if not np.isfinite(at.objective) or not np.isfinite(jacobian).all():
             return nothing
         return Expansion(z, 2.0 * at.objective, np.concatenate([at.residuals, residuals]), jacobian)
