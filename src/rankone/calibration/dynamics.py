@@ -74,8 +74,7 @@ class Dynamics:
     @cached_property
     def jumps_with_states(self) -> bool:
         """Whether rates jump where states cross a threshold."""
-        surfaces = (s for s, _ in boundaries(self.compiled.first_order.rhs, DISCONTINUOUS))
-        return any(surface.atoms(AppliedUndef) for surface in surfaces)
+        return jumps_with_states(self.compiled)
 
     @cached_property
     def decisive(self) -> frozenset[str]:
@@ -101,6 +100,12 @@ class Dynamics:
         """Derivatives (n, d, m) of initial values by the inputs, at points (m, d)."""
         nothing = np.full((self.system.n_differential, len(points)), np.nan)
         return self._initial_entries(np.zeros(len(points)), nothing, points)
+
+
+def jumps_with_states(compiled: CompiledProblem) -> bool:
+    """Whether rates jump where states cross a threshold: derivatives of trajectories jump there."""
+    surfaces = (surface for surface, _ in boundaries(compiled.first_order.rhs, DISCONTINUOUS))
+    return any(surface.atoms(AppliedUndef) for surface in surfaces)
 
 
 class _SlopeFunction:

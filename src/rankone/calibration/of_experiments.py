@@ -10,6 +10,7 @@ import numpy as np
 
 from rankone.calibration.comparison import Comparison, compared
 from rankone.calibration.descent import Expansion
+from rankone.calibration.dynamics import jumps_with_states
 from rankone.calibration.uncertainty import covariance_at, spread_of
 from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Experiment, trials_of
@@ -20,6 +21,7 @@ from rankone.estimation.ranges import with_linear_ranges
 from rankone.estimation.search import Options, problem_of
 from rankone.interface.compiled import CompiledProblem
 from rankone.support.arrays import Array, spread
+from rankone.support.errors import ProblemError
 
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
@@ -40,6 +42,12 @@ class OfExperiments:
         fixed: Mapping[object, float] | None,
     ) -> OfExperiments:
         """The likelihood of experiments; the bounds are those of the problem unless given."""
+        if jumps_with_states(compiled):
+            raise ProblemError(
+                "rates jump with the states: trajectories cannot be differentiated yet",
+                remedy="write a smooth transition, or `max` and `min` if nothing jumps; a solution "
+                "on a box can be fitted: solution.fit(...)",
+            )
         integrated = IntegratedSolution(compiled.system, compiled.metadata())
         trials = trials_of([(integrated, each) for each in experiments])
         likelihood = problem_of(trials, Options(bounds=bounds, fixed=fixed))

@@ -55,7 +55,10 @@ class Prior:
 
     def cost(self, value: float) -> tuple[float, float]:
         """Minus the logarithm of the density at a value, and its derivative by the value."""
-        z, slope = scaled(value, self.scale), 1.0 / slope_of_scale(value, self.scale)
+        z = scaled(value, self.scale)
+        if not math.isfinite(z):
+            return math.inf, 0.0
+        slope = 1.0 / slope_of_scale(value, self.scale)
         if self.shape == "uniform":
             inside = self.location <= z <= self.width
             return (math.log(self.width - self.location) if inside else math.inf), 0.0

@@ -161,6 +161,8 @@ def _messages() -> Iterator[list[str]]:
 
 def records_of(problem: Any, path: str | PathLike[str]) -> Records:
     """The records of a problem of ``petab``."""
+    if not len(problem.measurement_df):
+        raise ProblemError("the measurement table has no rows", remedy="there is nothing to fit")
     parameters = tuple(_parameters(problem.parameter_df))
     conditions = _conditions(problem.condition_df)
     ids = {*problem.parameter_df.index, *(i for c in conditions.values() for i in c.assigned)}

@@ -279,6 +279,11 @@ class CalibrationProblem:
                 )
         return point
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what is compiled, which is made again."""
+        compiled = ("_dynamics", "_simulation", "_outputs")
+        return {name: own for name, own in vars(self).items() if name not in compiled}
+
     # -- evaluation -------------------------------------------------------------------------------
 
     @cached_property

@@ -65,7 +65,7 @@ def _box(
                 remedy=f"choose from {listing(active)}",
             )
         if isinstance(names, Mapping):
-            box[name] = tuple(names[name])
+            box[name] = _interval(name, names[name])
         else:
             factor = checked_number("spread", spread, 1.0, _LARGEST_SPREAD, float)
             ends = sorted((values[name] / factor, values[name] * factor))
@@ -73,6 +73,17 @@ def _box(
         if len(box[name]) == 2 and parameters[name].scale != "lin":
             box[name] = (*box[name], "log")
     return box
+
+
+def _interval(name: str, given: object) -> Interval:
+    """An interval of a box as a tuple."""
+    if not isinstance(given, list | tuple):
+        raise OptionError(
+            f"box: {quote(name)} has {shown(given)}, which is no interval",
+            term=name,
+            remedy=f'write {{"{name}": (0.5, 2)}}; fixed values are values={{"{name}": 1.0}}',
+        )
+    return tuple(given)
 
 
 def experiment_of(records: Records, name: object) -> Experiment:

@@ -6,6 +6,7 @@ rows that differ in these, in ``condition`` or in ``subject`` belong to differen
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -239,6 +240,12 @@ def numbers_of(name: str, column: NDArray[Any]) -> Array:
     if np.isinf(numbers).any():
         raise OptionError(f"the column {quote(name)} has infinite values", remedy="leave them out")
     return numbers
+
+
+def is_empty(cell: object) -> bool:
+    """Whether a cell of a table holds nothing: no object, no text, or no number."""
+    nothing = cell is None or (isinstance(cell, float) and math.isnan(cell))
+    return nothing or str(cell).strip() in ("", "<NA>")
 
 
 def _is_number(cell: object) -> bool:

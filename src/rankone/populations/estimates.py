@@ -266,10 +266,13 @@ class PopulationEstimates:
             residuals[one.name] = np.where(one.present, -each.standardised, np.nan)
         return residuals
 
-    def predicted(self, parameters: Mapping[str, Array]) -> Iterator[tuple[Measured, Array, Array]]:
+    def predicted(
+        self, parameters: Mapping[str, Array], shifts: Mapping[str, float] | None = None
+    ) -> Iterator[tuple[Measured, Array, Array]]:
         """For each observable the predictions and standard deviations (..., records, times).
 
-        ``parameters`` are those of each subject (..., n), by name.
+        ``parameters`` are those of each subject (..., n), by name; ``shifts`` move states by a
+        share of their largest size there.
         """
         subjects, layout = self._subjects, self._layout
         lead = np.shape(next(iter(parameters.values())))[:-1]
@@ -282,6 +285,9 @@ class PopulationEstimates:
         columns = {name: row[..., None] for name, row in at.items()}
         for i, one in enumerate(subjects.measured):
             own = subjects.operands(i, {**columns, **levels}, states)
+            for name, share in (shifts or {}).items():
+                if name in one.states:
+                    own[name] = own[name] + share * np.abs(own[name]).max(initial=0.0)
             with np.errstate(all="ignore"):
                 prediction = value_of(one.formula(own))
                 sigma = value_of(one.noise.sigma({**own, one.name: prediction}))

@@ -115,19 +115,20 @@ class PopulationFit(PopulationEstimates, Labelled):
         """Where the error of the solution is not small beside the noise."""
         if not self.solution.success:
             return
-        for one, prediction, sigma in self.predicted(self.individuals):
-            if not one.formula.is_name:
-                continue
-            predicted = np.abs(prediction[one.present])
+        moved = self.predicted(self.individuals, self.solution.errors)
+        for (one, prediction, sigma), (_, shifted, _) in zip(
+            self.predicted(self.individuals), moved, strict=True
+        ):
+            error = np.abs(shifted - prediction)[one.present]
             noise = sigma[one.present]
             if one.noise.distribution == "log-normal":
-                noise = noise * predicted
-            error = self.solution.errors[one.formula.names[0]] * float(predicted.max(initial=0.0))
+                noise = noise * np.abs(prediction[one.present])
             shares = np.divide(error, noise, out=np.zeros(noise.size), where=noise > 0.0)
             if math.sqrt(float(np.sum(shares**2))) > _MODEL_SHARE:
                 yield with_remedy(
-                    f"the error of the solution, {error:.2g} in {quote(one.name)}, is not small "
-                    f"beside the noise, {float(np.median(noise)):.2g}",
+                    f"the error of the solution, {float(np.median(error)):.2g} in "
+                    f"{quote(one.name)}, is not small beside the noise, "
+                    f"{float(np.median(noise)):.2g}",
                     "solve with a smaller rtol",
                 )
 

@@ -13,7 +13,7 @@ from rankone.estimation.experiments import Experiment
 from rankone.estimation.free_parameters import ParameterValues
 from rankone.estimation.intervals import checked_level
 from rankone.estimation.observations import Sigma
-from rankone.estimation.tables import columns_of, is_table
+from rankone.estimation.tables import columns_of, is_empty, is_table
 from rankone.populations.fit import PopulationFit
 from rankone.populations.individuals import EmpiricalBayes, Start
 from rankone.populations.layout import Layout
@@ -115,8 +115,15 @@ def fit_population(
     marginal = Marginal(EmpiricalBayes(subjects, layout))
     named = by_name("start", start, tuple(self.parameters))
     psi, begin = start_of(subjects, marginal.search, _start_coordinates(self, layout, named))
-    optimum = _settled(marginal, *expectation_steps(marginal, psi, begin))
-    marginal, optimum, idle = _without_idle(marginal, optimum)
+    try:
+        optimum = _settled(marginal, *expectation_steps(marginal, psi, begin))
+        marginal, optimum, idle = _without_idle(marginal, optimum)
+    except np.linalg.LinAlgError:
+        names = [layout.names[e] for e in layout.random]
+        raise OptionError(
+            f"the data do not tell the random effects of {listing(names)} apart",
+            remedy="make fewer parameters random, or measure each subject more often",
+        ) from None
     return PopulationFit(level, marginal, optimum, idle)
 
 
@@ -130,6 +137,13 @@ def _columns(table: Any, subject: str) -> dict[str, Any]:
             remedy=f"name it, subject=...; the columns are {listing(columns)}",
         )
     columns[SUBJECT] = columns.pop(subject)
+    for row, entry in enumerate(columns[SUBJECT], 1):
+        if is_empty(entry):
+            raise OptionError(
+                f"row {row} of the table: {quote(subject)} is empty",
+                term=subject,
+                remedy="fill it, or drop the row",
+            )
     return columns
 
 
