@@ -140,3 +140,8 @@ def test_what_a_calibration_cannot_take_is_said(kinetics):
     )
     with pytest.raises(ro.OptionError, match="events"):
         ro.calibrate(event, ro.Experiment([1.0, 2.0], [0.1, 0.2]))
+    jump = ro.Problem.from_strings(
+        {"x": "-k*x + Heaviside(x - 1/2)"}, {"x": "1"}, {"k": (0.1, 10, "log")}, (0, 3)
+    )
+    with pytest.raises(ro.ProblemError, match="rates jump with the states"):
+        ro.calibrate(jump, ro.Experiment([1.0, 2.0], [0.1, 0.2]))

@@ -1,5 +1,7 @@
 """PEtab problems: the objective and its derivatives against SciPy and the package ``petab``."""
 
+import pickle
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -195,6 +197,12 @@ def test_text(problem):
     assert "<table" in problem._repr_html_()
 
 
+def test_pickles(problem):
+    problem.objective()  # compiled parts are left out
+    copied = pickle.loads(pickle.dumps(problem))
+    assert copied.objective({"k1": 0.3}) == problem.objective({"k1": 0.3})
+
+
 @pytest.mark.parametrize(
     ("files", "message"),
     [
@@ -206,6 +214,7 @@ def test_text(problem):
         ),
         ({"parameters": PARAMETERS.replace("k2\tlog\t", "k2\troot\t")}, "root"),
         ({"model": MODEL.replace("<model", "<modell")}, "conversion.yaml"),
+        ({"measurements": MEASURED.split("\n")[0] + "\n"}, "measurement table has no rows|valid"),
         ({"measurements": MEASURED.replace("\t0.5\t", "\t-0.5\t", 1)}, "row 4: the time -0.5"),
         ({"conditions": "conditionId\tdose\tcell\nrest\t0\t2\nlow\t1\t2\nhigh\t3\t1\n"}, "`cell`"),
         ({"conversion": YAML.replace("format_version: 1", "format_version: 2.0.0")}, "2.0.0"),

@@ -220,3 +220,9 @@ def test_one_subject_is_refused():
         population(3, count=1)
     with pytest.raises(ro.OptionError, match="not a table"):
         oral().fit_population(3, random=["V"])
+
+
+def test_a_row_without_subject_is_refused():
+    table = {"subject": ["a", None, "b"], "t": [1.0, 2.0, 1.0], "C": [1.0, 0.8, 1.1]}
+    with pytest.raises(ro.OptionError, match="row 2 of the table: `subject` is empty"):
+        oral().fit_population(table, random=["V"], fixed={"dose": 100.0})
