@@ -33,6 +33,8 @@ LONGEST = 30.0
 _ACCURACY, _STEPS = 1e-9, 20_000
 _MOST_UNDECIDED = 0.01
 """Share of the box in which the order of events may be undecided."""
+_FEW_UNDECIDED = 2
+"""Points of 25 that such a share leaves without values, but once in five hundred cases."""
 _REST = 100
 """Floating-point numbers to the end of a segment from which it is reached."""
 _LARGEST_LOG = 100
@@ -99,7 +101,7 @@ def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
     undecided = getattr(solution.outcome.timeline, "undecided", 0.0)
     if 0.0 < undecided <= _MOST_UNDECIDED:  # at points on a declared sliver there are no values
         sliver = np.isnan(solved).any(axis=(0, 2))
-        if sliver.sum() <= 1:
+        if sliver.sum() <= _FEW_UNDECIDED:
             beside = beside | sliver[:, None]
     if case.events or beside.any():  # after the end of time both are NaN
         beside |= np.isnan(exact).all(axis=0) & np.isnan(solved).all(axis=0)

@@ -226,3 +226,11 @@ def test_a_row_without_subject_is_refused():
     table = {"subject": ["a", None, "b"], "t": [1.0, 2.0, 1.0], "C": [1.0, 0.8, 1.1]}
     with pytest.raises(ro.OptionError, match="row 2 of the table: `subject` is empty"):
         oral().fit_population(table, random=["V"], fixed={"dose": 100.0})
+
+
+def test_data_without_a_deviation_are_refused():
+    """Proportional noise has none where nothing is predicted."""
+    table = table_of(3, 4)
+    at_dose = {**table, "t": np.where(table["t"] == HOURS[0], 0.0, table["t"])}
+    with pytest.raises(ro.OptionError, match="standard deviation of a datum is zero"):
+        oral().fit_population(at_dose, random=["V"], noise="proportional")

@@ -17,8 +17,11 @@ from rankone.populations.layout import Layout
 from rankone.populations.marginal import Marginal
 from rankone.populations.subjects import Subjects
 from rankone.support.arrays import Array, spread
+from rankone.support.errors import OptionError
+from rankone.support.wording import quote
 
 _SCREENED_POINTS = 512  # Points of the box that are tried for each subject
+_FARTHEST_DATUM = 1e8  # Squared distance of data in estimated deviations that no curve explains
 _EXPECTATIONS = 12  # Steps of expectation and maximisation
 _START_SPREAD = 0.15  # Standard deviation of random effects at the start, in widths of the box
 _START_RELATIVE = 0.2  # Levels of noise at the start, in shares of the data
@@ -58,14 +61,31 @@ def start_of(
     psi[:, layout.noise] = _noise_start(subjects, layout)
     n = len(subjects.names)
     repeated = np.broadcast_to(places[:, None], (len(places), n, len(layout.names)))
-    cost = linearised(subjects, layout, np.repeat(psi, len(places), 0), repeated).cost
-    best = places[np.argmin(cost, axis=0)]
+    screened = linearised(subjects, layout, np.repeat(psi, len(places), 0), repeated)
+    _check_deviations(subjects, layout, screened.cost, screened.squares)
+    best = places[np.argmin(screened.cost, axis=0)]
     psi = psi[0]
     psi[: len(layout.names)] = np.median(best, axis=0)
     width = (search.upper - search.lower)[list(layout.random)]
     psi[layout.factors] = layout.factored(np.diag((_START_SPREAD * width) ** 2))
     random = list(layout.random)
     return psi, Start.at(best[:, random] - layout.typical(psi[None])[0][:, random])
+
+
+def _check_deviations(subjects: Subjects, layout: Layout, cost: Array, squares: Array) -> None:
+    """Raise an OptionError for subjects with a datum of no deviation at the best of places (K, n).
+
+    Proportional noise has none where the prediction is zero.
+    """
+    least = np.take_along_axis(squares, np.argmin(cost, axis=0)[None], axis=0)[0]
+    far = least > _FARTHEST_DATUM if layout.levels else np.zeros(least.size, dtype=bool)
+    impossible = np.flatnonzero(far | ~np.isfinite(cost).any(axis=0))
+    if impossible.size:
+        raise OptionError(
+            f"the data of subject {quote(subjects.names[impossible[0]])} are far from all curves "
+            "in the box: the standard deviation of a datum is zero, or an event ends the solution",
+            remedy='choose noise="combined", or leave out data where the prediction is zero',
+        )
 
 
 def _noise_start(subjects: Subjects, layout: Layout) -> Array:
