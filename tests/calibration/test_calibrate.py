@@ -143,5 +143,10 @@ def test_what_a_calibration_cannot_take_is_said(kinetics):
     jump = ro.Problem.from_strings(
         {"x": "-k*x + Heaviside(x - 1/2)"}, {"x": "1"}, {"k": (0.1, 10, "log")}, (0, 3)
     )
+    lag = ro.Problem.from_strings(
+        {"x": "-k*x + Heaviside(t - lag)"}, {"x": "1"}, {"k": (0.1, 10), "lag": (0.5, 1.5)}, (0, 3)
+    )
+    with pytest.raises(ro.ProblemError, match="rates jump where `lag` says"):
+        ro.calibrate(lag, ro.Experiment([1.0, 2.0], [0.1, 0.2]))
     with pytest.raises(ro.ProblemError, match="rates jump with the states"):
         ro.calibrate(jump, ro.Experiment([1.0, 2.0], [0.1, 0.2]))

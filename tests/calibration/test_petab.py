@@ -187,6 +187,8 @@ def test_a_dose_after_a_lag_and_a_species_set_in_all_conditions(tmp_path):
     estimated = ro.read_petab(write(tmp_path, **files))
     with pytest.raises(ro.ProblemError, match="rates jump where `lag` says"):
         estimated.evaluate()
+    with pytest.raises(ro.ProblemError, match="rates jump where `lag` says"):
+        estimated.fit(starts=1)
 
 
 def test_text(problem):

@@ -76,7 +76,7 @@ def calibrate(
     Raises
     ------
     ProblemError
-        If rates jump where states cross a threshold.
+        If rates jump where states cross a threshold, or where a free parameter says.
     OptionError
         As for :meth:`Solution.fit`; if there is no such search; if an event of the problem depends
         on its states; if some experiments fix a parameter that others leave free.

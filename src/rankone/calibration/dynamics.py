@@ -79,10 +79,7 @@ class Dynamics:
     @cached_property
     def decisive(self) -> frozenset[str]:
         """Inputs that decide where rates jump: nothing can be differentiated by them."""
-        form = self.compiled.first_order
-        surfaces = [s for s, _ in boundaries([*form.rhs, *form.initial], DISCONTINUOUS)]
-        symbols = {symbol.name for surface in surfaces for symbol in surface.free_symbols}
-        return frozenset(symbols & {*self.inputs})
+        return deciding_jumps(self.compiled)
 
     @cached_property
     def _rate_entries(self) -> _SlopeFunction:
@@ -106,6 +103,14 @@ def jumps_with_states(compiled: CompiledProblem) -> bool:
     """Whether rates jump where states cross a threshold: derivatives of trajectories jump there."""
     surfaces = (surface for surface, _ in boundaries(compiled.first_order.rhs, DISCONTINUOUS))
     return any(surface.atoms(AppliedUndef) for surface in surfaces)
+
+
+def deciding_jumps(compiled: CompiledProblem) -> frozenset[str]:
+    """The parameters that decide where rates or initial values jump."""
+    form = compiled.first_order
+    surfaces = [s for s, _ in boundaries([*form.rhs, *form.initial], DISCONTINUOUS)]
+    symbols = {symbol.name for surface in surfaces for symbol in surface.free_symbols}
+    return frozenset(symbols & {each.symbol.name for each in form.coordinates[1:]})
 
 
 class _SlopeFunction:

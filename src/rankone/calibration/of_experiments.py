@@ -10,7 +10,7 @@ import numpy as np
 
 from rankone.calibration.comparison import Comparison, compared
 from rankone.calibration.descent import Expansion
-from rankone.calibration.dynamics import jumps_with_states
+from rankone.calibration.dynamics import deciding_jumps, jumps_with_states
 from rankone.calibration.uncertainty import covariance_at, spread_of
 from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Experiment, trials_of
@@ -22,6 +22,7 @@ from rankone.estimation.search import Options, problem_of
 from rankone.interface.compiled import CompiledProblem
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
 
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
@@ -51,6 +52,13 @@ class OfExperiments:
         integrated = IntegratedSolution(compiled.system, compiled.metadata())
         trials = trials_of([(integrated, each) for each in experiments])
         likelihood = problem_of(trials, Options(bounds=bounds, fixed=fixed))
+        for name in sorted(deciding_jumps(compiled) & {*likelihood.free.names}):
+            raise ProblemError(
+                f"rates jump where {quote(name)} says: nothing can be differentiated by it yet",
+                term=name,
+                remedy=f"fix it, fixed={{{name!r}: ...}}, or fit a solution on a box: "
+                "solution.fit(...)",
+            )
         points = spread(_SCREENED, len(likelihood.free.names), np.random.default_rng(7))
         return cls(integrated, with_linear_ranges(likelihood, points))
 

@@ -154,7 +154,10 @@ class CalibrationProblem:
         ------
         OptionError
             If nothing is estimated, or a parameter has no finite bounds on its scale.
+        ProblemError
+            If rates jump with the states, or where an estimated parameter says.
         """
+        self._simulation.check_smooth(self.estimated)
         estimated = [self.parameters[name] for name in self.estimated]
 
         def quick(values: Mapping[str, float], rtol: float) -> Evaluation:

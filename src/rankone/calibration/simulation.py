@@ -86,7 +86,7 @@ class Simulation:
         BlowUpError, ConvergenceError
             If a trajectory does not reach the last measurement, or no steady state.
         """
-        self._check_smooth(by)
+        self.check_smooth(by)
         started = self._started(values, by)
         pairs = [(series, np.isfinite(series.times)) for series in self.records.series]
         grid = np.unique(np.concatenate([series.times[f] for series, f in pairs]))
@@ -105,7 +105,7 @@ class Simulation:
             each.append(States(states, np.moveaxis(own, 1, 2)))
         return each
 
-    def _check_smooth(self, by: Sequence[str]) -> None:
+    def check_smooth(self, by: Sequence[str]) -> None:
         """Raise if a parameter that derivatives are asked for decides where rates jump."""
         if by and self.dynamics.jumps_with_states:
             raise ProblemError(

@@ -52,7 +52,11 @@ class CalibrationSolutions:
         return max(solution.error for solution in self.solutions.values())
 
     def fit(self, **options: Any) -> Fit:
-        """The most likely parameters inside the box; options are those of :func:`rankone.fit`."""
+        """The most likely parameters inside the box, without the priors of the table.
+
+        Options are those of :func:`rankone.fit`; levels of noise are corrected for the degrees of
+        freedom, as there. :meth:`CalibrationProblem.fit` has the priors.
+        """
         pairs = [(self.solutions[name], each) for name, each in self.experiments.items()]
         fixed = {name_of(key) for key in options.get("fixed") or {}}
         bounds = {name: ends for name, ends in self.bounds.items() if name not in fixed}
