@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
-    *("max_seconds", "unknowns", "outputs", "integrator", "markers", "progress", "on_failure"),
+    *("max_seconds", "max_memory", "unknowns", "outputs", "integrator", "markers", "progress"),
+    "on_failure",
 )
 """Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
 # What ``show`` prints: for each flag the title and the attribute of the compiled problem
@@ -42,6 +43,7 @@ _STAGES = {
     "quadratic": ("quadratic system", "quadratic"),
     "source": ("generated module", "source"),
 }
+_MEMORY_HELP = "limit of memory, such as 2GB; what would not fit is refused"
 _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
 _BOX_HELP = (
     "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in the logarithm; "
@@ -88,6 +90,7 @@ def register(commands: Commands) -> None:
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
+    add("--max-memory", metavar="SIZE", help=_MEMORY_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
     add("--outputs", metavar="NAME=EXPR", nargs="+", action="extend", help=_OUTPUTS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
@@ -170,6 +173,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             cover=arguments.cover,
             effort=arguments.effort,
             max_seconds=arguments.max_seconds,
+            max_memory=arguments.max_memory,
             unknowns=arguments.unknowns,
             outputs=pairs_of("--outputs", arguments.outputs, str) or None,
             integrator=arguments.integrator,
