@@ -176,11 +176,3 @@ def test_a_short_visit_of_a_side_is_not_overlooked(rate):
     lengths = np.pi - 2 * np.arcsin(0.999999), 2 * (np.arcsin(0.50001) - np.arcsin(0.49999))
     exact = 300 * lengths[0] if "300" in rate else 1e5 * lengths[1]
     assert not solution.success or solution["y"](t=3.0, a=1.0) == pytest.approx(exact, rel=5e-3)
-
-
-@pytest.mark.slow
-def test_a_stick_that_some_trajectories_never_leave_is_named():
-    rates = {"x": "v", "v": "13*cos(t)/20 - x/2 - mu*sign(v)"}
-    never = ro.Problem.from_strings(rates, {"x": 0, "v": 0}, {"mu": (0.55, 0.75)}, (0, 7))
-    with pytest.raises(ro.ConvergenceError, match="does not come to event `switch_0` at mu"):
-        ro.solve(never, 1e-4)

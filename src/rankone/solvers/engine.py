@@ -74,30 +74,13 @@ class Engine:
                 outcome = self._solve_as_written(system, request, report)
                 if outcome.status in _SOLVED:
                     return outcome
-        try:
-            with limited(*_part(_HELD_SHARE)):
-                held = self._solve_over_stretches(system.held, request, report)
-        except ConvergenceError as error:
-            return self._solve_beside(error, system, request, report)
-        if held.status in _SOLVED:
-            return held
+        held: Outcome | None = None
+        with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
+            held = self._solve_over_stretches(system.held, request, report)
+            if held.status in _SOLVED:
+                return held
         outcome = self._solve_as_written(system, request, report)
-        return held if _is_better(held, outcome) else outcome
-
-    def _solve_beside(
-        self, refusal: ConvergenceError, system: System, request: SolveRequest, report: Report
-    ) -> Outcome:
-        """Solve with the switches as they are, where those that are held are refused.
-
-        The refusal says more than an integration that does not get across a surface.
-        """
-        try:
-            outcome = self._solve_as_written(system, request, report)
-        except ConvergenceError:
-            raise refusal from None
-        if outcome.status is Status.SWITCHES:
-            raise refusal
-        return outcome
+        return held if held is not None and _is_better(held, outcome) else outcome
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve with the switches of the rates as they are."""
