@@ -122,6 +122,15 @@ def _skip_without_tools(path: Path) -> None:
             pytest.skip("no C compiler")
 
 
+@pytest.fixture
+def figures():
+    """Closes the figures of a page."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
+@pytest.mark.usefixtures("figures")
 @_each({path: path in LONG for path in FILES})
 def test_blocks(path, tmp_path, monkeypatch, request):
     _skip_without_tools(path)

@@ -102,7 +102,7 @@ def test_events_at_one_time_have_both_sides_in_the_bands(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:statistics have settled")
 def test_sobol_indices_are_there_while_all_run(tmp_path):
     solution = solved("rocket")
     page = solution.explore(tmp_path / "page.html")
