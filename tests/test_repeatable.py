@@ -15,7 +15,7 @@ import rankone as ro
 from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.workers import open_workers
 from tests.problems import EXAMPLES
 

@@ -31,7 +31,7 @@ from rankone.ir.system import System  # noqa: E402
 from rankone.trajectories import series  # noqa: E402
 from rankone.trajectories.compiled import CompiledIntegrator  # noqa: E402
 from rankone.trajectories.integrator import Integrator, Tolerances  # noqa: E402
-from rankone.trajectories.stacks import StackedIntegrator  # noqa: E402
+from rankone.trajectories.stacks.integrator import StackedIntegrator  # noqa: E402
 from tests.benchmarks.report import TITLES, _trajectory  # noqa: E402
 from tests.problems import MEASURED  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402

@@ -74,7 +74,7 @@ def _no_cuts(domain: object) -> tuple[object, ...]:
 def without(part: str, made: tuple[str, int]) -> str:
     """The verdict on a case with a part left out."""
     import rankone.solvers.cross.engine  # what is replaced must be there
-    import rankone.trajectories.steppers  # noqa: F401
+    import rankone.trajectories.stacks.steppers  # noqa: F401
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():

@@ -16,7 +16,7 @@ from rankone.trajectories.choice import SamplingChoice, integrator_for
 from rankone.trajectories.compiled import CompiledIntegrator
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.series import has_series, order_of, taylor_integrator
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 from tests.honesty.cases import t
 from tests.problems import GENERAL, REFERENCE
 

@@ -10,7 +10,7 @@ from rankone.ir.forms import Coordinate
 from rankone.ir.request import Domain
 from rankone.symbolic.features import features_of
 from rankone.trajectories.defects import roots
-from rankone.trajectories.explicit import StackedDOP853
+from rankone.trajectories.stacks.explicit import StackedDOP853
 from rankone.verification.points import check_points, surface_points
 from rankone.verification.reference import integrate_reference
 from tests.honesty.cases import t, unknown

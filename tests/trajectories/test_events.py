@@ -7,8 +7,8 @@ import rankone as ro
 from rankone.ir.events import SystemEvent
 from rankone.support.budget import OutOfWorkError, limited
 from rankone.trajectories.choice import span_integrator_for
-from rankone.trajectories.events import integrate_to_events
-from rankone.trajectories.instants import MOST_ROUNDS
+from rankone.trajectories.events.instants import MOST_ROUNDS
+from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.integrator import Tolerances
 
 INTEGRATORS = ["stack", "single", "auto"]

@@ -5,7 +5,7 @@ import pytest
 
 import rankone as ro
 from rankone.trajectories.integrator import Spans, Tolerances
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 
 STIFF = StackedIntegrator(stiff=True)
 

@@ -7,7 +7,7 @@ import rankone as ro
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.trajectories.integrator import Integrator, Tolerances
 from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 
 POINTS = np.array([[0.5], [1.0], [1.5]])
 TOLERANCES = Tolerances(1e-8, np.full((1, 1), 1e-10))

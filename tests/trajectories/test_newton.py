@@ -12,26 +12,26 @@ import scipy.sparse
 import rankone as ro
 from rankone.ir.jacobian import PatternJacobian
 from rankone.ir.system import System
-from rankone.trajectories.elimination import (
-    BandElimination,
-    SparseElimination,
-    elimination_of,
-)
 from rankone.trajectories.integrator import Tolerances, jacobians
-from rankone.trajectories.newton import (
-    DenseJacobians,
-    SparseJacobians,
-    entries_at,
-    jacobians_for,
-    sparse_pattern,
-)
 from rankone.trajectories.spectra import (
     decays_faster,
     first_jacobian,
     growth_rate,
     jacobian_blocks,
 )
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.elimination import (
+    BandElimination,
+    SparseElimination,
+    elimination_of,
+)
+from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.stacks.newton import (
+    DenseJacobians,
+    SparseJacobians,
+    entries_at,
+    jacobians_for,
+    sparse_pattern,
+)
 
 N, TIME = 80, 0.2
 
@@ -91,7 +91,7 @@ def test_chains_are_bands_and_nets_are_not() -> None:
 
 @pytest.mark.parametrize("stages", [3, 5, 7])
 def test_more_stages_keep_the_tolerance_in_fewer_steps(stages, monkeypatch) -> None:
-    monkeypatch.setattr("rankone.trajectories.stacks.stages_for", lambda *_: stages)
+    monkeypatch.setattr("rankone.trajectories.stacks.integrator.stages_for", lambda *_: stages)
     rates = {"y": "-k*(y - cos(t)) - sin(t)", "z": "-z*z"}
     problem = ro.Problem.from_strings(rates, {"y": 2, "z": 1}, {"k": (1, 1e5)}, (0, 3))
     points, times = np.geomspace(1, 1e5, 9)[:, None], np.linspace(0.01, 3, 40)

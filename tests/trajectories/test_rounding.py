@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.stacks import _Stack
+from rankone.trajectories.stacks.integrator import _Stack
 from rankone.verification.reference import integrate_reference
 
 CONSERVED = {

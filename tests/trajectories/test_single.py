@@ -14,7 +14,7 @@ from rankone.support.budget import OutOfBudgetError, limited, work_done
 from rankone.trajectories.choice import explicit_steps, integrator_for
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
 

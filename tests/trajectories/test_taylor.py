@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.ir.system import System
-from rankone.trajectories import stacks
 from rankone.trajectories.integrator import Spans, Tolerances
-from rankone.trajectories.stacks import StackedIntegrator, StackedTrajectories
-from rankone.trajectories.taylor import TaylorSeries
+from rankone.trajectories.stacks import integrator as stacks
+from rankone.trajectories.stacks.integrator import StackedIntegrator, StackedTrajectories
+from rankone.trajectories.stacks.taylor import TaylorSeries
 
 CASES = {
     "linear": ({"x": "a*x - y", "y": "x - b*y"}, {"x": "1", "y": "b"}, 4.0),

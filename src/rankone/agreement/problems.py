@@ -25,7 +25,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
-from rankone.trajectories.resting_start import before_start
+from rankone.trajectories.steady.resting_start import before_start
 
 _POINTS = 20  # Points of the horizon, the box and plausible states at which a problem is compared
 _FEWEST_POINTS = 3  # Points for equations of very many operations

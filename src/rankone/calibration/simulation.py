@@ -16,10 +16,10 @@ from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote
 from rankone.trajectories.integrator import DenseTrajectories, Tolerances
-from rankone.trajectories.rest import SteadyStates, from_states
 from rankone.trajectories.sensitive_paths import RateSlopes, Start, sensitive_path
 from rankone.trajectories.sensitivities import Forcing, sensitivities
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.steady.rest import SteadyStates, from_states
 
 _SETTLE = 1e8  # Longest time to a steady state, in horizons
 _LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same

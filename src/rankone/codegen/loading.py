@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from rankone.ir.system import System, UserFunction, system_of
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import quote
-from rankone.trajectories.resting_start import started
+from rankone.trajectories.steady.resting_start import started
 
 Answer = TypeVar("Answer")
 

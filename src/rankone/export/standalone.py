@@ -27,7 +27,7 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
 from rankone.support import __version__, errors
 
-_RESTING = "rankone.trajectories.resting_start"
+_RESTING = "rankone.trajectories.steady.resting_start"
 _HELD = "rankone.held"  # The module of the system with the sides of its switches as states
 
 

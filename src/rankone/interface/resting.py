@@ -10,7 +10,7 @@ from rankone.ir.system import System
 from rankone.support.budget import limited
 from rankone.support.errors import ProblemError
 from rankone.support.wording import listing
-from rankone.trajectories.resting_start import RestingStart
+from rankone.trajectories.steady.resting_start import RestingStart
 from rankone.verification.points import branch_points
 
 

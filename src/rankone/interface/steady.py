@@ -25,8 +25,8 @@ from rankone.support.options import checked_number
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 from rankone.tensors.slab import at_one_time
-from rankone.trajectories.branches import check_one_branch
-from rankone.trajectories.rest import SteadyStates, at_rest
+from rankone.trajectories.steady.branches import check_one_branch
+from rankone.trajectories.steady.rest import SteadyStates, at_rest
 from rankone.verification.points import branch_points
 
 _SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle

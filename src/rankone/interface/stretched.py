@@ -17,7 +17,7 @@ from rankone.support.errors import SeparationError
 from rankone.symbolic import FirstOrderSystem
 from rankone.symbolic.stretches import KnownStretches, KnownTime, exact, over_stretches
 from rankone.symbolic.surfaces import moving_cuts
-from rankone.trajectories.stretches import fixed_times, in_stretches
+from rankone.trajectories.events.stretches import fixed_times, in_stretches
 from rankone.verification.points import check_points
 
 _POINTS = 64  # Points of the box, besides corners, that show on which side switches are

@@ -27,11 +27,11 @@ from rankone.support.budget import limited, seconds_left, work_left
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
-from rankone.trajectories.event_order import REMEDY, OrderError, TrajectoryEndError
-from rankone.trajectories.events import integrate_to_events
+from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
+from rankone.trajectories.events.integration import integrate_to_events
+from rankone.trajectories.events.orders import Order, OrderSearch
+from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.orders import Order, OrderSearch
-from rankone.trajectories.stretches import in_stretches
 from rankone.verification.branches import (
     BranchErrors,
     branch_errors,

@@ -25,7 +25,7 @@ from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
-from rankone.trajectories.event_order import MoreEventsError, OrderError, TrajectoryEndError
+from rankone.trajectories.events.event_order import MoreEventsError, OrderError, TrajectoryEndError
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 

@@ -14,10 +14,16 @@ from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.events.markers import (
+    SCOUTS,
+    LastMarks,
+    chosen_marker,
+    marked_order,
+    may_pay,
+)
+from rankone.trajectories.events.stretches import timed_events
 from rankone.trajectories.integrator import DenseTrajectories, SeparateTrajectories, Tolerances
-from rankone.trajectories.markers import SCOUTS, LastMarks, chosen_marker, marked_order, may_pay
-from rankone.trajectories.newton import sparse_pattern
-from rankone.trajectories.stretches import timed_events
+from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.verification.measure import ReferenceSet
 
 # Operations of a reference over clock time after which pilots tell whether markers pay, since

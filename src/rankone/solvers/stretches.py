@@ -10,9 +10,9 @@ from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.trajectories.choice import span_integrator_for
-from rankone.trajectories.event_order import event_order
+from rankone.trajectories.events.event_order import event_order
+from rankone.trajectories.events.stretches import in_stretches, timed_events
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stretches import in_stretches, timed_events
 from rankone.verification.cuts import system_cuts
 from rankone.verification.points import check_points
 

@@ -13,6 +13,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.support.errors import warn
 from rankone.trajectories.compiled import CompiledIntegrator, sampling_cost
+from rankone.trajectories.events.stretch_integrator import StretchIntegrator
 from rankone.trajectories.integrator import (
     DenseTrajectories,
     Integrator,
@@ -22,14 +23,13 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.newton import sparse_pattern
 from rankone.trajectories.paths import Path
 from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks import StackedIntegrator
-from rankone.trajectories.stretch_integrator import StretchIntegrator
-from rankone.trajectories.taylor import steps_ratio
+from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.stacks.newton import sparse_pattern
+from rankone.trajectories.stacks.taylor import steps_ratio
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched

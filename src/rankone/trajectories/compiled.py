@@ -37,7 +37,7 @@ from rankone.trajectories.series import (
     order_of,
     taylor_integrator,
 )
-from rankone.trajectories.stacks import has_smooth_rates
+from rankone.trajectories.stacks.integrator import has_smooth_rates
 
 _MOST_STEPS = 20_000  # Steps from which a trajectory is stiff, or ends: implicit steps are cheaper
 _MOST_DENSE_STEPS = 3000  # The same where all steps are kept, which takes ten times longer

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.integrator import jacobians
-from rankone.trajectories.newton import entries_at, sparse_pattern
 from rankone.trajectories.spectra import first_jacobian, growth_rate
+from rankone.trajectories.stacks.newton import entries_at, sparse_pattern
 
 _STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)  # Relative, until rates are not finite
 _JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)  # In horizons; rates may jump over one

@@ -33,7 +33,7 @@ from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
 from rankone.trajectories.lsoda import Border, Jacobian, Rates, called_by_lsoda, recording
 from rankone.trajectories.paths import NODES, Path, joined
-from rankone.trajectories.stacks import has_smooth_rates
+from rankone.trajectories.stacks.integrator import has_smooth_rates
 
 _TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
 _LEAST_RELATIVE = 3e-14  # Tightest relative tolerance that LSODA takes

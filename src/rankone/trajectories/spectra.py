@@ -20,7 +20,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import eigenvalues, in_pieces
 from rankone.trajectories.integrator import JACOBIAN_ENTRY, jacobians
-from rankone.trajectories.newton import entries_at, sparse_pattern
+from rankone.trajectories.stacks.newton import entries_at, sparse_pattern
 
 Matrix: TypeAlias = Array | scipy.sparse.csr_array
 _TOLERANCE = 0.03  # Relative error of an eigenvalue of a sparse matrix

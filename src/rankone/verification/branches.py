@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rankone.ir.system import System
 from rankone.support.arrays import Array, spread
 from rankone.tensors.branches import BranchEvaluator
-from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.verification.clock import compared_times
 from rankone.verification.coverage import Coverage
 

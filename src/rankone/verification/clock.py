@@ -14,8 +14,8 @@ from rankone.support.arrays import Array
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import TimelineEvaluator
-from rankone.trajectories.event_trajectory import EventTrajectory
-from rankone.trajectories.stretch_integrator import StretchTrajectories
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.verification.reference import Reference
 
 _TIMES = 41  # Evenly spaced times of the horizon at which values are compared

@@ -35,7 +35,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.spectra import first_jacobian, growth_rate, jacobian_blocks
-from rankone.trajectories.stacks import has_smooth_rates
+from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.points import check_points
 
 _ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve

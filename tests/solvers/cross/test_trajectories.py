@@ -10,7 +10,7 @@ from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers.cross.trajectories import Trajectories
 from rankone.tensors.cross import Samples
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.verification.measure import ReferenceSet
 from tests.problems import EXAMPLES
 

@@ -13,7 +13,7 @@ from rankone.ir.events import BOTH, SystemEvent, overlap
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
-from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""

@@ -18,14 +18,14 @@ from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.trajectories.crossings import Crossings
-from rankone.trajectories.event_order import follow
-from rankone.trajectories.event_trajectory import EventTrajectory
-from rankone.trajectories.events import integrate_to_events
-from rankone.trajectories.instants import SAME_INSTANT
+from rankone.trajectories.events.crossings import Crossings
+from rankone.trajectories.events.event_order import follow
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.instants import SAME_INSTANT
+from rankone.trajectories.events.integration import integrate_to_events
+from rankone.trajectories.events.stretches import marker_event
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
-from rankone.trajectories.stretches import marker_event
 
 OUT_OF_PHASE = 8.0
 """Spread of the times of a crossing, over the time in which the state runs through its range, from

@@ -21,8 +21,8 @@ from rankone.discretization.radau import RadauCollocation
 from rankone.support.arrays import Array
 from rankone.trajectories.defects import DefectControl, Interpolant
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.newton import Jacobians, NewtonMatrices
-from rankone.trajectories.steppers import Piece, Rates, Stepper
+from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances

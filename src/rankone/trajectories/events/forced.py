@@ -19,9 +19,9 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
-from rankone.trajectories.event_order import REMEDY, OrderError, at_point
+from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
+from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.paths import Path, Paths
 from rankone.trajectories.shares import SeparateRun, share_paths
 

@@ -19,8 +19,8 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.trajectories.choice import integrator_for
-from rankone.trajectories.conservation import ConservedSums
 from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.steady.conservation import ConservedSums
 
 _ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come close
 _LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolerance

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.trajectories.defects import Interpolant
-from rankone.trajectories.steppers import Piece, Stepper
+from rankone.trajectories.stacks.steppers import Piece, Stepper
 
 _NESTED_ROWS = 7  # Rows of a step
 _SAFETY = 0.9  # Part of the step that the estimate of the error allows

@@ -18,8 +18,8 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
-from rankone.trajectories.elimination import Elimination, Solver, elimination_of
 from rankone.trajectories.integrator import finite_blocks, jacobians
+from rankone.trajectories.stacks.elimination import Elimination, Solver, elimination_of
 
 SPARSE_STATES = 64
 """States from which on sparse factors pay."""

@@ -15,7 +15,7 @@ from rankone.ir.events import Ending, EventOrder, ForcedOrder, Guard
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
-from rankone.trajectories.event_order import (
+from rankone.trajectories.events.event_order import (
     REMEDY,
     SAME_INSTANT,
     OrderError,
@@ -23,15 +23,15 @@ from rankone.trajectories.event_order import (
     instants_of,
     sides_of,
 )
-from rankone.trajectories.event_trajectory import EventTrajectory
-from rankone.trajectories.forced import (
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.forced import (
     ContinuationError,
     ForcedTrajectories,
     forced_trajectories,
     guard_heights,
 )
+from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
-from rankone.trajectories.stretches import in_stretches
 
 _FIRST_CHUNK = 8  # Points to which an order is continued at once, next to those where it holds
 _GROWTH = 0.5  # The same over the points to which it is continued

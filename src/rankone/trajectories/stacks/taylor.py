@@ -22,9 +22,9 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.newton import SPARSE_STATES
 from rankone.trajectories.paths import NODES
-from rankone.trajectories.steppers import Piece, Rates, Stepper
+from rankone.trajectories.stacks.newton import SPARSE_STATES
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
 _STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides

@@ -14,9 +14,11 @@ from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
-from rankone.trajectories.event_order import SAME_INSTANT, end_error, follow, stretch_borders
-from rankone.trajectories.event_trajectory import EventTrajectory
-from rankone.trajectories.forced import ForcedTrajectories, forced_trajectories
+from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
+from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
+from rankone.trajectories.events.sides import check_sides, times_to_check
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     SampledTrajectories,
@@ -24,9 +26,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.paths import Path, Paths, joined
-from rankone.trajectories.sides import check_sides, times_to_check
 
 _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
 

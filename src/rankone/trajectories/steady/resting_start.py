@@ -15,8 +15,8 @@ from rankone.ir.rest import Rest
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError
-from rankone.trajectories.branches import check_one_branch
-from rankone.trajectories.rest import SteadyStates
+from rankone.trajectories.steady.branches import check_one_branch
+from rankone.trajectories.steady.rest import SteadyStates
 
 _SUBJECT = "the start is a steady state"
 _OTHERWISE = "; or change `conditions` or `start` of SteadyState"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.rest import SteadyStates
+from rankone.trajectories.steady.rest import SteadyStates
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
 _MOST_NEWTON_STEPS = 15  # For each of them

@@ -13,8 +13,8 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
 from rankone.trajectories.diagnosis import first_to_end
-from rankone.trajectories.event_trajectory import EventTrajectory, Occurrence
-from rankone.trajectories.events import integrate_to_events
+from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
+from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
 _FAR = 4.0  # Horizons beyond the horizon up to which events are waited for

@@ -23,8 +23,6 @@ from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
-from rankone.trajectories.explicit import StackedDOP853
-from rankone.trajectories.implicit import StackedRadau
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     LAST_GAP,
@@ -32,12 +30,19 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.newton import implicit_step_cost, jacobians_for, stages_for
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.spectra import decays_faster
-from rankone.trajectories.steppers import Piece, Rates, Stepper
-from rankone.trajectories.taylor import StackedTaylor, TaylorSeries, steps_ratio, taylor_order
+from rankone.trajectories.stacks.explicit import StackedDOP853
+from rankone.trajectories.stacks.implicit import StackedRadau
+from rankone.trajectories.stacks.newton import implicit_step_cost, jacobians_for, stages_for
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
+from rankone.trajectories.stacks.taylor import (
+    StackedTaylor,
+    TaylorSeries,
+    steps_ratio,
+    taylor_order,
+)
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues

@@ -20,9 +20,9 @@ from rankone.ir.events import SystemEvent
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
-from rankone.trajectories.crossings import Crossings
-from rankone.trajectories.event_trajectory import EventTrajectory
-from rankone.trajectories.instants import SAME_INSTANT, Instants
+from rankone.trajectories.events.crossings import Crossings
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.instants import SAME_INSTANT, Instants
 from rankone.trajectories.integrator import Spanning, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
 

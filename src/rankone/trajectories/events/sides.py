@@ -6,7 +6,7 @@ import numpy as np
 
 from rankone.ir.system import Clock
 from rankone.support.arrays import Array
-from rankone.trajectories.event_order import OrderError, at_point
+from rankone.trajectories.events.event_order import OrderError, at_point
 
 _SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
 _ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
