@@ -25,7 +25,7 @@ GROUPS = ("condition", "subject")
 """Columns that tell experiments apart."""
 SIGMA = "sigma"
 """The column of standard deviations; ``sigma_x`` is that of x alone."""
-_EMPTY = ("", "None", "<NA>")  # Cells without a number, as text
+_EMPTY = ("", ".", "None", "<NA>")  # Cells without a number, as text
 _TIME = "time"  # The column of time, if it has not the name of the problem's
 
 
@@ -33,7 +33,8 @@ _TIME = "time"  # The column of time, if it has not the name of the problem's
 class Block:
     """The rows of one experiment: times, data and perhaps sigma by observable, and parameters.
 
-    ``labels`` are those of its columns ``condition`` and ``subject``, as far as the table has them.
+    ``labels`` are those of its columns ``condition`` and ``subject``, as far as the table has them;
+    ``rows`` are the positions in the table of the data of each observable.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Block:
     data: dict[str, Array]
     sigma: dict[str, Array] | None
     fixed: dict[str, float]
+    rows: dict[str, NDArray[np.intp]]
 
 
 def is_table(data: object) -> bool:
@@ -76,8 +78,8 @@ def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> lis
     the columns do not say what they are.
     """
     columns = columns_of(table)
-    time = _time_column(solution, columns)
-    measured = _measured(solution, columns, time, observe)
+    time = time_column(solution, columns)
+    measured = measured_columns(solution, columns, time, observe)
     numbers = {name: numbers_of(name, columns[name]) for name in measured}
     clock = numbers_of(time, columns[time])
     held = {
@@ -112,7 +114,7 @@ def _block(
     time: str,
 ) -> Block:
     labels, name, fixed = group
-    times, data, sigma = {}, {}, {}
+    times, data, sigma, positions = {}, {}, {}, {}
     for observable, column in numbers.items():
         here = rows & ~np.isnan(column)
         if np.isnan(clock[here]).any():
@@ -122,6 +124,7 @@ def _block(
         if not here.any():
             continue
         times[observable], data[observable] = clock[here], column[here]
+        positions[observable] = np.flatnonzero(here)
         spread = spreads.get(f"{SIGMA}_{observable}", spreads.get(SIGMA))
         if spread is not None:
             _check_complete(observable, here & np.isnan(spread))
@@ -132,7 +135,8 @@ def _block(
             f"the table has no sigma of {listing(missing)}",
             remedy=f"add columns {listing(f'{SIGMA}_{each}' for each in missing)}, or one `sigma`",
         )
-    return Block(name, labels, times, data, sigma or None, dict(zip(held, fixed, strict=True)))
+    parameters = dict(zip(held, fixed, strict=True))
+    return Block(name, labels, times, data, sigma or None, parameters, positions)
 
 
 def _check_complete(observable: str, empty: NDArray[np.bool_]) -> None:
@@ -171,7 +175,8 @@ def label_of(entry: object) -> str:
     return str(int(entry)) if number else str(entry)  # type: ignore[call-overload]
 
 
-def _time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
+def time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
+    """The name of the column of time."""
     time = solution.metadata.time
     if solution.metadata.timeless:
         raise OptionError("values that do not depend on time are not fitted from tables")
@@ -186,7 +191,7 @@ def _time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
     )
 
 
-def _measured(
+def measured_columns(
     solution: SolutionCore, columns: Mapping[str, Any], time: str, observe: object
 ) -> tuple[str, ...]:
     """Names of the observables among the columns."""

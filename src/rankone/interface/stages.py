@@ -27,6 +27,7 @@ from rankone.support.errors import OptionError, SeparationError
 from rankone.support.wording import count, number, quote
 from rankone.symbolic import FirstOrderSystem, WeakForm
 from rankone.symbolic.features import SymbolicFeatures, features_of
+from rankone.symbolic.superposition import additive_parameters
 
 _ANY_SYSTEM = (AUTO, "cross")  # Methods that need no separated terms
 
@@ -108,6 +109,11 @@ class CompiledStages:
             return features
         names = (event.name for event in held.events[-len(held.switches) :])
         return replace(features, switches=dict(zip(names, held.switches, strict=True)))
+
+    @cached_property
+    def _additive(self) -> tuple[str, ...]:
+        """The parameters whose effects add up."""
+        return additive_parameters(self.first_order)
 
     def form_for(self, method: str) -> CompiledStages | LiftedProblem | StretchedProblem:
         """What a method takes: an object with ``separated``, ``source`` and ``system``.
@@ -240,6 +246,7 @@ class CompiledStages:
             ),
             definitions=tuple(self.problem.shorthand.texts),
             atol=tuple((self.problem.atol or {}).items()),
+            additive=self._additive,
         )
 
 

@@ -202,6 +202,7 @@ def _metadata(compiled: CompiledProblem, rows: list[int]) -> SolutionMetadata:
         equations=tuple(_equations(system, names)),
         source=None,
         units=tuple(units),
+        additive=(),
     )
 
 

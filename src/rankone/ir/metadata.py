@@ -40,6 +40,8 @@ class SolutionMetadata:
     set. ``name`` is empty if the problem has none. ``constants`` are numbers by name, and
     ``definitions`` formulas by name, of states, coordinates and numbers. ``atol`` has absolute
     tolerances of states by name: errors are relative to the largest value plus that over ``rtol``.
+    ``additive`` are parameters such as the amount of a dose: all states are proportional to each,
+    and the effects of several add up, each counted from its own time.
     """
 
     states: tuple[str, ...]
@@ -62,6 +64,7 @@ class SolutionMetadata:
     constants: tuple[tuple[str, float], ...] = ()
     definitions: tuple[tuple[str, str], ...] = ()
     atol: tuple[tuple[str, float], ...] = ()
+    additive: tuple[str, ...] = ()
 
     def observing(self, observed: Observation) -> SolutionMetadata:
         """The same of a solution that holds what is observed in place of the states."""
@@ -76,6 +79,7 @@ class SolutionMetadata:
             units=tuple(unit for unit in self.units if unit[0] in kept),
             definitions=(),
             atol=(),
+            additive=(),
         )
 
     @property

@@ -93,6 +93,7 @@ def with_outputs(
         units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
         definitions=(),
         atol=(),
+        additive=(),
     )
 
 

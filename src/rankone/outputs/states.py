@@ -98,7 +98,15 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
     interpolation = OutputInterpolation(solution, quantities)
     outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
     units = of_derivatives(metadata.units, metadata.states, name)
-    metadata = replace(metadata, equations=(), source=None, units=units, definitions=(), atol=())
+    metadata = replace(
+        metadata,
+        equations=(),
+        source=None,
+        units=units,
+        definitions=(),
+        atol=(),
+        additive=(),
+    )
     return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
 
 

@@ -350,7 +350,12 @@ class PopulationEstimates:
         for record in np.flatnonzero(self._subjects.owner == i):
             at = {name: float(column[i]) for name, column in own.items()}
             at |= {name: float(column[record]) for name, column in self._subjects.held.items()}
-            states = {state: self.solution[state](clock, at) for state in one.states}
+            doses = self._subjects.doses.selected(np.array([record]))
+            since, weights = (each[0] for each in doses.response(clock[None]))
+            states = {
+                state: (weights * self.solution[state](since, at)).sum(axis=-1)
+                for state in one.states
+            }
             operands = {**at, **states, self.solution.metadata.time: clock}
             rows.append(np.broadcast_to(value_of(one.formula(operands)), clock.shape))
         return np.array(rows[0] if len(rows) == 1 else rows)

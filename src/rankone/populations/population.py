@@ -14,6 +14,8 @@ from rankone.estimation.free_parameters import ParameterValues
 from rankone.estimation.intervals import checked_level
 from rankone.estimation.observations import Sigma
 from rankone.estimation.tables import columns_of, is_empty, is_table
+from rankone.populations.dose_table import doses_in
+from rankone.populations.doses import DosesBySubject
 from rankone.populations.fit import PopulationFit
 from rankone.populations.individuals import EmpiricalBayes, Start
 from rankone.populations.layout import Layout
@@ -44,6 +46,7 @@ def fit_population(
     sigma: Sigma = None,
     noise: object = None,
     fixed: Mapping[Any, Any] | None = None,
+    doses: Mapping[Any, str] | None = None,
     start: ParameterValues = None,
     subject: str = SUBJECT,
     level: float = 0.95,
@@ -75,6 +78,11 @@ def fit_population(
         constant, with a level that is estimated for each observable.
     fixed : mapping, optional
         Values of known parameters; perhaps mappings by subject.
+    doses : mapping, optional
+        The parameter that is the amount of a dose, with the column of amounts: ``{dose: "amt"}``.
+        The table then has a row for each dose of a subject, at its time, beside those of data, and
+        perhaps the columns ``evid``, ``mdv``, ``addl`` and ``ii`` of NONMEM. The solution is that
+        of one dose at its start. Those of several add up: this takes a linear system.
     start : mapping, optional
         Typical values of some parameters to start from.
     subject : str
@@ -108,8 +116,14 @@ def fit_population(
     columns = _columns(table, subject)
     if noise is None and sigma is None and not any(name.startswith("sigma") for name in columns):
         noise = "constant"
-    experiment = Experiment(columns, None, dict(fixed or {}), observe, sigma, noise)
-    subjects = subjects_of(self, experiment, _without_covariates(self, columns, covariates))
+    rows, by_subject, held = _without_covariates(self, columns, covariates), None, dict(fixed or {})
+    if doses is not None:
+        by_subject, rows = doses_in(self, rows, doses, observe)
+        held = _with_reference(self, held, by_subject)
+    experiment = Experiment(columns, None, held, observe, sigma, noise)
+    subjects = subjects_of(self, experiment, rows, by_subject)
+    if by_subject is not None:
+        _check_observables(subjects, by_subject.parameter)
     layout = layout_of(subjects, columns, random, covariates, correlated)
     _check_size(subjects, layout)
     marginal = Marginal(EmpiricalBayes(subjects, layout))
@@ -154,6 +168,29 @@ def _without_covariates(
     kept = {*solution.parameters, *solution.states, solution.metadata.time, "time", SUBJECT}
     alone = covariate_columns(covariates) - kept
     return {name: column for name, column in columns.items() if name not in alone}
+
+
+def _with_reference(
+    solution: SolutionCore, fixed: Mapping[Any, Any], doses: DosesBySubject
+) -> dict[Any, Any]:
+    """The fixed parameters, and with them the amount of the dose that the solution is of."""
+    own = {key: entry for key, entry in fixed.items() if not isinstance(entry, Mapping)}
+    if doses.parameter in by_name("fixed", own, tuple(solution.parameters)):
+        raise OptionError(
+            f"fixed: {quote(doses.parameter)} is the amount of doses", remedy="leave it out"
+        )
+    return {**fixed, doses.parameter: doses.reference}
+
+
+def _check_observables(subjects: Subjects, amount: str) -> None:
+    """Raise an OptionError for observables in which the amount of a dose stands."""
+    for one in subjects.measured:
+        formulas = [one.formula, *([one.noise.formula] if one.noise.formula else [])]
+        if any(amount in formula.names for formula in formulas):
+            raise OptionError(
+                f"{quote(one.name)} depends on {quote(amount)} itself, which differs between doses",
+                remedy="leave it out of what is observed and of its noise",
+            )
 
 
 def _check_size(subjects: Subjects, layout: Layout) -> None:

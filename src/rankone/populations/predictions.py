@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.timeline import BranchedTimeline
+from rankone.populations.doses import Response
 from rankone.solution.branches import branch_evaluator
 from rankone.solution.core import SolutionCore, timeline_evaluator
 from rankone.support.arrays import Array
@@ -37,20 +38,20 @@ class OwnTimes(Protocol):
         """The same for some of the records."""
 
 
-def own_times(solution: SolutionCore, rows: NDArray[np.intp], times: Array) -> OwnTimes:
-    """States ``rows`` (M,) of a solution at ``times`` (n, M)."""
+def own_times(solution: SolutionCore, rows: NDArray[np.intp], response: Response) -> OwnTimes:
+    """States ``rows`` (M,) of a solution where records have a response."""
     outcome = solution.outcome
     if isinstance(outcome.timeline, BranchedTimeline):
         return _OnTimeline(
-            branch_evaluator(outcome.slabs, outcome.timeline).likeliest(), rows, times
+            branch_evaluator(outcome.slabs, outcome.timeline).likeliest(), rows, response
         )
     if outcome.timeline is not None:
-        return _OnTimeline(timeline_evaluator(outcome.slabs, outcome.timeline), rows, times)
-    return _OnSlabs(outcome.slabs, rows, times, _UNNOTICED_SHARE * solution.rtol)
+        return _OnTimeline(timeline_evaluator(outcome.slabs, outcome.timeline), rows, response)
+    return _OnSlabs(outcome.slabs, rows, response, _UNNOTICED_SHARE * solution.rtol)
 
 
 class _OnSlabs:
-    """The first core of the train is evaluated once, at the times of each record.
+    """The first core of the train is evaluated once, at the times of each record, over its doses.
 
     Ranks that matter at no time of the data are left out, within a tolerance relative to each
     state's size: the root mean square over the box and over the data.
@@ -60,23 +61,25 @@ class _OnSlabs:
         self,
         slabs: Sequence[SlabTrain],
         rows: NDArray[np.intp],
-        times: Array,
+        response: Response,
         tolerance: float,
     ) -> None:
-        self.shape = times.shape
+        times, weights = response
+        self.shape = times.shape[:2]
         owner = slab_positions(slabs, times.ravel()).reshape(times.shape)
         self._groups: list[tuple[SlabTrain, Array]] = []
-        for k in np.unique(owner):
-            slab, here = slabs[k], owner == k
-            records, columns = np.nonzero(here)
-            first = np.zeros((*times.shape, slab.cores[0].shape[2]))
-            first[here] = slab.in_time(times[here])[rows[columns], np.arange(records.size)]
+        for k in np.unique(owner[weights != 0.0]):
+            slab, here = slabs[k], (owner == k) & (weights != 0.0)
+            records, columns, _ = np.nonzero(here)
+            at = slab.in_time(times[here])[rows[columns], np.arange(records.size)]
+            first = np.zeros((*self.shape, slab.cores[0].shape[2]))
+            np.add.at(first, (records, columns), weights[here][:, None] * at)
             shared = (i for i, (one, _) in enumerate(self._groups) if one.shares_parameters(slab))
             same = next(shared, None)
             if same is None:
                 self._groups.append((slab, first))
             else:
-                self._groups[same][1][here] = first[here]
+                self._groups[same][1][...] += first
         self._groups = [self._thinned(*group, rows, tolerance) for group in self._groups]
 
     def _thinned(
@@ -123,23 +126,30 @@ class _OnTimeline:
     """A solution over stretches between events."""
 
     def __init__(
-        self, evaluator: TimelineEvaluator | BranchEvaluator, rows: NDArray[np.intp], times: Array
+        self,
+        evaluator: TimelineEvaluator | BranchEvaluator,
+        rows: NDArray[np.intp],
+        response: Response,
     ) -> None:
-        self.evaluator, self.rows, self.times = evaluator, rows, times
+        self.evaluator, self.rows, self.response = evaluator, rows, response
 
     def selected(self, records: NDArray[np.intp]) -> _OnTimeline:
         """See :meth:`OwnTimes.selected`."""
-        return _OnTimeline(self.evaluator, self.rows, self.times[records])
+        fewer = Response(*(each[records] for each in self.response))
+        return _OnTimeline(self.evaluator, self.rows, fewer)
 
     def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
         """See :meth:`OwnTimes.linearised`."""
         d, count, records = points.shape
+        times, weights = self.response
         values = np.empty((count, records, self.rows.size))
         slopes = np.empty((*values.shape, len(free)))
         step = max(_POINTS_AT_ONCE // max(records, 1), 1)
         for row in np.unique(self.rows):
             columns = np.flatnonzero(self.rows == row)
-            clock = self.times[:, columns].T
+            shape = columns.size, times.shape[2]
+            own = weights[:, columns]
+            clock = times[:, columns].reshape(records, -1).T
             for begin in range(0, count, step):
                 block = points[:, begin : begin + step]
                 size = block.shape[1]
@@ -148,8 +158,8 @@ class _OnTimeline:
                     at, block.reshape(d, -1), np.array([row]), free
                 )
                 here = slice(begin, begin + size)
-                values[here][..., columns] = states[0].T.reshape(size, records, -1)
-                slopes[here][..., columns, :] = (
-                    moved[0].swapaxes(0, 1).reshape(size, records, -1, len(free))
-                )
+                each = states[0].T.reshape(size, records, *shape)
+                values[here][..., columns] = (own * each).sum(axis=-1)
+                each = moved[0].swapaxes(0, 1).reshape(size, records, *shape, len(free))
+                slopes[here][..., columns, :] = (own[..., None] * each).sum(axis=-2)
         return values, slopes

@@ -18,7 +18,8 @@ from rankone.estimation.experiments import Experiment, fixed_by_label, observed_
 from rankone.estimation.formulas import Formula
 from rankone.estimation.noise import Noise, log_likelihood
 from rankone.estimation.observations import Observations
-from rankone.estimation.tables import GROUPS, blocks_of
+from rankone.estimation.tables import GROUPS, Block, blocks_of
+from rankone.populations.doses import Doses, DosesBySubject
 from rankone.populations.predictions import OwnTimes, own_times
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -33,8 +34,8 @@ SUBJECT = GROUPS[1]
 class Measured:
     """One observable in n records, at up to m times each.
 
-    ``times``, ``data`` and ``present`` have the shape (n, m), and so has the spread of the noise.
-    ``states`` are those that the observable and its noise depend on.
+    ``times``, ``data`` and ``present`` have the shape (n, m), and so have the spread of the noise
+    and the ``rows`` of the table. ``states`` are those that the observable and its noise depend on.
     """
 
     name: str
@@ -43,13 +44,15 @@ class Measured:
     times: Array
     data: Array
     present: NDArray[np.bool_]
+    rows: NDArray[np.intp]
     states: tuple[str, ...]
 
     def selected(self, records: NDArray[np.intp]) -> Measured:
         """The same in some of the records."""
         noise = replace(self.noise, spread=self.noise.spread[records])
         times, data, present = self.times[records], self.data[records], self.present[records]
-        return replace(self, noise=noise, times=times, data=data, present=present)
+        rows = self.rows[records]
+        return replace(self, noise=noise, times=times, data=data, present=present, rows=rows)
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Subjects:
     """All subjects: their ``names``, and for each record the position of its ``owner`` (n,).
 
     ``held`` are the parameters that the table or the user fixes, (n,) each. Records of a subject
-    follow each other.
+    follow each other; ``doses`` are those of the records.
     """
 
     solution: SolutionCore
@@ -66,6 +69,7 @@ class Subjects:
     held: dict[str, Array]
     measured: tuple[Measured, ...]
     states: OwnTimes
+    doses: Doses
 
     @property
     def size(self) -> int:
@@ -127,6 +131,7 @@ class Subjects:
             held={name: row[records] for name, row in self.held.items()},
             measured=tuple(one.selected(records) for one in self.measured),
             states=self.states.selected(records),
+            doses=self.doses.selected(records),
         )
 
     def constant(self) -> float:
@@ -142,9 +147,12 @@ class Subjects:
 
 
 def subjects_of(
-    solution: SolutionCore, experiment: Experiment, columns: Mapping[str, Any]
+    solution: SolutionCore,
+    experiment: Experiment,
+    columns: Mapping[str, Any],
+    doses: DosesBySubject | None = None,
 ) -> Subjects:
-    """The subjects of a table, whose columns are given by name."""
+    """The subjects of a table, whose columns are given by name; rows of doses hold no data."""
     if SUBJECT not in columns:
         raise OptionError(
             f"the table has no column {quote(SUBJECT)}{did_you_mean(SUBJECT, columns)}",
@@ -158,35 +166,45 @@ def subjects_of(
     names = list(dict.fromkeys(block.labels[-1] for block in blocks))
     owners = np.array([names.index(block.labels[-1]) for block in blocks], dtype=np.intp)
     order = np.argsort(owners, kind="stable")
-    observed = [observed[i] for i in order]
     held = [held[i] for i in order]
     stacked = {name: np.array([own[name] for own in held]) for name in held[0]}
-    measured = _stacked(solution, observed)
-    rows = np.concatenate(
-        [
-            np.full(one.times.shape[1], solution.states.index(state), dtype=np.intp)
-            for one in measured
-            for state in one.states
-        ]
-    )
-    times = np.concatenate([one.times for one in measured for _ in one.states], axis=1)
+    measured = _stacked(solution, [(observed[i], blocks[i]) for i in order])
+    if doses is None:
+        own_doses = Doses.at_start(solution, order.size)
+    else:
+        own_doses = doses.of_records(solution, [names[i] for i in owners[order]])
     return Subjects(
         solution,
         tuple(names),
         owners[order],
         stacked,
         measured,
-        own_times(solution, rows, times),
+        _states_of(solution, measured, own_doses),
+        own_doses,
     )
 
 
-def _stacked(solution: SolutionCore, observed: Sequence[Observations]) -> tuple[Measured, ...]:
+def _states_of(solution: SolutionCore, measured: Sequence[Measured], doses: Doses) -> OwnTimes:
+    """The states that observables depend on, at the times of their data."""
+    pairs = [(one, state) for one in measured for state in one.states]
+    rows = [np.full(one.times.shape[1], solution.states.index(state)) for one, state in pairs]
+    times = np.concatenate([one.times for one, _ in pairs], axis=1)
+    of_table = np.concatenate([one.rows for one, _ in pairs], axis=1)
+    return own_times(solution, np.concatenate(rows), doses.response(times, of_table))
+
+
+def _stacked(
+    solution: SolutionCore, records: Sequence[tuple[Observations, Block]]
+) -> tuple[Measured, ...]:
     """Each observable in all records."""
-    names = dict.fromkeys(name for one in observed for name in one.names)
-    return tuple(_measured(solution, name, observed) for name in names)
+    names = dict.fromkeys(name for one, _ in records for name in one.names)
+    return tuple(_measured(solution, name, records) for name in names)
 
 
-def _measured(solution: SolutionCore, name: str, observed: Sequence[Observations]) -> Measured:
+def _measured(
+    solution: SolutionCore, name: str, records: Sequence[tuple[Observations, Block]]
+) -> Measured:
+    observed = [one for one, _ in records]
     places = [one.names.index(name) if name in one.names else None for one in observed]
     pairs = list(zip(observed, places, strict=True))
     slices = [slice(0, 0) if i is None else one.of(i) for one, i in pairs]
@@ -195,19 +213,21 @@ def _measured(solution: SolutionCore, name: str, observed: Sequence[Observations
     present = np.arange(shape[1]) < np.array(sizes)[:, None]
     times, data, spread = (np.empty(shape) for _ in range(3))
     times[:], data[:], spread[:] = solution.time[0], 1.0, 1.0
+    rows = np.full(shape, -1)
     for k, ((one, i), here, size) in enumerate(zip(pairs, slices, sizes, strict=True)):
         if i is None:
             continue
         times[k, :size], data[k, :size] = one.times[here], one.values[here]
         times[k, size:] = times[k, 0]
         spread[k, :size] = one.noises[i].spread
+        rows[k, :size] = records[k][1].rows[name]
     first, place = next((one, i) for one, i in pairs if i is not None)
     noise = replace(first.noises[place], spread=spread)
     formula = first.formulas[place]
     _check_names(solution, name, formula, noise)
     needed = [*formula.names, *(noise.formula.names if noise.formula is not None else ())]
     states = tuple(dict.fromkeys(each for each in needed if each in solution.states))
-    return Measured(name, formula, noise, times, data, present, states)
+    return Measured(name, formula, noise, times, data, present, rows, states)
 
 
 def _check_names(solution: SolutionCore, name: str, formula: Formula, noise: Noise) -> None:

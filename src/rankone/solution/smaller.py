@@ -43,7 +43,13 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
     )
     units = of_derivatives(metadata.units, metadata.states, name)
     return derivative, replace(
-        metadata, equations=(), source=None, units=units, definitions=(), atol=()
+        metadata,
+        equations=(),
+        source=None,
+        units=units,
+        definitions=(),
+        atol=(),
+        additive=(),
     )
 
 
@@ -75,6 +81,7 @@ def with_fixed(
             distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),
             correlations=tuple(c for c in metadata.correlations if name not in c[:2]),
             fixed=(*metadata.fixed, (name, point)),
+            additive=tuple(each for each in metadata.additive if each != name),
         )
     return _part(outcome, metadata.rtol), replace(metadata, source=None)
 

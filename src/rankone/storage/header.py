@@ -384,6 +384,8 @@ def _check_texts(metadata: SolutionMetadata) -> None:
     random = {n for *pair, _ in metadata.correlations for n in pair}
     if not random | {*dict(metadata.distributions)} <= {*metadata.parameters}:
         raise ValueError("a distribution or a correlation is of something else than a parameter")
+    if not {*metadata.additive} <= {*metadata.parameters}:
+        raise ValueError("what is additive is something else than a parameter")
     if not all(math.isfinite(at) for _, at in metadata.fixed):
         raise ValueError("a fixed coordinate is not finite")
     if not all(math.isfinite(number) for _, number in metadata.constants):
