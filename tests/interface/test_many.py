@@ -109,6 +109,7 @@ def test_a_box_that_fails_does_not_stop_the_others():
     ("boxes", "options", "error", "text"),
     [
         ({"k": (1, 2)}, {}, ro.OptionError, "not a list of mappings"),
+        ([], {}, ro.OptionError, "no boxes to solve"),
         ([(1, 2)], {}, ro.OptionError, r"box 0: \(1, 2\) is not a mapping"),
         ([{"k": (1, 2)}, {"q": (1, 2)}], {}, ro.OptionError, "box 1: there is no parameter `q`"),
         ([{"k": (2, 1)}], {}, ro.OptionError, "box 0: the range of `k`"),
@@ -123,13 +124,6 @@ def test_a_box_that_fails_does_not_stop_the_others():
 def test_wrong_arguments(problem, boxes, options, error, text):
     with pytest.raises(error, match=text):
         ro.solve_many(problem, boxes, 1e-4, **options)
-
-
-def test_no_boxes_at_all(problem):
-    many = ro.solve_many(problem, [], 1e-4)
-    assert len(many) == 0
-    with pytest.raises(ro.OptionError, match="no pieces"):
-        many.join()
 
 
 def test_functions_that_cannot_be_sent():

@@ -1,5 +1,6 @@
 """Evaluation in blocks: all points once, the same values, and bounded sizes."""
 
+import re
 import resource
 import subprocess
 import sys
@@ -50,19 +51,22 @@ def test_wrong_arguments(solution):
         list(solution.blocks(np.zeros(2), k=np.ones(3), a=1.5))
 
 
-def test_a_solve_that_does_not_fit_is_refused_beforehand():
-    """The message says what it needs; nothing is integrated."""
-    names = [f"x{i}" for i in range(400)]
-    rates = {name: f"-k*{name}" for name in names}
-    problem = ro.Problem.from_strings(rates, dict.fromkeys(names, "1"), {"k": (1, 2)}, (0, 1))
-    refused = ro.compile(problem).solve(1e-3, check=500, max_memory="50MB", method="cross")
-    assert refused.status is ro.Status.MEMORY_LIMIT
-    assert not refused.success
-    assert "and max_memory is 50 MB; raise max_memory" in refused.message
-    assert not refused.outcome.history
+def test_a_solve_that_does_not_fit_is_refused():
+    """Before anything is integrated, or as soon as the steps of the reference do not fit."""
+    rates = {f"x{i}": f"{'-k' if i % 2 else 'k'}*x{i ^ 1}" for i in range(100)}
+    problem = ro.Problem.from_strings(rates, dict.fromkeys(rates, "1"), {"k": (1, 2)}, (0, 99))
+    compiled = ro.compile(problem)
+    for rtol, check in ((1e-3, 1000), (1e-3, 100)):
+        refused = compiled.solve(rtol, check=check, max_memory="50MB", method="cross")
+        assert refused.status is ro.Status.MEMORY_LIMIT
+        assert not refused.success
+        needed = re.search(r"it needs about ([\d.]+) MB, and max_memory is 50 MB", refused.message)
+        assert float(needed[1]) > 50
+        assert not refused.outcome.history
 
 
 SCRIPT = """
+import re
 import resource
 import numpy as np, rankone as ro
 
@@ -72,6 +76,14 @@ before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 axes = {"k": np.linspace(0.5, 5, 2500)[:, None], "a": np.linspace(1, 2, 2500)}
 count = sum(v.size for _, v in solution.blocks(1.0, **axes, max_memory="60MB"))
 print(count, 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
+
+rates = {f"x{i}": f"k*(x{(i + 1) % 200} - x{i}) - 0.1*x{i}" for i in range(200)}
+starts = {name: f"{1 + i % 3}" for i, name in enumerate(rates)}
+large = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (1, 2)}, (0, 5)))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for method, effort in (("cross", 0.1), ("train", 0.1), ("greedy", 0.01)):
+    large.solve(1e-4, method=method, effort=effort, max_memory="50MB")
+print(1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
 """
 
 
@@ -81,6 +93,7 @@ def test_the_peak_is_within_the_limit():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     call = [sys.executable, "-c", SCRIPT]
     done = subprocess.run(call, capture_output=True, text=True, check=True)
-    count, peak = map(int, done.stdout.split())
+    count, streamed, solved = map(int, done.stdout.split())
     assert count == 2500**2
-    assert peak <= 1.5 * 60e6
+    assert streamed <= 1.5 * 60e6
+    assert solved <= 1.5 * 50e6

@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 
-from rankone.support.budget import OutOfMemoryError, limited, memory_limit, reserve
+from rankone.support.budget import OutOfMemoryError, Reached, hold, limited, memory_left, reserve
 from rankone.support.errors import OptionError
 from rankone.support.memory import checked_memory, in_words
 
@@ -40,10 +40,30 @@ def test_in_words():
 def test_needs_are_compared_with_the_smallest_limit():
     reserve(1e30)
     with limited(memory=1e9), limited(memory=2e9):
-        assert memory_limit() == 1e9
+        assert memory_left() == 1e9
         reserve(1e9)
         with pytest.raises(OutOfMemoryError) as caught:
             reserve(1.1e9)
-    assert memory_limit() == math.inf
-    again = pickle.loads(pickle.dumps(caught.value))
-    assert (again.needed, again.limit) == (1.1e9, 1e9)
+    assert memory_left() == math.inf
+    out = caught.value.at(Reached(0.5, 3, None))
+    again = pickle.loads(pickle.dumps(out))
+    assert (again.needed, again.limit, again.reached) == (1.1e9, 1e9, out.reached)
+
+
+def test_bytes_are_held_as_long_as_their_owner_lives():
+    def owner():
+        return lambda: None
+
+    hold(owner(), 1e30)
+    with limited(memory=1e9):
+        first, second = owner(), owner()
+        hold(first, 6e8)
+        with limited(memory=8e8), pytest.raises(OutOfMemoryError) as caught:
+            hold(second, 3e8, expected=1e8)
+        assert (caught.value.needed, caught.value.limit) == (1e9, 8e8)
+        assert memory_left() == 4e8
+        with pytest.raises(OutOfMemoryError):
+            reserve(5e8)
+        del first
+        assert memory_left() == 1e9
+        hold(second, 1e9)

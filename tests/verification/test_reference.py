@@ -9,6 +9,7 @@ import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.trajectories.choice import WatchedStack
 from rankone.verification import reference
+from rankone.verification.growth import amplification
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import _Resolution, integrate_reference
@@ -97,7 +98,7 @@ def test_amplification_of_a_linear_equation(rate, expected):
     problem = ro.Problem([sp.Eq(x.diff(t), rate * x)], (t, 0, 2), {a: (1, 2)}, {x: a})
     system = ro.compile(problem).system
     request = SolveRequest(3e-7, Domain.of(system), Check(2))
-    growth = ReferenceSet.of(system, request).amplification()
+    growth = amplification(ReferenceSet.of(system, request))
     assert growth(0.0) == pytest.approx(expected, rel=2e-3)
     assert growth(2.0) == 1.0
 

@@ -41,6 +41,7 @@ Box = Mapping[Any, Any]
 """Intervals of parameters, and numbers of constants, by symbols or names."""
 Progress = bool | Callable[[int, int], object]
 """Whether a bar is shown, or what is called with the numbers of finished and of all boxes."""
+_BOXES_REMEDY = "give [{k: (1, 2)}, {k: (2, 3)}], or problem.split(k=2)"
 
 
 @dataclass(frozen=True, repr=False)
@@ -258,8 +259,10 @@ def _solves(
         raise OptionError(
             f"boxes is {shown(boxes)}, not a list of mappings",
             term=boxes,
-            remedy="give [{k: (1, 2)}, {k: (2, 3)}], or problem.split(k=2)",
+            remedy=_BOXES_REMEDY,
         )
+    if not boxes:
+        raise OptionError("there are no boxes to solve", term=boxes, remedy=_BOXES_REMEDY)
     under: dict[tuple[tuple[str, Any], ...], CompiledProblem] = {(): base}
     solves = []
     for number, box in enumerate(boxes):

@@ -350,7 +350,7 @@ class MemoryNeeded(Note):
     limit: float
 
     def sentence(self, status: Status) -> str:
-        return f"it needs {in_words(self.needed)}, and max_memory is {in_words(self.limit)}"
+        return f"it needs about {in_words(self.needed)}, and max_memory is {in_words(self.limit)}"
 
 
 @dataclass(frozen=True)

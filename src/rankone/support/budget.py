@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import time as clock
+import weakref
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
@@ -47,6 +48,10 @@ class OutOfBudgetError(Exception):
         super().__init__(reached)
         self.reached = reached
 
+    def at(self, reached: Reached | None) -> Self:
+        """The same of an integration that came so far."""
+        return type(self)(reached)
+
 
 class OutOfWorkError(OutOfBudgetError):
     """The budget of counted work is spent."""
@@ -59,28 +64,37 @@ class OutOfTimeError(OutOfBudgetError):
 class OutOfMemoryError(OutOfBudgetError):
     """What comes next needs more bytes, ``needed``, than the ``limit`` that a user gave."""
 
-    def __init__(self, needed: float, limit: float) -> None:
-        super().__init__()
+    def __init__(self, needed: float, limit: float, reached: Reached | None = None) -> None:
+        super().__init__(reached)
         self.needed, self.limit = needed, limit
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.needed, self.limit)
+        return type(self), (self.needed, self.limit, self.reached)
+
+    def at(self, reached: Reached | None) -> Self:
+        return type(self)(self.needed, self.limit, reached)
 
 
 class Account:
     """The work that was counted, and the limits on it.
 
     ``done`` operations are counted, at most ``most`` may be. ``memory`` are the bytes that may be
-    held at once; infinite unless a user asked for a limit. ``end`` is the deadline, by
+    held at once, infinite unless a user asked for a limit, and ``held`` those that are kept for
+    now. ``end`` is the deadline, by
     ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
     whose answer is kept.
     """
 
-    __slots__ = ("done", "end", "memory", "most", "once")
+    __slots__ = ("done", "end", "held", "memory", "most", "once")
 
     def __init__(self) -> None:
-        self.done, self.most, self.end, self.memory = 0.0, math.inf, math.inf, math.inf
+        self.done, self.most, self.end = 0.0, math.inf, math.inf
+        self.held, self.memory = 0.0, math.inf
         self.once: set[Hashable] = set()
+
+    def release(self, count: float) -> None:
+        """Hold so many bytes less."""
+        self.held -= count
 
 
 _ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None)
@@ -174,17 +188,32 @@ def check_time() -> None:
     charge(0.0)
 
 
-def memory_limit() -> float:
-    """The bytes that may be held at once; infinite unless a user asked for a limit."""
+def memory_left() -> float:
+    """The bytes that may be held beside those that are; infinite unless a user set a limit."""
     account = _ACCOUNT.get()
-    return math.inf if account is None else account.memory
+    return math.inf if account is None else account.memory - account.held
 
 
 def reserve(count: float) -> None:
     """Raise an OutOfMemoryError if so many bytes, which come next, are more than may be held."""
-    limit = memory_limit()
-    if count > limit:
-        raise OutOfMemoryError(count, limit)
+    account = _ACCOUNT.get()
+    if account is not None and account.held + count > account.memory:
+        raise OutOfMemoryError(account.held + count, account.memory)
+
+
+def hold(owner: object, count: float, expected: float = 0.0) -> None:
+    """Count bytes as held for as long as their owner lives.
+
+    An OutOfMemoryError if they do not fit: it says that those ``expected`` later are needed too.
+    """
+    account = _ACCOUNT.get()
+    if account is None or account.memory == math.inf:
+        return
+    account.held += count
+    if account.held > account.memory:
+        account.held -= count
+        raise OutOfMemoryError(account.held + count + expected, account.memory)
+    weakref.finalize(owner, account.release, count).atexit = False
 
 
 def work_done() -> float:

@@ -20,7 +20,7 @@ import scipy.linalg
 
 from rankone.discretization import Basis1D
 from rankone.support.arrays import Array
-from rankone.support.budget import charge
+from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr, svd
 from rankone.tensors.train import Integers, Train, row_space
 
@@ -37,6 +37,8 @@ _SPANNED = 5.0
 _MAX_EXCHANGES = 100  # Most exchanges of columns of a skeleton; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 _EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
+_BLOCK_COPIES = 5.0  # Copies of the columns of a bond: sampled, weighted, joined, projected
+_TABLE_COPIES = 3.0  # Copies of all samples: before and after some are added, and these
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
@@ -203,6 +205,7 @@ class _Block:
 
     def _matrix(self, left: Integers, weights: Array) -> Array:
         block = self.samples(_product(left, self.columns))
+        reserve(_BLOCK_COPIES * block.nbytes)
         block = block.reshape(-1, len(left), len(self.columns)) * weights[:, None]
         charge(4.0 * block.size)
         return np.asarray(block.reshape(-1, len(self.columns)))
@@ -265,6 +268,7 @@ class Samples:
         points = np.stack([x[indices[:, j]] for j, x in enumerate(self.nodes)], axis=1)
         coefficients = self.columns(points)
         rank, count = self._table.shape
+        reserve(8.0 * _TABLE_COPIES * len(coefficients) * (count + codes.size))
         table = np.zeros((len(coefficients), count + codes.size))
         table[:rank, :count], table[:, count:] = self._table, coefficients
         self._table = table

@@ -17,7 +17,7 @@ import numpy as np
 
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.support.arrays import Array
-from rankone.support.budget import charge
+from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
@@ -25,6 +25,7 @@ from rankone.tensors.train import Integers, Train
 # Largest rank whose norm in three dimensions or more is found by orthogonalisation, in cubic time
 _ORTHOGONALISED_RANK = 120
 _GRAM_ENTRIES = 4_000_000  # Inner products of products formed at once: 32 MB
+_TRAIN_COPIES = 3.0  # Copies of the cores of an element before their ranks are rounded
 _CANCELLED = 1e-15  # Relative size of rounding in squared norms
 
 
@@ -181,6 +182,8 @@ def element_trains(
     if not any(total.rank for total in sums):
         sums[0] = RankOneSum(tuple(np.zeros((len(factor), 1)) for factor in sums[0].factors))
     n, rank = len(sums), sum(total.rank for total in sums)
+    entries = n * time.size + rank * sum(basis.size for basis in parameters)
+    reserve(8.0 * _TRAIN_COPIES * rank * entries)
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):

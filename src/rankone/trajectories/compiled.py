@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge, work_left
+from rankone.support.budget import OutOfBudgetError, Reached, charge, hold, memory_left, work_left
 from rankone.support.costs import CALL, Cost, function_cost
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
@@ -42,6 +42,7 @@ from rankone.trajectories.stacks.integrator import has_smooth_rates
 _MOST_STEPS = 20_000  # Steps from which a trajectory is stiff, or ends: implicit steps are cheaper
 _MOST_DENSE_STEPS = 3000  # The same where all steps are kept, which takes ten times longer
 _MOST_COEFFICIENTS = 3e7  # Coefficients of dense trajectories that fit into memory: 240 MB
+_COPIES = 3  # Copies of them: as they are made, of each trajectory, and of all
 _BATCH_COST = 10.0 * CALL  # Operations of one batch, besides its steps
 _LANE_STEP = Cost(60.0, 0.13)  # Operations of a step: once, and for each product of coefficients
 _GRID_STATE = Cost(50.0, 1.2)  # Operations of a time of the grid: once, and for each coefficient
@@ -114,11 +115,12 @@ class CompiledIntegrator:
                 dense = batches.dense()
                 if not batches.resolved(dense):
                     raise _Fails
+                hold(dense, dense.coefficients.nbytes)
                 return dense
         except _Fails:
             return self.otherwise.run(system, points, edges, tolerances)
         except OutOfBudgetError as out:  # one trajectory after the other: no time has all of them
-            raise type(out)(Reached(edges[0], 0, None)) from out
+            raise out.at(Reached(edges[0], 0, None)) from out
 
     def sample(
         self,
@@ -356,7 +358,7 @@ class _Batches:
             for k in self.starts(taylor, a, state):
                 steps = self.stepped(taylor, a, b)
                 coefficients += len(steps) * n * (self.order + 1) * lanes
-                if coefficients > _MOST_COEFFICIENTS:
+                if coefficients > min(_MOST_COEFFICIENTS, memory_left() / (8.0 * _COPIES)):
                     raise _Fails
                 stacked = _Series(*map(np.array, zip(*steps, strict=True)))
                 for lane, trajectory in enumerate(kept[k * lanes : (k + 1) * lanes]):

@@ -46,6 +46,11 @@ class Path:
     def steps(self) -> int:
         return len(self.nodal)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays, with the coefficients that are kept when it is read."""
+        return int(self.breaks.nbytes + 2 * self.nodal.nbytes)
+
     @cached_property
     def coefficients(self) -> Array:
         """Of the powers of ``2 share - 1``, (nodes, S, n)."""

@@ -55,7 +55,7 @@ def share_paths(
         if reached is not None and reached.time is not None:
             time = float((spans.starts + reached.time * lengths).min())
             reached = reached._replace(time=time)
-        raise type(out)(reached) from out
+        raise out.at(reached) from out
     return dense.paths
 
 

@@ -25,7 +25,7 @@ from rankone.discretization.radau import inset
 from rankone.ir.features import Jumps
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge
+from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost
 from rankone.trajectories.defects import SHORTENING, DefectControl
 from rankone.trajectories.dense_paths import SingleTrajectories, StepsOfOne
@@ -79,7 +79,9 @@ class SingleIntegrator:
         end = edges[-1]
         for point, start in zip(points, initial.T, strict=True):
             single = _Single(system, point, edges, tolerances, self.looks_anywhere)
-            paths.append(single.path(start, end))
+            path = single.path(start, end)
+            hold(path, path.nbytes, (len(points) - len(paths) - 1) * path.nbytes)
+            paths.append(path)
             end = min(end, paths[-1].end)
         times = np.array([end])
         states = [p.state if p.end == end or not p.steps else p(times)[:, 0] for p in paths]
@@ -125,7 +127,7 @@ class SingleIntegrator:
                 if reached is not None and reached.time is not None:
                     waiting = spans.starts[len(paths) + 1 :]
                     reached = reached._replace(time=float(min([reached.time, *waiting])))
-                raise type(out)(reached) from out
+                raise out.at(reached) from out
         return paths
 
 
@@ -173,7 +175,7 @@ class _Single:
                 if paths[-1].end < b:
                     break
         except OutOfBudgetError as out:
-            raise type(out)(self._reached(paths[-1])) from out
+            raise out.at(self._reached(paths[-1])) from out
         return joined(paths)
 
     def sampled(self, start: Array, times: Array) -> Array | None:

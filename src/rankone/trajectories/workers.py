@@ -20,6 +20,7 @@ from rankone.support.budget import (
     OutOfTimeError,
     charge,
     limited,
+    memory_left,
     seconds_left,
     work_left,
 )
@@ -68,7 +69,7 @@ class Workers:
                 if done is not None:
                     done((k + 1) / len(tasks))
             return list(answers.values())
-        limits = work_left(), time.time() + seconds_left()
+        limits = work_left(), time.time() + seconds_left(), memory_left()
         calls = [_Call(function, task, failures, *limits) for task in tasks]
         lost = self._round(calls, answers)
         if lost is not None:
@@ -125,7 +126,7 @@ class _Call(Generic[Answer]):
     """A call for a worker, the failures it may have, and its limits.
 
     ``operations`` are those that all tasks together have left, ``end`` is a time of the clock on
-    the wall.
+    the wall, and ``memory`` are the bytes that each worker may hold.
     """
 
     function: Callable[..., Answer]
@@ -133,6 +134,7 @@ class _Call(Generic[Answer]):
     failures: tuple[type[Exception], ...]
     operations: float
     end: float
+    memory: float
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ def _run(specification: ModuleSpecification | bytes, call: _Call[Answer]) -> _Re
 def _counted(specification: ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
     seconds = math.inf if call.end == math.inf else call.end - time.time()
     failures: tuple[type[Exception], ...] = (OutOfBudgetError, *call.failures)
-    with limited(call.operations, seconds) as account:
+    with limited(call.operations, seconds, call.memory) as account:
         try:
             answer = specification.call(call.function, *call.arguments)
         except failures as failure:

@@ -4,6 +4,7 @@ Read in this order:
 
 ================  =================================================================================
 ``measure``       the reference set of a solve, and the error measured against it
+``growth``        how much errors grow that are made on the way
 ``clock``         errors at clock times, where slabs are over stretches between events
 ``branches``      errors where several orders of events hold, and the share left undecided
 ``worst_points``  where the error is expected to be above the tolerance

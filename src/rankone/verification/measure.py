@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,9 +45,6 @@ _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
 _MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
 _CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked times, in slab lengths
-_GROWTH_STEPS = 32  # Steps over the horizon by which the growth of errors is followed
-_GROWTH_TRAJECTORIES = 5  # Check points at which it is followed, the centre first
-_BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
 SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 # Operations of a least change that satisfies constraints, for each entry of their slopes
 _CONSTRAINT_COST = Cost(50e3, 400.0)
@@ -359,37 +356,6 @@ class ReferenceSet:
         clock = self.system.clock
         system = self.system if clock is None else clock.system
         return bool(system.constraints.names) and self.observed is None
-
-    def amplification(self) -> Callable[[float], float]:
-        """Largest later growth of an error made at time t, along a few trajectories.
-
-        The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
-        transform of the scaled Jacobian, which is stable for stiff systems. The amplification, at
-        least 1, is the largest Frobenius norm, divided by sqrt(n), of the propagator from t to any
-        later time.
-        """
-        n, start = self.system.n_differential, self.reference.start
-        width = (self.end - start) / _GROWTH_STEPS
-        middle = np.asarray(start + width * (np.arange(_GROWTH_STEPS) + 0.5), dtype=float)
-        points = self.reference.points[:_GROWTH_TRAJECTORIES]
-        states = self.reference(middle)[:, : len(points)]
-        jacobian = self.system.jacobian(middle, states, points.T[:, :, None])
-        jacobian = np.broadcast_to(jacobian, (n, n, len(points), _GROWTH_STEPS))
-        scale = self.states[None, :] / self.states[:, None]
-        half, eye = 0.5 * width * jacobian.transpose(3, 2, 0, 1) * scale, np.eye(n)
-        try:
-            step = np.linalg.solve(eye - half, eye + half)
-        except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
-            step = np.linalg.solve(eye - _BESIDE_POLE * half, eye + _BESIDE_POLE * half)
-        largest = np.ones(_GROWTH_STEPS + 1)
-        propagator = step
-        for gap in range(1, _GROWTH_STEPS + 1):
-            norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
-            np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
-            if gap < _GROWTH_STEPS:
-                propagator = np.matmul(step[gap:], propagator[:-1])
-        grid = start + width * np.arange(_GROWTH_STEPS + 1)
-        return lambda t: float(np.interp(t, grid, largest))
 
     @property
     def interior_points(self) -> Array:

@@ -17,7 +17,14 @@ from rankone.ir.outcome import SafeInterval
 from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array, bisected
-from rankone.support.budget import OutOfBudgetError, charge, limited, reserve, work_left
+from rankone.support.budget import (
+    OutOfBudgetError,
+    charge,
+    limited,
+    memory_left,
+    reserve,
+    work_left,
+)
 from rankone.support.costs import Cost, eigenvalues
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.choice import following, integrator_for
@@ -55,6 +62,7 @@ _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, a
 _HELD_NUMBERS = (
     2**22
 )  # Numbers of states at several times that are held at once, unless one has more
+_COPIES = 8  # Copies of these while they are compared
 # Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
 _NUMBERS_OF_STATE = 100
 _MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
@@ -123,7 +131,7 @@ class Reference:
     @property
     def times_held(self) -> int:
         """At how many times the states are held at once: one at least."""
-        return max(_HELD_NUMBERS // (self.floor.size * len(self.points)), 1)
+        return _times_held(self.floor.size * len(self.points))
 
     def blocks(self, times: Array, together: int = 1) -> Iterator[Array]:
         """States at consecutive parts of the times, as many as are held: shape (n, m, T) each.
@@ -316,6 +324,12 @@ class _Resolution:
         return replace(reference, blown=switch[1], switching=switch[0])
 
 
+def _times_held(size: int) -> int:
+    """At how many times so many states are held at once: one at least."""
+    most = min(_HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
+    return max(int(most // size), 1)
+
+
 def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
     """States (n,) that fall to a negligible part of what they were, and their least sizes.
 
@@ -325,7 +339,7 @@ def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
     dips, least = np.zeros(n, dtype=bool), np.full(n, math.inf)
     before, largest = np.zeros((0, *dense.state.shape)), np.zeros_like(dense.state)
     earlier: tuple[float, ...] = ()
-    samples, most = iter(dense.samples(_DIP_SAMPLES)), max(_HELD_NUMBERS // dense.state.size, 1)
+    samples, most = iter(dense.samples(_DIP_SAMPLES)), _times_held(dense.state.size)
     while sampled := list(itertools.islice(samples, most)):
         times, states = zip(*sampled, strict=True)
         sizes, times = np.concatenate([before, np.abs(states)]), (*earlier, *times)

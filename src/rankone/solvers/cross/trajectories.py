@@ -11,7 +11,7 @@ from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.system import System
 from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
-from rankone.support.budget import memory_limit, reserve, work_done
+from rankone.support.budget import memory_left, reserve, work_done
 from rankone.tensors.cross import GrowingBasis
 from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
 from rankone.trajectories.diagnosis import first_to_end
@@ -98,7 +98,7 @@ class Trajectories:
     def _groups(self, points: Array) -> list[Array]:
         """Points whose columns are held at a time: few of many states, whole chunks of others."""
         numbers = self._read * self.grid.times.size
-        held = min(constants.HELD_NUMBERS, memory_limit() / (8.0 * _COPIES))
+        held = min(constants.HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
         size = max(int(held // numbers), self._chunk_size())
         return np.array_split(points, max(-(-len(points) // size), 1))
 

@@ -28,9 +28,15 @@ from rankone.solvers.greedy.options import (
 )
 from rankone.solvers.greedy.slabs import Coupling, GreedySlabRecord, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
+from rankone.support.budget import memory_left, reserve
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
+from rankone.verification.growth import amplification
 from rankone.verification.measure import ReferenceSet
+
+_STIFFNESS_SAMPLES = 101  # Evenly spaced times at which stiffness is measured
+_HELD_ENTRIES = 2**22  # Entries of Jacobians that are held at once, unless one time has more
+_COPIES = 4  # Copies of these while they are scaled and summed
 
 
 @dataclass
@@ -102,7 +108,7 @@ class GreedyMarcher(Marcher):
         self.rtol, self.options = request.rtol, request.options_of(GreedyOptions)
         self.reference_set = reference_set
         system, domain, sizes = reference_set.system, reference_set.domain, reference_set.states
-        self.growth = reference_set.amplification()
+        self.growth = amplification(reference_set)
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
         self.longest = (
@@ -151,13 +157,18 @@ class GreedyMarcher(Marcher):
 def _stiffness(reference_set: ReferenceSet) -> float:
     """Largest row sum norm of the Jacobian over the check points, in units of the sizes."""
     system, reference, sizes = reference_set.system, reference_set.reference, reference_set.states
-    times = np.linspace(reference.start, reference_set.end, 101)
-    states = reference(times)
-    n, m, count = states.shape
-    jacobian = system.jacobian(times, states, reference.points.T[:, :, None])
-    jacobian = np.broadcast_to(jacobian, (n, n, m, count))
-    scaled = np.abs(jacobian) * (sizes[None, :] / sizes[:, None])[:, :, None, None]
-    return float(scaled.sum(axis=1).max())
+    times = np.linspace(reference.start, reference_set.end, _STIFFNESS_SAMPLES)
+    n, m = system.n_differential, len(reference.points)
+    held = min(_HELD_ENTRIES, memory_left() / (8.0 * _COPIES))
+    together, largest = max(int(held // (n * n * m)), 1), 0.0
+    reserve(8.0 * _COPIES * n * n * m * together)
+    for first in range(0, times.size, together):
+        some = times[first : first + together]
+        jacobian = system.jacobian(some, reference(some), reference.points.T[:, :, None])
+        jacobian = np.broadcast_to(jacobian, (n, n, m, some.size))
+        scaled = np.abs(jacobian) * (sizes[None, :] / sizes[:, None])[:, :, None, None]
+        largest = max(largest, float(scaled.sum(axis=1).max()))
+    return largest
 
 
 ENGINE = Engine("greedy", GreedyOptions, GreedySlabRecord, GreedyMarcher)

@@ -23,6 +23,7 @@ from rankone.solvers.train.options import (
 )
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
+from rankone.verification.growth import amplification
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
 
@@ -45,7 +46,7 @@ class TrainMarcher(Marcher):
         self.rtol, self.options = request.rtol, request.options_of(TrainOptions)
         self.reference_set = reference_set
         system, domain = reference_set.system, reference_set.domain
-        self.growth = reference_set.amplification()
+        self.growth = amplification(reference_set)
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
         self.inner = self.rtol * (

@@ -29,7 +29,7 @@ from rankone.solvers.train.options import (
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
-from rankone.support.budget import memory_limit
+from rankone.support.budget import OutOfMemoryError, memory_left
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
@@ -184,15 +184,19 @@ class SlabIteration:
         sweeper.settle(max(tolerance, 1e-3), 8)
         while len(convergence.residuals) < self.options.max_sweeps:
             current = convergence.next_tolerance
-            residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
+            try:
+                residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
+            except OutOfMemoryError:
+                limits.add(Status.MEMORY_LIMIT)
+                break
             convergence.add(residual)
             limited = max(sweeper.ranks) >= self.options.max_rank
             if limited:
                 limits.add(Status.RANK_LIMIT)
             if convergence.hopeless(limited):
                 break
-            limit = memory_limit()
-            if sweeper.memory > (MOST_MEMORY if limit == math.inf else limit):
+            left = memory_left()
+            if sweeper.memory > (MOST_MEMORY if left == math.inf else left):
                 limits.add(Status.MEMORY_LIMIT)
                 break
             sweeper.settle(0.2 * tolerance, 12)

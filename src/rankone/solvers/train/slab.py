@@ -20,12 +20,14 @@ import scipy.linalg
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.system import Kernel, System
 from rankone.support.arrays import Array
+from rankone.support.budget import reserve
 
 CONSTANT = 0
 LINEAR = 1
 QUADRATIC = 2
 """Degrees of term groups in the states."""
 
+_OPERATOR_COPIES = 5  # Matrices over state and time while the slab is set up
 Key = tuple[int, tuple[int, ...]]
 """(degree, factor rows of the remaining parameters): all terms with the same key share one
 contraction over those parameters, whatever they did before."""
@@ -118,6 +120,7 @@ class SlabOperator:
         self.phi = system.time_factors(self.times)
         self._units = scale * np.sqrt(count)
         self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])
+        reserve(8.0 * _OPERATOR_COPIES * (n * count) ** 2)
         mass = np.zeros(n)
         mass[: system.n_differential] = 1.0 / length
         matrix = np.zeros((n, count, n, count))

@@ -12,6 +12,7 @@ Bond b lies between core b - 1 and core b; core 0 is (state, time), core j is pa
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,9 +30,11 @@ from rankone.solvers.train.slab import (
     SlabOperator,
 )
 from rankone.support.arrays import Array
-from rankone.support.budget import charge
+from rankone.support.budget import charge, memory_left, reserve
 from rankone.support.costs import CALL, product
 from rankone.tensors.train import Train, independent, truncated_svd
+
+_COPIES = 1.5  # Numbers of a contraction while it is made, over those of its products
 
 
 @lru_cache(maxsize=512)
@@ -174,6 +177,13 @@ class Sweeper:
         first = bases[0].size * count * n * ranks[1] ** 2 if bases else 0.0
         return 8.0 * (2.0 * total + 2.0 * first)
 
+    def _reserve(self, numbers: float) -> None:
+        """Raise an OutOfMemoryError if so many numbers do not fit beside the contractions."""
+        if memory_left() < math.inf:
+            kept = (self._left, self._right, self._left_halves, self._right_halves)
+            held = sum(x.nbytes for by_bond in kept for by_key in by_bond for x in by_key.values())
+            reserve(held + 8.0 * _COPIES * numbers)
+
     def source_in_frame(self) -> Array:
         """Scaled states at the start of the slab in the present frame, (n_differential, r_1)."""
         return self.source.first @ self._source_right[1]
@@ -213,6 +223,7 @@ class Sweeper:
                 if key in right:
                     y = (y.reshape(-1, rank) @ right[key]).reshape(n, -1, rank)
             else:
+                self._reserve(len(group.paired) * flat.shape[1] * rank * (rank + 2.0))
                 y = self.operator.quadratic(group, phi, flat, right[key])
             if bond == 2:
                 vector = self.parameters.vector(group.key, 0)
@@ -282,6 +293,7 @@ class Sweeper:
                 half = (core.reshape(-1, s) @ right[next_key]).reshape(r, size, s)
             half = half if rows[0] == 0 else half * vector[:, None]
         else:
+            self._reserve(size * (r * s * s + r * (r + 1) * s))
             half = right_products(right[next_key], core, vector)
         half = half.reshape(-1, size * s)
         self._right_halves[b][key] = half
@@ -316,6 +328,7 @@ class Sweeper:
                     half = half.reshape(-1, size, s) * vector[:, None]
                 half = half.reshape(-1, s)
             else:
+                self._reserve(len(env) * size * (len(core) * s + s * (s + 1)))
                 half = left_products(env, core, vector)
             remaining = (degree, rows[1:])
             halves[remaining] = halves[remaining] + half if remaining in halves else half

@@ -19,7 +19,7 @@ import numpy as np
 from rankone.ir.events import SystemEvent
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge
+from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.trajectories.events.crossings import Crossings
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.instants import SAME_INSTANT, Instants
@@ -27,6 +27,7 @@ from rankone.trajectories.integrator import Spanning, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
 
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
+_COPIES = 2  # Copies of a path: alone, and joined with those before it
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
 
@@ -67,7 +68,7 @@ def integrate_to_events(
                 paths = search.paths(integrator, some, points[running], ends)
                 search.advance_all(some, paths, points[running], ends.tolist())
             except OutOfBudgetError as out:
-                raise type(out)(_reached(some, out.reached)) from out
+                raise out.at(_reached(some, out.reached)) from out
     return trajectories
 
 
@@ -78,6 +79,12 @@ def _reached(trajectories: Sequence[EventTrajectory], further: Reached | None) -
     if further is None:
         return Reached(time, steps, None)
     return Reached(further.time, steps + further.steps, further.chattering)
+
+
+def _hold(paths: Sequence[Path]) -> None:
+    """Count the bytes of paths that are followed to their events."""
+    for path in paths:
+        hold(path, _COPIES * path.nbytes)
 
 
 def _runs(trajectory: EventTrajectory, end: float) -> bool:
@@ -150,7 +157,9 @@ class _Search:
         starts = np.array([each.end for each in trajectories])
         states = np.stack([each.state for each in trajectories], axis=1)
         spans = Spans(starts, states, ends)
-        return integrator.paths(self.system, points, spans, self.tolerances)
+        paths = integrator.paths(self.system, points, spans, self.tolerances)
+        _hold(paths)
+        return paths
 
     def advance_all(
         self,
@@ -195,6 +204,7 @@ class _Search:
             met = Paths.of([moving[k] for k in interrupted.tolist()])
             before = met(at[:, None])[:, :, 0]
             cuts = met.until(at, before)
+            _hold(cuts)
             for place, cut in zip(interrupted.tolist(), cuts, strict=True):
                 some[place].reach(cut, self._at_once(cut))
             fired_now = [self._fired(crossed[k], next_times[k]) for k in interrupted.tolist()]

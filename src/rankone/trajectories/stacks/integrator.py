@@ -19,7 +19,7 @@ from rankone.discretization.radau import inset
 from rankone.ir.features import OfStates
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge
+from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
@@ -85,11 +85,11 @@ class StackedIntegrator:
     ) -> StackedTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
         stack = _Stack(system, points, edges, tolerances, self)
-        record = _DenseRecord(edges[0], stack.shape)
+        record = _DenseRecord((edges[0], edges[-1]), stack.shape)
         try:
             state, avoided = stack.integrate(record)
         except OutOfBudgetError as out:
-            raise type(out)(record.reached(system, points, edges[-1] - edges[0])) from out
+            raise out.at(record.reached(system, points)) from out
         return record.trajectories(state, avoided)
 
     def sample(
@@ -212,11 +212,11 @@ class StackedTrajectories:
 
 
 class _DenseRecord:
-    """Keeps all steps with their dense output."""
+    """Keeps all steps over a horizon with their dense output."""
 
-    def __init__(self, start: float, shape: tuple[int, int]) -> None:
-        self.shape = shape
-        self.begin(start)
+    def __init__(self, horizon: tuple[float, float], shape: tuple[int, int]) -> None:
+        self.horizon, self.shape = horizon, shape
+        self.begin(horizon[0])
 
     def begin(self, start: float) -> None:
         self.times, self.steps, self.parts = [start], list[Piece](), 0
@@ -224,6 +224,8 @@ class _DenseRecord:
 
     def add(self, solver: Stepper) -> None:
         piece = solver.dense_output()
+        steps_left = (self.horizon[1] - solver.t) / solver.step_size
+        hold(piece, piece.nbytes, steps_left * piece.nbytes if self.parts > EARLY_STEPS else 0.0)
         self.times.append(solver.t)
         self.steps.append(piece)
         sizes = np.abs(solver.y if piece.parts == 1 else piece.at(piece.ends))
@@ -236,11 +238,12 @@ class _DenseRecord:
         steps = tuple(self.times), tuple(self.steps)
         return StackedTrajectories(*steps, state, self.largest, self.early, avoided)
 
-    def reached(self, system: System, points: Array, horizon: float) -> Reached:
+    def reached(self, system: System, points: Array) -> Reached:
         end, switch = self.times[-1], None
         if self.steps:
             states = self.steps[-1](end).reshape(self.shape)
-            switch = switching_state(system, end, states, points, horizon)
+            length = self.horizon[1] - self.horizon[0]
+            switch = switching_state(system, end, states, points, length)
         return Reached(end, len(self.steps), None if switch is None else switch[0])
 
 

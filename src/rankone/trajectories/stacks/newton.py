@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rankone.ir.jacobian import PatternJacobian, pattern_of
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import charge
+from rankone.support.budget import charge, reserve
 from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
 from rankone.trajectories.integrator import finite_blocks, jacobians
 from rankone.trajectories.stacks.elimination import Elimination, Solver, elimination_of
@@ -26,6 +26,7 @@ SPARSE_STATES = 64
 _MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
 _FEW_STAGES, _MOST_STAGES = 5, 7
 _TIGHT = 1e-5  # Relative tolerance below which sparse systems take most stages
+_STEP_MATRICES = 4.0  # Matrices of a step that are held at once, for each trajectory
 _ITERATIONS = 4  # Of Newton, in a step
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
 
@@ -106,6 +107,7 @@ class DenseJacobians:
     def newton(self, shift: complex) -> NewtonMatrices:
         size = self.blocks.shape[-1]
         cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
+        reserve(_STEP_MATRICES * self.blocks.size * np.dtype(type(shift)).itemsize)
         inverses = np.empty(self.blocks.shape, dtype=type(shift))
         first = 0
         for some in in_pieces(self.blocks, cost):
@@ -140,6 +142,7 @@ class SparseJacobians:
 
     def newton(self, shift: complex) -> NewtonMatrices:
         kept, m = self.elimination, self.entries.shape[1]
+        reserve(_STEP_MATRICES * m * kept.stored * np.dtype(type(shift)).itemsize)
         numbers = np.zeros((m, kept.stored), dtype=type(shift))
         numbers[:, kept.places] -= self.entries.T
         numbers[:, kept.diagonal] += shift

@@ -48,6 +48,11 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
         super().__init__(t_old, t)
         self.h, self.y_old, self.rows = t - t_old, y_old, rows
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        return int(self.y_old.nbytes + self.rows.nbytes)
+
     def weights(self, shares: Array) -> Array:
         """Weights (T, k) of the rows at shares (T,) of a step."""
         raise NotImplementedError
