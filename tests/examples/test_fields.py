@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "fields"
-SIZES = {"heat": 12, "brusselator": 3, "epidemic": 12}
+SIZES = {"heat": 12, "brusselator": 3, "epidemic": 12, "truss": 2}
 
 
 @pytest.fixture
@@ -69,6 +69,8 @@ def test_solution_and_picture(name, script, monkeypatch, capsys):
         atol=1e-12,
         t_eval=times,
     ).y[: len(system.unknowns)]
+    if name == "truss":
+        exact = exact[: len(exact) // 2]  # without velocities
     if name == "epidemic":
         exact = exact[SIZES[name] :].mean(axis=0, keepdims=True)
     ours = np.atleast_2d(solution(times, point))
