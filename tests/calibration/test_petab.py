@@ -26,6 +26,11 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
 MEASURED = table(rows())
+EVENT = """<listOfEvents><event id="halved" useValuesFromTriggerTime="true"><trigger
+initialValue="false" persistent="true"><math xmlns="http://www.w3.org/1998/Math/MathML"><apply><lt/>
+<ci>A</ci><cn>0.5</cn></apply></math></trigger><listOfEventAssignments><eventAssignment
+variable="A"><math xmlns="http://www.w3.org/1998/Math/MathML"><cn>1</cn></math></eventAssignment>
+</listOfEventAssignments></event></listOfEvents></model>"""
 
 
 @pytest.fixture(scope="module")
@@ -221,12 +226,20 @@ def test_pickles(problem):
         ({"conditions": "conditionId\tdose\tcell\nrest\t0\t2\nlow\t1\t2\nhigh\t3\t1\n"}, "`cell`"),
         ({"conversion": YAML.replace("format_version: 1", "format_version: 2.0.0")}, "2.0.0"),
         ({"conversion": ""}, "format_version"),
+        ({"model": MODEL.replace("</model>", EVENT)}, "has 1 event, `halved`"),
         ({"conditions": CONDITIONS.replace("3\n", "\n").replace("0\n", "-9\n")}, "steady state"),
     ],
 )
 def test_faults_are_named(tmp_path, files, message):
     with pytest.raises(ro.RankoneError, match=message):
         ro.read_petab(write(tmp_path, **files)).objective()
+
+
+def test_a_mapping_table_is_refused(tmp_path):
+    (tmp_path / "mapping.tsv").write_text("petabEntityId\tmodelEntityId\nA_\tA\n")
+    files = YAML.rstrip() + "\n  mapping_files: [mapping.tsv]\n"
+    with pytest.raises(ro.ProblemError, match="mapping"):
+        ro.read_petab(write(tmp_path, conversion=files))
 
 
 def test_values(problem):

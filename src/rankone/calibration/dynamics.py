@@ -49,11 +49,6 @@ class Dynamics:
         box = {name: _interval(records, settings, name) for name in self.inputs}
         problem = records.model.with_numbers(settings.constant).problem(box, time=(0.0, end))
         self.compiled: CompiledProblem = compile_problem(problem)
-        if self.system.events or self.system.jumps.times:
-            raise ProblemError(
-                "the model has events, which calibration problems may not have yet",
-                remedy="write what happens at known times as `piecewise` of the time",
-            )
 
     @property
     def system(self) -> System:

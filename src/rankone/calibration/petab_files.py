@@ -31,7 +31,7 @@ from rankone.models.model import Model
 from rankone.models.sbml import read_with_starts
 from rankone.support.errors import OptionError, ProblemError, optional_module
 from rankone.support.files import as_path
-from rankone.support.wording import clip, listing, quote
+from rankone.support.wording import clip, count, listing, quote
 
 _PRIORS = {
     "uniform": ("uniform", "lin"),
@@ -84,7 +84,12 @@ def open_petab(path: str | PathLike[str]) -> Any:
         if getattr(problem, name) is None:
             raise ProblemError(f"`{file}` names no {name.removesuffix('_df')} table", term=file)
     if problem.mapping_df is not None and len(problem.mapping_df):
-        raise ProblemError("the mapping table is not supported", term=file)
+        first = str(problem.mapping_df.index[0])
+        raise ProblemError(
+            f"the mapping table of `{file}`, which has {quote(first)}, is not supported",
+            term=first,
+            remedy="use the names of the model in all tables, and leave the mapping table out",
+        )
     return problem
 
 
@@ -167,6 +172,14 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
     conditions = _conditions(problem.condition_df)
     ids = {*problem.parameter_df.index, *(i for c in conditions.values() for i in c.assigned)}
     model, starts = read_with_starts(_model_file(path), sorted(ids))
+    if model.happenings:
+        names = listing([each.name for each in model.happenings])
+        raise ProblemError(
+            f"the model has {count(len(model.happenings), 'event')}, {names}, which calibration "
+            "problems may not have yet",
+            term=model.happenings[0].name,
+            remedy="write what happens at times that are known as `piecewise` of the time",
+        )
     for column in dict.fromkeys(i for c in conditions.values() for i in c.assigned):
         if column not in starts:
             raise ProblemError(
