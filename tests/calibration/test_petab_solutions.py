@@ -1,9 +1,12 @@
 """Solutions of PEtab problems over boxes: what they say is what trajectories say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.calibration.parameters import Prior
 from tests.calibration.conversion import (
     OBSERVABLES,
     PARAMETERS,
@@ -58,6 +61,55 @@ def test_a_fit_has_the_likelihood_of_trajectories(problem, solutions):
     assert -fit.log_likelihood == pytest.approx(problem.objective(fit.x), abs=1e-4)
     at = problem.evaluate(fit.x)
     assert np.abs(at.gradient[[at.parameters.index(name) for name in fit.x]]).max() < 1e-2
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        Prior("normal", "log10", 0.1, 0.02, of_value=False),
+        Prior("normal", "log", 0.3, 0.05, of_value=True),
+        Prior("laplace", "lin", 1.2, 0.02, of_value=True),
+        Prior("normal", "lin", 1.2, 0.02, of_value=True),
+        Prior("uniform", "log10", -2.0, 1.0, of_value=False),
+    ],
+    ids=lambda prior: f"{prior.shape}, {prior.scale}",
+)
+def test_a_penalty_is_the_prior_of_the_objective_up_to_a_constant(prior):
+    places = np.array([0.4, 0.9, 1.1, 1.5])
+    costs = np.array([prior.cost(x)[0] for x in places])
+    np.testing.assert_allclose(np.diff(-prior.penalty().logpdf(places)), np.diff(costs), atol=1e-9)
+
+
+def test_priors_of_the_table_pull_a_fit(problem, solutions):
+    prior = Prior("normal", "log10", 0.1, 0.02, of_value=False)
+    pulled = replace(solutions, penalties={"k1": prior.penalty()})
+    x = pulled.fit().x
+    by_k1 = problem.evaluate(x).gradient[0]
+    slope = prior.cost(x["k1"])[1] * x["k1"] * np.log(10.0)
+    assert abs(slope) > 10.0
+    assert by_k1 == pytest.approx(-slope, rel=1e-2)
+    assert "k1" not in pulled.fit(fixed={"k1": 0.7}).x
+    with pytest.raises(ro.ProblemError, match="prior of `k1` is Laplace's of its logarithm"):
+        replace(solutions, penalties={"k1": None}).fit()
+
+
+def test_a_box_follows_a_fit(problem):
+    calibration = problem.fit(starts=1, seed=3)
+    solutions = problem.solve(1e-4, around=calibration)
+    assert solutions.success
+    (low, *_) = solutions.solutions.values()
+    for name, (lower, upper) in low.parameters.items():
+        assert lower < calibration.x[name] < upper
+        assert upper <= 9.01 * lower
+    fit = solutions.fit()
+    assert -fit.log_likelihood == pytest.approx(problem.objective(fit.x), abs=1e-3)
+    assert fit.log_likelihood == pytest.approx(calibration.log_likelihood, abs=1e-2)
+    with pytest.raises(ro.OptionError, match="needs a Calibration, not dict"):
+        problem.solve(1e-4, around=calibration.x)
+    with pytest.raises(ro.OptionError, match="values and around"):
+        problem.solve(1e-4, around=calibration, values={"k1": 1.0})
+    with pytest.raises(ro.OptionError, match="no parameter `k3`"):
+        problem.solve(1e-4, ["k3"], around=calibration)
 
 
 def test_a_posterior_has_the_mean_of_the_density_by_trajectories(problem, solutions):

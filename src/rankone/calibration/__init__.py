@@ -9,11 +9,15 @@
 ``simulation``          states at the times of measurements, with derivatives
 ``outputs``             observables and their noise at the measurements
 ``likelihood``          the objective, its gradient, and pseudo-residuals
+``evaluation``          the objective in two steps: states, and what is observed of them
 ``conditioned``         problems of single experiments
 ``measured``            what was measured, as experiments of fits
 ``solving``             solutions of all experiments over a box
 ``solutions``           what they are held in, with their fit and posterior
 ``problem``             :class:`CalibrationProblem` and :func:`rankone.read_petab`
+``around``              the box around the end of a fit
+``cube``                estimated parameters in the unit cube between their bounds
+``nested``              scales, offsets and levels of noise at their best for given states
 ``descent``             the way down from one start, by least squares in a box of trust
 ``starts``              many starts, and which of them go on
 ``uncertainty``         how far the data determine each parameter

@@ -13,10 +13,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy.optimize
+from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 
-_FIRST_RADIUS = 0.05  # Half the width of the first box of trust, in widths of the bounds
+FIRST_RADIUS = 0.05
+"""Half the width of the first box of trust, in widths of the bounds."""
 _LARGEST_RADIUS = 0.1
 _LEAST_RADIUS = 1e-7  # Half a width below which nothing moves any more
 _RIDGE = 1e-9  # Weight of the square of a first step, in squares of the largest column
@@ -49,6 +51,10 @@ class Expandable(Protocol):
     def names(self) -> tuple[str, ...]:
         """The coordinates."""
 
+    @property
+    def nested(self) -> NDArray[np.bool_]:
+        """The coordinates (n,) that :meth:`expanded` puts at their best."""
+
     def expanded(self, z: Array) -> Expansion:
         """At z (n,), or close to it where some parameters have their best values at once."""
 
@@ -59,7 +65,8 @@ class Descent:
 
     at: Expansion
     start: Array
-    radius: float = _FIRST_RADIUS
+    radius: float = FIRST_RADIUS
+    largest: float = _LARGEST_RADIUS
     iterations: int = 0
     arrived: bool = False
     costs: list[float] = field(default_factory=list)
@@ -73,9 +80,9 @@ class Descent:
 
     def _step(self, problem: Expandable) -> None:
         at = self.at
-        step, promised = bounded_step(at, self.radius)
+        step, promised = bounded_step(at, np.where(problem.nested, 1.0, self.radius))
         self.iterations += 1
-        length = float(np.abs(step).max(initial=0.0))
+        length = float(np.abs(step[~problem.nested]).max(initial=0.0))
         if promised <= _SETTLED or length <= _TINY_STEP:
             self.arrived = True
             return
@@ -84,7 +91,7 @@ class Descent:
         if share < _POOR:
             self.radius = _SHRINKING * min(length, self.radius)
         elif share > _GOOD and length >= 0.99 * self.radius:
-            self.radius = min(_GROWING * self.radius, _LARGEST_RADIUS)
+            self.radius = min(_GROWING * self.radius, self.largest)
         if share > 0.0:
             self.at = trial
         self.costs.append(self.at.cost)
@@ -92,8 +99,11 @@ class Descent:
         self.arrived = self.radius <= _LEAST_RADIUS or before - self.at.cost <= _STALLED
 
 
-def bounded_step(at: Expansion, radius: float) -> tuple[Array, float]:
-    """The best step (n,) within the box of trust and the cube, and the decrease it promises."""
+def bounded_step(at: Expansion, radius: float | Array) -> tuple[Array, float]:
+    """The best step (n,) within the box of trust and the cube, and the decrease it promises.
+
+    The box has half the width ``radius``, one for all coordinates or one for each (n,).
+    """
     scale = float(np.linalg.norm(at.jacobian, axis=0).max(initial=0.0)) or 1.0
     n = at.z.size
     rows = np.concatenate([at.jacobian, np.sqrt(_RIDGE) * scale * np.eye(n)])

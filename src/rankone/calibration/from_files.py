@@ -13,11 +13,13 @@ from rankone.calibration.starts import MOST_STARTS, descents
 from rankone.calibration.uncertainty import covariance_at, spread_of
 from rankone.support.options import checked_number
 
+_SCREENED = 10  # Random points, the best of which is a start
+
 
 def calibrated(records: Records, likelihood: OfFiles, starts: int, seed: int) -> Calibration:
     """The calibration from random starts; see :meth:`.CalibrationProblem.fit`."""
     starts = checked_number("starts", starts, 1, MOST_STARTS)
-    ways = descents(likelihood, starts, seed)
+    ways = descents(likelihood, starts, seed, _SCREENED)
     comparisons = comparisons_of(records, likelihood, ways[0].at)
     return Calibration.of(likelihood, ways, comparisons=comparisons)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.calibration.comparison import Comparison, compared
 from rankone.calibration.descent import Expansion
@@ -66,6 +67,11 @@ class OfExperiments:
     def names(self) -> tuple[str, ...]:
         """The free parameters; see :class:`~rankone.calibration.descent.Expandable`."""
         return self.likelihood.free.names
+
+    @property
+    def nested(self) -> NDArray[np.bool_]:
+        """None: what has a best value for given trajectories has no coordinate."""
+        return np.zeros(len(self.names), dtype=bool)
 
     @cached_property
     def dynamic(self) -> tuple[str, ...]:

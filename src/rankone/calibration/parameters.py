@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import scipy
 
@@ -53,6 +53,24 @@ class Prior:
                 return scipy.stats.lognorm(second, scale=math.exp(first))
         return scipy.stats.loglaplace(1.0 / second, scale=math.exp(first))
 
+    def penalty(self) -> Any:
+        """A distribution over the value whose density is what the objective has, up to a factor.
+
+        It is that of :meth:`distribution` where the prior is one of the value. Where it is one of
+        the logarithm z, its density is a function of z: a log-normal density with a mean of z that
+        is larger by the variance is proportional to it. None if there is no such distribution.
+        """
+        if self.of_value or self.scale == "lin":
+            return self.distribution()
+        unit = 1.0 if self.scale == "log" else _LOG10
+        first, second = unit * self.location, unit * self.width
+        if self.shape == "uniform":
+            lower, upper = math.exp(first), math.exp(second)
+            return scipy.stats.uniform(lower, upper - lower)
+        if self.shape == "normal":
+            return scipy.stats.lognorm(second, scale=math.exp(first + second**2))
+        return None
+
     def cost(self, value: float) -> tuple[float, float]:
         """Minus the logarithm of the density at a value, and its derivative by the value."""
         z = scaled(value, self.scale)
@@ -72,6 +90,18 @@ class Prior:
         if self.of_value and self.scale != "lin":
             cost, gradient = cost - math.log(slope), gradient + 1.0 / value
         return cost, gradient
+
+
+class PriorTerms(NamedTuple):
+    """What a prior adds to the objective at a value.
+
+    The product of ``residual`` and ``slope`` is the derivative of the cost by the coordinate of the
+    parameter; the square of ``slope`` is the curvature of a normal density of the same width.
+    """
+
+    cost: float = 0.0
+    residual: float = 0.0
+    slope: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -113,6 +143,17 @@ class Parameter:
     def slope(self, value: float) -> float:
         """The derivative of the value by its coordinate."""
         return slope_of_scale(value, self.scale)
+
+    def prior_terms(self, value: float) -> PriorTerms:
+        """What its prior adds to the objective; nothing unless it is estimated and has one."""
+        if self.prior is None:
+            return PriorTerms()
+        cost, by_value = self.prior.cost(value)
+        if self.prior.shape == "uniform":
+            return PriorTerms(cost)
+        unit = self.slope(value)
+        slope = unit / slope_of_scale(value, self.prior.scale) / self.prior.width
+        return PriorTerms(cost, by_value * unit / slope, slope)
 
 
 def scaled(value: float, scale: str) -> float:

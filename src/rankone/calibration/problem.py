@@ -10,26 +10,23 @@ from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-
+from rankone.calibration.around import box_around
 from rankone.calibration.conditioned import Free
 from rankone.calibration.conditions import Settings
-from rankone.calibration.dynamics import Dynamics
+from rankone.calibration.cube import Cube
+from rankone.calibration.evaluation import ACCURACY, Evaluator
 from rankone.calibration.from_files import calibrated
-from rankone.calibration.likelihood import Evaluation, terms
+from rankone.calibration.likelihood import Evaluation
 from rankone.calibration.of_files import OfFiles
-from rankone.calibration.outputs import Outputs
 from rankone.calibration.parameters import Parameter, parameter_rows
 from rankone.calibration.petab_files import open_petab, records_of
 from rankone.calibration.records import Records
 from rankone.calibration.result import Calibration
-from rankone.calibration.simulation import Simulation
 from rankone.calibration.solutions import CalibrationSolutions
-from rankone.calibration.solving import free_of, problem_of, solved
+from rankone.calibration.solving import box_of, free_of, problem_of, solved
 from rankone.estimation.posterior import Posterior
 from rankone.frontend.problem import Problem
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, check_kind
 from rankone.support.options import checked_number
 from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
 
@@ -39,7 +36,6 @@ if TYPE_CHECKING:
 Box: TypeAlias = "Mapping[str, tuple[float | str, ...]] | Sequence[str] | None"
 """Free parameters by their intervals, or names alone."""
 _SPREAD = 1.5  # Factor by which boxes around values go beyond them
-_ACCURACY = 1e-9  # Relative tolerance of trajectories
 _HEADER = ("parameter", "scale", "lower", "upper", "nominal", "estimated")
 _LABELS = 2  # Columns on the left
 
@@ -87,7 +83,7 @@ class CalibrationProblem:
         return tuple(name for name, p in self.parameters.items() if p.estimated)
 
     def objective(
-        self, values: Mapping[str, float] | None = None, *, rtol: float = _ACCURACY
+        self, values: Mapping[str, float] | None = None, *, rtol: float = ACCURACY
     ) -> float:
         """Minus the logarithm of the likelihood of the measurements, and of the priors.
 
@@ -119,7 +115,7 @@ class CalibrationProblem:
         return self._evaluated(values, (), rtol).objective
 
     def evaluate(
-        self, values: Mapping[str, float] | None = None, *, rtol: float = _ACCURACY
+        self, values: Mapping[str, float] | None = None, *, rtol: float = ACCURACY
     ) -> Evaluation:
         """The objective with its gradient, residuals and their Jacobian.
 
@@ -157,13 +153,9 @@ class CalibrationProblem:
         ProblemError
             If rates jump with the states, or where an estimated parameter says.
         """
-        self._simulation.check_smooth(self.estimated)
-        estimated = [self.parameters[name] for name in self.estimated]
-
-        def quick(values: Mapping[str, float], rtol: float) -> Evaluation:
-            return self._evaluated(values, self.estimated, rtol, quick=True)
-
-        return calibrated(self._records, OfFiles.of(estimated, quick, self.objective), starts, seed)
+        others = self.point(dict.fromkeys(self.estimated, 0.0))
+        likelihood = OfFiles.of(self._evaluator, others)
+        return calibrated(self._records, likelihood, starts, seed)
 
     def problem(
         self,
@@ -192,6 +184,7 @@ class CalibrationProblem:
         *,
         values: Mapping[str, float] | None = None,
         spread: float = _SPREAD,
+        around: Calibration | None = None,
         **options: Any,
     ) -> CalibrationSolutions:
         """Solve all experiments over a box of parameters that the states depend on.
@@ -213,6 +206,10 @@ class CalibrationProblem:
             Values of parameters; others are nominal.
         spread : float
             The factor for names, larger than 1.
+        around : Calibration, optional
+            Where :meth:`fit` ended: all parameters have its values. Without a ``box`` at most four
+            parameters are free, those that the data tell best and tell apart; intervals of names
+            are four standard deviations to each side, at most a factor of three.
         **options
             Those of :func:`rankone.solve`.
 
@@ -229,6 +226,8 @@ class CalibrationProblem:
             If something of the files has no counterpart in solutions: Laplace's noise, or
             measurements at steady states.
         """
+        if around is not None:
+            box, values = self._around(around, box, values)
         free = self._free(box, values, spread)
         return solved(self._records, self._settings, free, rtol, options)
 
@@ -239,6 +238,7 @@ class CalibrationProblem:
         *,
         values: Mapping[str, float] | None = None,
         spread: float = _SPREAD,
+        around: Calibration | None = None,
         **options: Any,
     ) -> Posterior:
         """The distribution of the parameters in a box after the data are known.
@@ -247,12 +247,29 @@ class CalibrationProblem:
         :meth:`CalibrationSolutions.posterior`. Priors are those of the table, and uniform on the
         scale of a parameter where it has none.
         """
-        solutions = self.solve(rtol, box, values=values, spread=spread)
+        solutions = self.solve(rtol, box, values=values, spread=spread, around=around)
         return solutions.posterior(**options)
 
     def _free(self, box: Box, values: Mapping[str, float] | None, spread: float) -> Free:
         active = self._settings.active
         return free_of(self._records, active, self.point(values), box, spread)
+
+    def _around(
+        self, around: Calibration, box: Box, values: Mapping[str, float] | None
+    ) -> tuple[Box, Mapping[str, float]]:
+        """The box and the values where a fit ended."""
+        check_kind("solve(around=...)", around, Calibration, remedy="give what fit() returned")
+        if values is not None:
+            raise OptionError("values and around both say where", remedy="leave out one of them")
+        if set(around.x) != set(self.estimated):
+            raise OptionError("around is the calibration of another problem", term=around)
+        if isinstance(box, Mapping):
+            return box, around.x
+        active, cube = self._settings.active, Cube.of([self.parameters[n] for n in self.estimated])
+        if box is not None:
+            box_of(self.parameters, active, around.x, box, _SPREAD)  # raises for what is no name
+        at = self.evaluate(around.x)
+        return box_around(cube, at, self.point(around.x), active, box), around.x
 
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
@@ -284,64 +301,21 @@ class CalibrationProblem:
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is compiled, which is made again."""
-        compiled = ("_dynamics", "_simulation", "_outputs")
-        return {name: own for name, own in vars(self).items() if name not in compiled}
+        return {name: own for name, own in vars(self).items() if name != "_evaluator"}
 
     # -- evaluation -------------------------------------------------------------------------------
 
     @cached_property
-    def _dynamics(self) -> Dynamics:
-        return Dynamics(self._records, self._settings)
-
-    @cached_property
-    def _simulation(self) -> Simulation:
-        return Simulation(self._records, self._settings, self._dynamics)
-
-    @cached_property
-    def _outputs(self) -> Outputs:
-        return Outputs(self._records, self._settings, self._dynamics.system.states)
+    def _evaluator(self) -> Evaluator:
+        return Evaluator(self._records, self._settings)
 
     def _evaluated(
-        self,
-        values: Mapping[str, float] | None,
-        by: tuple[str, ...],
-        rtol: object,
-        *,
-        quick: bool = False,
+        self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
     ) -> Evaluation:
         point = self.point(values)
         accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
-        active = [name for name in self._settings.active if name in by]
-        columns = [by.index(name) for name in active]
-        each = self._simulation.states(point, active, accuracy, quick=quick)
-        total, residuals, jacobians = 0.0, list[Array](), list[Array]()
-        standardised, at_rows, noises = np.empty((3, len(self._tables["measurements"])))
-        for series, states in zip(self._records.series, each, strict=True):
-            wide = np.zeros((*states.states.shape, len(by)))
-            wide[..., columns] = states.slopes
-            full = type(states)(states.states, wide)
-            predicted, noise = self._outputs.predicted(series, full, point, by)
-            self._outputs.check_noise(series, noise.value)
-            observable = series.observable
-            added = terms(observable.distribution, observable.transformation,
-                          series.measurements, predicted, noise)  # fmt: skip
-            total += float(added.costs.sum())
-            residuals.append(added.residuals)
-            jacobians.append(added.jacobian)
-            rows = list(series.rows)
-            standardised[rows], at_rows[rows] = added.standardised, predicted.value
-            noises[rows] = noise.value
-        slopes = np.array([self.parameters[name].slope(point[name]) for name in by])
-        jacobian = np.concatenate(jacobians) * slopes
-        residual = np.concatenate(residuals)
-        gradient = jacobian.T @ residual
-        for name in self.estimated:
-            if (prior := self.parameters[name].prior) is not None:
-                cost, slope = prior.cost(point[name])
-                total += cost
-                if name in by:
-                    gradient[by.index(name)] += slope * slopes[by.index(name)]
-        return Evaluation(by, total, gradient, residual, jacobian, standardised, at_rows, noises)
+        simulated = self._evaluator.simulated(point, by, accuracy)
+        return self._evaluator.evaluated(simulated, point, by)
 
     # -- text -------------------------------------------------------------------------------------
 

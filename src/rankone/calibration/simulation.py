@@ -15,9 +15,10 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote
-from rankone.trajectories.integrator import DenseTrajectories, Tolerances
+from rankone.trajectories.integrator import DenseTrajectories, Spans, Tolerances
 from rankone.trajectories.sensitive_paths import RateSlopes, Start, sensitive_path
 from rankone.trajectories.sensitivities import Forcing, sensitivities
+from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.steady.rest import SteadyStates, from_states
 
@@ -87,13 +88,13 @@ class Simulation:
             If a trajectory does not reach the last measurement, or no steady state.
         """
         self.check_smooth(by)
-        started = self._started(values, by)
+        started = self._started(values, by, quick)
         pairs = [(series, np.isfinite(series.times)) for series in self.records.series]
         grid = np.unique(np.concatenate([series.times[f] for series, f in pairs]))
         follow = self._each if quick else self._trajectories
         path, slopes = follow(started, grid, accuracy)
         resting = sorted({int(e) for series, f in pairs for e in series.experiments[~f]})
-        at_rest = self._at_rest(started, resting)
+        at_rest = self._at_rest(started, resting, quick)
         each = []
         for series, here in pairs:
             n, w = len(started.states), len(by)
@@ -156,7 +157,7 @@ class Simulation:
             slopes = np.einsum("ndm,mdw->nwm", inner, directions)
         return _Started(points, directions, states, slopes)
 
-    def _started(self, values: Mapping[str, float], by: Sequence[str]) -> _Started:
+    def _started(self, values: Mapping[str, float], by: Sequence[str], quick: bool) -> _Started:
         """All experiments at time 0."""
         experiments = self.records.experiments
         started = self._initial([each.condition for each in experiments], values, by)
@@ -164,7 +165,7 @@ class Simulation:
         if not befores:
             return started
         before = self._initial([*befores.values()], values, by)
-        rested = self._at_rest(before, range(len(befores)))
+        rested = self._at_rest(before, range(len(befores)), quick)
         states, slopes, names = started.states.copy(), started.slopes.copy(), [*befores]
         for e, experiment in enumerate(experiments):
             if experiment.before is None:
@@ -181,15 +182,16 @@ class Simulation:
 
     # -- steady states ----------------------------------------------------------------------------
 
-    def _at_rest(self, started: _Started, which: Sequence[int]) -> _Started:
+    def _at_rest(self, started: _Started, which: Sequence[int], quick: bool) -> _Started:
         """Where some experiments come to rest."""
+        follow = self._followed if quick else None
         some = started.some(list(which))
         states, slopes = some.states.copy(), some.slopes.copy()
         horizon = self.dynamics.system.horizon[1]
         for k in range(len(some.points)):
             moved = np.concatenate([some.points[k], some.states[:, k]])
             system = self._starting(moved, _SETTLE * horizon)
-            steady = SteadyStates(system, horizon, _SETTLE * horizon)
+            steady = SteadyStates(system, horizon, _SETTLE * horizon, follow=follow)
             self._check_rest(some.points[k], some.states[:, k])
             try:
                 states[:, k] = steady(moved[:, None])[:, 0]
@@ -202,6 +204,21 @@ class Simulation:
             if slopes.shape[1]:
                 slopes[:, :, k] = self._slopes_at_rest(steady, some, k, states[:, k])
         return replace(some, states=states, slopes=slopes)
+
+    def _followed(
+        self, states: Array, points: Array, start: float, end: float
+    ) -> tuple[Array, Array]:
+        """States at the end of trajectories, one by one; see :class:`SteadyStates`."""
+        ends, largest = states.copy(), np.abs(states)
+        for k, point in enumerate(points):
+            span = Spans(np.array([start]), states[:, [k]], np.array([end]))
+            at = point[None, : len(self.dynamics.inputs)]
+            tolerances = _tolerances(states[:, k], _COARSE)
+            (path,) = SingleIntegrator().paths(self.dynamics.system, at, span, tolerances)
+            if path.end < end:
+                raise BlowUpError(f"a trajectory blows up at t = {path.end:.6g}", time=path.end)
+            ends[:, k], largest[:, k] = path.state, path.largest()
+        return ends, largest
 
     def _starting(self, moved: Array, end: float) -> System:
         """The system that starts at the states behind the parameters."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rankone.discretization.coordinates import name_of
@@ -12,8 +12,9 @@ from rankone.estimation.fit import Fit
 from rankone.estimation.posterior import Posterior, posterior_of
 from rankone.estimation.search import fit_experiments
 from rankone.interface.solution import Solution
+from rankone.support.errors import ProblemError
 from rankone.support.labelled import Table, html_of
-from rankone.support.wording import count, text_table
+from rankone.support.wording import count, quote, text_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,12 +35,16 @@ class CalibrationSolutions:
     priors : dict of str to distribution
         Of the free parameters, from the table; uniform on the scale of the parameter where it has
         none.
+    penalties : dict of str to distribution
+        Densities of the values that are proportional to what the objective has of the priors of the
+        table; None where no distribution is.
     """
 
     solutions: dict[str, Solution]
     experiments: dict[str, Experiment]
     bounds: dict[str, tuple[float | str, ...]]
     priors: dict[str, Any]
+    penalties: dict[str, Any] = field(default_factory=dict)
 
     @property
     def success(self) -> bool:
@@ -52,16 +57,31 @@ class CalibrationSolutions:
         return max(solution.error for solution in self.solutions.values())
 
     def fit(self, **options: Any) -> Fit:
-        """The most likely parameters inside the box, without the priors of the table.
+        """The most likely parameters inside the box, with the priors of the table.
 
-        Options are those of :func:`rankone.fit`; levels of noise are corrected for the degrees of
-        freedom, as there. :meth:`CalibrationProblem.fit` has the priors.
+        Options are those of :func:`rankone.fit`; a ``prior=`` replaces one of the table. Levels of
+        noise are corrected for the degrees of freedom, as there.
+
+        Raises
+        ------
+        ProblemError
+            If the table has Laplace's prior of a logarithm.
         """
         pairs = [(self.solutions[name], each) for name, each in self.experiments.items()]
         fixed = {name_of(key) for key in options.get("fixed") or {}}
         bounds = {name: ends for name, ends in self.bounds.items() if name not in fixed}
         bounds |= options.pop("bounds", None) or {}
-        return fit_experiments(pairs, bounds=bounds, **options)
+        own = {name_of(key): each for key, each in (options.pop("prior", None) or {}).items()}
+        prior = {n: each for n, each in self.penalties.items() if n not in fixed} | own
+        for name, each in prior.items():
+            if each is None:
+                raise ProblemError(
+                    f"the prior of {quote(name)} is Laplace's of its logarithm, which fits of "
+                    "solutions do not have",
+                    term=name,
+                    remedy=f"give another one, prior={{{name!r}: ...}}, or use problem.fit()",
+                )
+        return fit_experiments(pairs, bounds=bounds, prior=prior or None, **options)
 
     def posterior(
         self, prior: Mapping[str, Any] | None = None, *, seed: int = 0, steps: int = 1000
@@ -74,7 +94,8 @@ class CalibrationSolutions:
             As for :meth:`Solution.posterior`; priors that are not given are those of the table.
         """
         priors = {**self.priors, **(prior or {})}
-        return posterior_of(self.fit(), priors, seed=seed, steps=steps)
+        others = {name: self.priors[name] for name, each in self.penalties.items() if each is None}
+        return posterior_of(self.fit(prior=others), priors, seed=seed, steps=steps)
 
     def _table(self) -> Table:
         different = {id(solution) for solution in self.solutions.values()}

@@ -21,8 +21,9 @@ from rankone.interface.compiled import compile_problem
 from rankone.interface.solution import Solution
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
+_MOST_FREE = 10  # Parameters of a box that nobody named: with more no solve ends in hours
 _LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond a value
 
 
@@ -36,10 +37,10 @@ def free_of(
     """What is free: a box of ``active`` parameters, given or around values, and all outer ones."""
     parameters = {p.name: p for p in records.parameters}
     outer = {p.name for p in records.parameters if p.estimated and p.name not in active}
-    return Free(_box(parameters, active, values, given, spread), frozenset(outer), values)
+    return Free(box_of(parameters, active, values, given, spread), frozenset(outer), values)
 
 
-def _box(
+def box_of(
     parameters: Mapping[str, Parameter],
     active: Sequence[str],
     values: Mapping[str, float],
@@ -53,6 +54,13 @@ def _box(
             f"box is {shown(given)}, neither a mapping nor a list of names",
             term=given,
             remedy='write {"k1": (0.5, 2)}, or ["k1"]',
+        )
+    if given is None and len(names) > _MOST_FREE:
+        raise OptionError(
+            f"{count(len(names), 'estimated parameter')} are in rates or initial values: "
+            f"one box has at most {_MOST_FREE} unless you name more",
+            remedy="solve around the end of a fit, solve(around=problem.fit()), or name the free "
+            f'parameters, box=["{names[0]}", "{names[1]}"]: the others keep their values',
         )
     box: dict[str, Interval] = {}
     for name in names:
@@ -128,21 +136,26 @@ def solved(
         problem = problem_for(records, settings, first, together, records.last_time or 1.0)
         solutions = dict.fromkeys(experiments, compile_problem(problem).solve(rtol, **options))
     else:
-        for each in records.experiments:
-            problem = problem_for(records, settings, each, free, end_of(records, each))
-            solutions[each.name] = compile_problem(problem).solve(rtol, **options)
+        problems = {
+            each.name: problem_for(records, settings, each, free, end_of(records, each))
+            for each in records.experiments
+        }
+        for name, problem in problems.items():
+            solutions[name] = compile_problem(problem).solve(rtol, **options)
     outer = [p for p in records.parameters if p.name in free.outer & _names(experiments.values())]
     bounds: dict[str, Interval] = {
         p.name: (p.lower, p.upper) if p.scale == "lin" else (p.lower, p.upper, "log") for p in outer
     }
     named = {name for solution in solutions.values() for name in solution.parameters}
-    priors = {p.name: _usual_prior(p) for p in outer}
-    priors |= {
-        p.name: p.prior.distribution()
+    listed = {
+        p.name: p.prior
         for p in records.parameters
         if p.prior is not None and (p.name in named or p.name in bounds)
     }
-    return CalibrationSolutions(solutions, experiments, bounds, priors)
+    priors = {p.name: _usual_prior(p) for p in outer}
+    priors |= {name: prior.distribution() for name, prior in listed.items()}
+    penalties = {name: prior.penalty() for name, prior in listed.items()}
+    return CalibrationSolutions(solutions, experiments, bounds, priors, penalties)
 
 
 def _names(experiments: Iterable[Any]) -> set[str]:

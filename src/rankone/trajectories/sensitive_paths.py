@@ -1,7 +1,7 @@
 """Trajectories one by one with their derivatives with respect to parameters, for searches.
 
 LSODA integrates each trajectory on its own steps, and its sensitivities follow along these, with
-three stages and without further halving: they point a search downhill, and cost little more than
+few stages and without further halving: they point a search downhill, and cost little more than
 the trajectory.
 """
 
@@ -23,7 +23,9 @@ from rankone.trajectories.paths import Path
 from rankone.trajectories.sensitivities import Forcing, sensitivities
 from rankone.trajectories.single import SingleIntegrator
 
-_STAGES = 3  # Radau nodes of a step of the sensitivities: order five
+# Radau nodes of a step of the sensitivities: order five, and three where tolerances are loose
+_STAGES, _FEW_STAGES = 3, 2
+_LOOSE = 1e-3  # Relative tolerance from which on fewer nodes are enough
 # Steps of central differences with respect to parameters, relative: the cube root of rounding
 _STEP = 6e-6
 _COLUMNS_AT_ONCE = 20_000  # Columns of rates that are evaluated together, to bound memory
@@ -77,7 +79,8 @@ def sensitive_path(
             at.states[here] = path(times[here]).T
         if path.steps and w:
             ends = np.append(times[here], path.end)
-            slopes = _slopes(system, point, path, start.slopes, rate_slopes, ends)
+            stages = _FEW_STAGES if tolerances.relative >= _LOOSE else _STAGES
+            slopes = _slopes(system, point, path, start.slopes, rate_slopes, ends, stages)
             at.slopes[here], start = slopes[:-1], Start(path.state, slopes[-1])
         if path.end < b:
             break
@@ -86,7 +89,13 @@ def sensitive_path(
 
 
 def _slopes(
-    system: System, point: Array, path: Path, start: Array, rate_slopes: RateSlopes, times: Array
+    system: System,
+    point: Array,
+    path: Path,
+    start: Array,
+    rate_slopes: RateSlopes,
+    times: Array,
+    stages: int,
 ) -> Array:
     """Derivatives (T, n, w) at times of a path."""
 
@@ -99,7 +108,7 @@ def _slopes(
     forcing = Forcing(rates, start[..., None])
     steps = _with_times(path.breaks, times)
     slopes = sensitivities(
-        system, point[None], states, steps.tolist(), forcing, times, stages=_STAGES, halves=False
+        system, point[None], states, steps.tolist(), forcing, times, stages=stages, halves=False
     )
     return np.moveaxis(slopes[:, :, 0], 2, 0)
 

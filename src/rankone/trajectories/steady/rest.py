@@ -7,7 +7,7 @@ as totals of species, keep the values of the start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,12 @@ _STEP = 2e-3  # Of differences, over the width of the box or the parameter itsel
 _CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
 _NEUTRAL = 1e-9  # Growth rates above minus this, in units of the horizon, do not decay
 
+Follow = Callable[[Array, Array, float, float], tuple[Array, Array]]
+"""States (n, m) at the end of trajectories, and their largest absolute values.
+
+From states (n, m), points (m, d), and the times of the start and the end.
+"""
+
 
 @dataclass(frozen=True)
 class Stability:
@@ -50,14 +56,22 @@ class SteadyStates:
 
     The system is autonomous, without jumps and events. Trajectories take up to the time ``settle``;
     the first look at them is at ``first``. One that starts at a steady state stays there, and with
-    ``stable_only`` has to be stable as all others have.
+    ``stable_only`` has to be stable as all others have. They are integrated by what suits the
+    system, unless another way to ``follow`` them is given.
     """
 
     def __init__(
-        self, system: System, first: float, settle: float, *, stable_only: bool = False
+        self,
+        system: System,
+        first: float,
+        settle: float,
+        *,
+        stable_only: bool = False,
+        follow: Follow | None = None,
     ) -> None:
         self.system, self.first, self.settle = system, min(first, settle), settle
         self.stable_only = stable_only
+        self.follow = self._integrated if follow is None else follow
         self.conserved = ConservedSums(system)
         self.latest = 0.0
         self._reached: dict[bytes, Array] = {}
@@ -198,7 +212,7 @@ class SteadyStates:
             open_ = np.flatnonzero(np.isnan(settled[0]))
             if not open_.size:
                 break
-            ends, sizes = self._integrated(states[:, open_], points[open_], time, later)
+            ends, sizes = self.follow(states[:, open_], points[open_], time, later)
             states[:, open_], largest[:, open_] = ends, np.maximum(largest[:, open_], sizes)
             close, sure = self._nearby(ends, points[open_], largest[:, open_], _CLOSE)
             close = np.where(self.decays(close, points[open_]), close, np.nan)
