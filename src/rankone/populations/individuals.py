@@ -92,6 +92,18 @@ class Individuals:
             converged,
         )
 
+    def at_position(self, k: int) -> Individuals:
+        """Those at one of the population parameters."""
+        one = slice(k, k + 1)
+        return Individuals(
+            self.eta[one],
+            Linearised(*(getattr(self.at, field.name)[one] for field in fields(Linearised))),
+            self.penalty[one],
+            self.correction[one],
+            self.damping[one],
+            self.converged[one],
+        )
+
     def start(self, k: int = 0) -> Start:
         """Where a search at similar population parameters begins."""
         return Start(self.eta[k], self.correction[k])
@@ -104,7 +116,10 @@ def linearised(subjects: Subjects, layout: Layout, psi: Array, coordinates: Arra
     at = {name: values[..., e] for name, e in columns.items()}
     order = [name for name in subjects.solution.parameters if name in columns]
     places = [list(subjects.solution.parameters).index(name) for name in order]
-    states, moved = subjects.states.linearised(subjects.points(at), places)
+    # displaced variances and levels of noise leave the coordinates where they are
+    _, first, which = np.unique(coordinates, axis=0, return_index=True, return_inverse=True)
+    points = subjects.points({name: row[first] for name, row in at.items()})
+    states, moved = (each[which] for each in subjects.states.linearised(points, places))
     slopes = np.zeros((*states.shape, len(columns)))
     slopes[..., [columns[name] for name in order]] = moved
     per_coordinate = layout.slopes(values)

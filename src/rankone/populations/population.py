@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,35 +264,50 @@ def _first_idle(
 
     The last is the positions of the other population parameters.
     """
-    layout, psi = marginal.search.layout, optimum.psi
-    every = np.arange(layout.size)
-    for q, e in enumerate(layout.random):
+    layout = marginal.search.layout
+    trials = [*_without_effects(layout, optimum.psi), *_without_levels(layout, optimum.psi)]
+    if trials:
+        psi = np.array([trial.psi for trial in trials])
+        values = marginal.values(psi, optimum.individuals.start())
+        for trial, value in zip(trials, values, strict=True):
+            if value <= optimum.value + _UNNOTICED:
+                return trial.name, trial.layout, trial.kept
+    return None, layout, np.arange(layout.size)
+
+
+class _Trial(NamedTuple):
+    """A standard deviation that is practically zero at psi, and the layout without it."""
+
+    name: str
+    psi: Array
+    layout: Layout
+    kept: NDArray[np.intp]
+
+
+def _without_effects(layout: Layout, psi: Array) -> Iterator[_Trial]:
+    """Each random effect in turn is left out, unless it is the only one."""
+    for q, e in enumerate(layout.random if len(layout.random) > 1 else ()):
         gone = [k for k, entry in enumerate(layout.entries) if q in entry]
         trial = psi.copy()
         trial[layout.factors][gone] = 0.0
         trial[layout.factors.start + q] = psi[layout.factors.start + q] - _FAR_SMALLER
-        if len(layout.random) > 1 and _harmless(marginal, optimum, trial):
-            others = [p for p in range(len(layout.random)) if p != q]
-            groups = [[others.index(p) for p in group if p != q] for group in layout.groups]
-            smaller = replace(
-                layout,
-                random=tuple(layout.random[p] for p in others),
-                groups=tuple(tuple(group) for group in groups if group),
-            )
-            kept = np.setdiff1d(every, layout.factors.start + np.array(gone))
-            return f"omega_{layout.names[e]}", smaller, kept
-    for j, level in enumerate(layout.levels):
+        others = [p for p in range(len(layout.random)) if p != q]
+        groups = [[others.index(p) for p in group if p != q] for group in layout.groups]
+        smaller = replace(
+            layout,
+            random=tuple(layout.random[p] for p in others),
+            groups=tuple(tuple(group) for group in groups if group),
+        )
+        kept = np.setdiff1d(np.arange(layout.size), layout.factors.start + np.array(gone))
+        yield _Trial(f"omega_{layout.names[e]}", trial, smaller, kept)
+
+
+def _without_levels(layout: Layout, psi: Array) -> Iterator[_Trial]:
+    """Each level of noise in turn is left out, unless it is the only one."""
+    for j, level in enumerate(layout.levels if len(layout.levels) > 1 else ()):
         trial = psi.copy()
         trial[layout.noise.start + j] -= _FAR_SMALLER
-        if len(layout.levels) > 1 and _harmless(marginal, optimum, trial):
-            rest = tuple(name for name in layout.levels if name != level)
-            zero = (*layout.zero_levels, level)
-            kept = np.delete(every, layout.noise.start + j)
-            return level, replace(layout, levels=rest, zero_levels=zero), kept
-    return None, layout, every
-
-
-def _harmless(marginal: Marginal, optimum: Optimum, trial: Array) -> bool:
-    return bool(
-        marginal.values(trial[None], optimum.individuals.start())[0] <= optimum.value + _UNNOTICED
-    )
+        rest = tuple(name for name in layout.levels if name != level)
+        smaller = replace(layout, levels=rest, zero_levels=(*layout.zero_levels, level))
+        kept = np.delete(np.arange(layout.size), layout.noise.start + j)
+        yield _Trial(level, trial, smaller, kept)

@@ -23,6 +23,7 @@ from rankone.support.wording import quote
 _SCREENED_POINTS = 512  # Points of the box that are tried for each subject
 _FARTHEST_DATUM = 1e8  # Squared distance of data in estimated deviations that no curve explains
 _EXPECTATIONS = 12  # Steps of expectation and maximisation
+_STEPS_EACH = 4  # Steps of the random effects in each of them
 _START_SPREAD = 0.15  # Standard deviation of random effects at the start, in widths of the box
 _START_RELATIVE = 0.2  # Levels of noise at the start, in shares of the data
 _LEAST_SPREAD = 1e-3  # Least standard deviation of a random effect in the first steps
@@ -102,9 +103,9 @@ def _noise_start(subjects: Subjects, layout: Layout) -> Array:
 def expectation_steps(marginal: Marginal, psi: Array, start: Start) -> tuple[Array, Start]:
     """Population parameters (P,) and random effects near the optimum."""
     for _ in range(_EXPECTATIONS):
-        _, individuals = marginal.at(psi[None], start)
+        individuals = marginal.search(psi[None], start, _STEPS_EACH)
         psi, eta = _maximised(marginal, psi, individuals)
-        start = Start(eta, individuals.correction[0])
+        start = Start(eta, individuals.correction[0], individuals.damping[0])
     return psi, start
 
 
@@ -165,7 +166,7 @@ def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
             converged = True
             break
         trials = psi + _SHARES[:, None] * step
-        values = marginal.values(trials, start)
+        values, tried = marginal.at(trials, start)
         k = int(np.argmin(values))
         if values[k] >= least:
             if fresh:
@@ -173,9 +174,8 @@ def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
                 break
             hessian, fresh = hessian_of(marginal, psi, start, standard_steps(hessian)), True
             continue
-        moved = trials[k]
-        value, individuals = marginal.at(moved[None], start)
-        least, start = float(value[0]), individuals.start()
+        moved, individuals = trials[k], tried.at_position(k)
+        least, start = float(values[k]), individuals.start()
         slope = gradient_of(marginal, moved, start, standard_steps(hessian))
         hessian, fresh = _updated(hessian, moved - psi, slope - gradient), False
         psi, gradient = moved, slope
