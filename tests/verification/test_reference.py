@@ -2,17 +2,20 @@
 
 import numpy as np
 import pytest
+import scipy.sparse
 import sympy as sp
 from scipy.integrate import solve_ivp
+from scipy.stats import poisson
 
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.trajectories.choice import WatchedStack
-from rankone.verification import reference
+from rankone.verification import resolution
 from rankone.verification.growth import amplification
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
-from rankone.verification.reference import _Resolution, integrate_reference
+from rankone.verification.reference import integrate_reference
+from rankone.verification.resolution import Resolution
 from tests.problems import REFERENCE
 
 t, k, a = sp.symbols("t k a")
@@ -167,8 +170,8 @@ def test_a_state_that_passes_through_zero_is_no_dip(small, dips):
         def __call__(self, later):
             return np.ones((1, 1, later.size))
 
-    resolution = _Resolution(system, np.zeros((1, 0)), 0.0, 90.0, 1e-6, np.ones((1, 1)))
-    assert resolution._grows_again(Sampled()).tolist() == [[dips]]
+    box = Resolution(system, np.zeros((1, 0)), 0.0, 90.0, 1e-6, np.ones((1, 1)))
+    assert box._grows_again(Sampled()).tolist() == [[dips]]
 
 
 def test_states_are_read_in_blocks_where_they_are_many(monkeypatch):
@@ -176,8 +179,23 @@ def test_states_are_read_in_blocks_where_they_are_many(monkeypatch):
     rhs = {"x": "-k*x", "y": "x - y*y"}
     problem = ro.Problem.from_strings(rhs, {"x": "1", "y": "0"}, {"k": (1, 2)}, (0, 30))
     whole = ro.solve(problem, rtol=1e-4, method="cross")
-    monkeypatch.setattr(reference, "_HELD_NUMBERS", 1)
+    monkeypatch.setattr(resolution, "_HELD_NUMBERS", 1)
     in_blocks = ro.solve(problem, rtol=1e-4, method="cross")
     assert len(whole.history) == len(in_blocks.history)
     assert whole.history[0].slabs == in_blocks.history[0].slabs > 1
     np.testing.assert_allclose(in_blocks.error, whole.error, rtol=1e-6)
+
+
+def test_the_end_of_a_long_chain_depends_on_what_is_tiny_early():
+    """Each state is a Poisson probability; the last one is 1e-60 and less of the first."""
+    n, end, rtol = 100, 4.0, 3e-6
+    chain = scipy.sparse.eye(n, k=-1) - scipy.sparse.eye(n)
+    box, first = {k: (1, 2)}, {"x0": 1}
+    problem = ro.Problem.from_reactions(
+        chain, [k] * n, orders="reactants", time=(t, 0, end), parameters=box, initial=first
+    )
+    rates, times = np.array([[1.5], [1.0], [2.0], [1.2]]), np.linspace(0.0, end, 21)
+    states = integrate_reference(ro.compile(problem).system, rates, (0.0, end), rtol)(times)
+    exact = poisson.pmf(np.arange(n)[:, None, None], rates * times)
+    sizes = exact.max(axis=2, keepdims=True)
+    assert np.abs(states / sizes - exact / sizes).max() < 10 * rtol

@@ -91,7 +91,8 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
 class Rounding:
     """Rounding errors of the states of a stack, (n, 1), and which are numerically ``zero``.
 
-    Below the ``floor`` of a tiny state an integration follows rounding errors; 0 for all others.
+    Below the ``floor`` of a tiny state an integration follows rounding errors; 0 for all others,
+    and where the state is always large enough beside its errors.
     """
 
     floor: Array
@@ -122,7 +123,8 @@ def rounding_errors(
         return Rounding(errors, zero)
     probes = [_Probe(system, points, horizon, *sample, largest, rtol) for sample in samples]
     for _ in range(len(largest)):  # errors spread from state to state
-        errors = np.max([probe.errors(np.where(zero, errors, 0.0)) for probe in probes], axis=0)
+        by_probe = [probe.errors(np.where(zero, errors, 0.0)) for probe in probes]
+        errors = np.max(by_probe, axis=(0, 2))[:, None]
         below = tiny & (largest <= errors)
         if (below == zero).all():
             break
@@ -133,7 +135,9 @@ def rounding_errors(
             break
         zero &= ~matters
     steady = max(probe.growth for probe in probes) <= MOST_GROWTH
-    floor = np.where(tiny & steady, errors / _SEVERAL_ROUNDINGS, 0.0)
+    followed = [probe.followed(errors) for probe, errors in zip(probes, by_probe, strict=True)]
+    noise = np.max(followed, axis=(0, 2))[:, None]
+    floor = np.where(tiny & steady, noise / _SEVERAL_ROUNDINGS, 0.0)
     return Rounding(np.where(zero, errors, floor), zero)
 
 
@@ -150,7 +154,7 @@ class _Probe:
         largest: Array,
         rtol: float,
     ) -> None:
-        self.system, self.time, self.states = system, time, states
+        self.system, self.time, self.states, self.rtol = system, time, states, rtol
         self.parameters = np.ascontiguousarray(points.T)
         with np.errstate(all="ignore"):
             self.rates = system.rhs(time, states, self.parameters)
@@ -165,7 +169,7 @@ class _Probe:
         self.tolerated = rtol * (np.abs(states) + _RESOLVED * largest)
 
     def errors(self, zero_errors: Array) -> Array:
-        """What rounding errors, and errors (n, 1) of some states, make of each state, (n, 1).
+        """What rounding errors, and errors (n, 1) of some states, make of each state, (n, m).
 
         A state that does not change has no rounding errors.
         """
@@ -178,7 +182,11 @@ class _Probe:
                 states = self.states + sizes * generator.uniform(-1.0, 1.0, sizes.shape)
                 changed = self.system.rhs(self.time, states, self.parameters)
                 worst = np.fmax(worst, np.abs(changed - self.rates))
-        return np.asarray((worst * self.memory).max(axis=1, keepdims=True))
+        return np.asarray(worst * self.memory)
+
+    def followed(self, errors: Array) -> Array:
+        """Those of the errors (n, m) that an integration follows: steps do not resolve others."""
+        return np.where(errors > self.rtol * np.abs(self.states), errors, 0.0)
 
     def matters(self, zero_errors: Array) -> Array:
         """Whether errors (n, 1) of some states change one of the others, (n, 1)."""

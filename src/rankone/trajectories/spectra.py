@@ -48,6 +48,16 @@ def growth_rate(matrix: Matrix) -> float:
         return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())
 
 
+def logarithmic_norm(matrix: Matrix, sizes: Array) -> float:
+    """A bound of how fast an error grows, by the Jacobian (n, n), in the maximum norm.
+
+    Each state is relative to its size, (n,). Eigenvalues say less where they are far from normal.
+    """
+    diagonal = matrix.diagonal()
+    others = abs(matrix) @ sizes / sizes - np.abs(diagonal)
+    return float((diagonal + others).max())
+
+
 def first_jacobian(system: System, points: Array, time: float, states: Array) -> Matrix | None:
     """The Jacobian of the first trajectory, states (n, m); None where it is not finite."""
     pattern, n = sparse_pattern(system), system.n_differential

@@ -9,6 +9,7 @@ Read in this order:
 ``branches``      errors where several orders of events hold, and the share left undecided
 ``worst_points``  where the error is expected to be above the tolerance
 ``reference``     reference trajectories, and the intervals on which they reach the end
+``resolution``    how far down their states are resolved
 ``coverage``      coordinates in which the points of a box are spread, decades included
 ``points``        where they begin: the points of the box at which a solution is checked
 ``cuts``          where known functions of one coordinate are not smooth or narrow

@@ -1,11 +1,7 @@
-"""Reference trajectories at single parameter points, and the intervals on which they reach the end.
-
-Each state is resolved relative to its own size, down to a small part of it.
-"""
+"""Reference trajectories at single parameter points, and intervals on which they reach the end."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,51 +17,32 @@ from rankone.support.budget import (
     OutOfBudgetError,
     charge,
     limited,
-    memory_left,
     reserve,
+    work_done,
     work_left,
 )
-from rankone.support.costs import Cost, eigenvalues
+from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.choice import following, integrator_for
-from rankone.trajectories.diagnosis import (
-    MOST_GROWTH,
-    Rounding,
-    first_to_end,
-    rounding_errors,
-    runs_away,
-    switching_state,
-)
+from rankone.trajectories.diagnosis import first_to_end, runs_away, switching_state
 from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseTrajectories,
     Tolerances,
 )
-from rankone.trajectories.spectra import first_jacobian, growth_rate, jacobian_blocks
 from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.points import check_points
+from rankone.verification.resolution import NEGLIGIBLE, Resolution, times_held
 
 _ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
 _LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
-_NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
 _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
 _BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
 _COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizon, are the same
-_LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
-_BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
-_SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
-_SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
-_DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
-_DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
-_LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
-_HELD_NUMBERS = (
-    2**22
-)  # Numbers of states at several times that are held at once, unless one has more
-_COPIES = 8  # Copies of these while they are compared
 # Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
 _NUMBERS_OF_STATE = 100
-_MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
+_MOST_INTEGRATIONS = 5  # Most integrations: a state that starts from zero shows its size only then
 
 _FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
 _FACE_POINTS = 8  # Trajectories that begin inside of a face of the box
@@ -131,7 +108,7 @@ class Reference:
     @property
     def times_held(self) -> int:
         """At how many times the states are held at once: one at least."""
-        return _times_held(self.floor.size * len(self.points))
+        return times_held(self.floor.size * len(self.points))
 
     def blocks(self, times: Array, together: int = 1) -> Iterator[Array]:
         """States at consecutive parts of the times, as many as are held: shape (n, m, T) each.
@@ -196,161 +173,47 @@ def integrate_reference(
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
     chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
-    resolution = _Resolution(system, points, start, end, rtol, initial)
+    resolution = Resolution(system, points, start, end, rtol, initial)
+
+    def integrated(points: Array, absolute: Array) -> DenseTrajectories:
+        return chosen.run(system, points, edges, Tolerances(rtol, absolute, longest))
+
     for _ in range(_MOST_INTEGRATIONS):
-        tolerances = Tolerances(rtol, resolution.absolute, longest)
-        dense = chosen.run(system, points, edges, tolerances)
+        before = work_done()
+        dense = integrated(points, resolution.absolute)
+        work = work_done() - before
         if not dense.has_begun:
-            floor = rtol * _NEGLIGIBLE * resolution.size
+            floor = rtol * NEGLIGIBLE * resolution.size
             point = points[first_to_end(system, start, dense.state, points, floor)]
             raise ConvergenceError(
                 f"no trajectory can be integrated from t = {start:g}{_at(system, point)}"
                 ": the right-hand side is not finite there or varies without bound",
                 remedy="check the initial values and the coefficients",
             )
-        if not resolution.refined(dense):
+        if not resolution.refined(dense) and not resolution.lowered(dense, integrated, work):
             break
         integrator = following(integrator, dense.integrator, len(points))
         chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
-    return resolution.reference(dense)
+    return _reference(resolution, dense)
 
 
-class _Resolution:
-    """How far down each state is resolved; an integration shows whether that was far enough.
-
-    For each state, (n, 1): the size that it is presumed to have, the floor of a :class:`Reference`,
-    and the absolute tolerance.
-    """
-
-    def __init__(
-        self, system: System, points: Array, start: float, end: float, rtol: float, initial: Array
-    ) -> None:
-        self.system, self.points, self.rtol = system, points, rtol
-        self.start, self.end, self.horizon = start, end, end - start
-        size = np.abs(initial).max(axis=1, keepdims=True)
-        self.rounding = self._rounding([(start, initial)], size)
-        self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
-        self.floor = np.full((len(initial), 1), np.inf)
-        self.absolute = np.maximum(rtol * _NEGLIGIBLE * self.size, self.rounding.floor)
-
-    def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
-        stack = self.system, self.points, self.horizon
-        return rounding_errors(*stack, samples, largest, self.rtol)
-
-    def refined(self, dense: DenseTrajectories) -> bool:
-        """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
-        largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
-        samples = list(dense.samples(_SAMPLES))
-        before, self.rounding = self.rounding, self._rounding(samples, largest)
-        zero, finest = self.rounding.zero, self.rtol * _NEGLIGIBLE * largest
-        coarse = before.floor > np.maximum(self.rounding.floor, finest)
-        small = ~zero & (largest > 0.0) & (largest < _SMALL_STATE * _NEGLIGIBLE * self.size)
-        usual = _NEGLIGIBLE * np.maximum(self.size, largest)
-        candidates = ~zero & ~small & (early > 0.0)
-        lingers = candidates & (early < np.minimum(usual, self.floor))
-        if lingers.any():
-            early = np.maximum(early, self._begun(dense, samples))
-            lingers = candidates & (early < np.minimum(usual, self.floor))
-        dips = ~zero & self._grows_again(dense)
-        self.size = np.where(small, largest, self.size)
-        self.floor = np.where(lingers, _LINGERING * early, self.floor)
-        self.floor = np.where(dips, _DIP_FLOOR, self.floor)
-        coarser = self.absolute
-        finest = self.rtol * np.minimum(_NEGLIGIBLE * self.size, self.floor)
-        self.absolute = np.maximum(finest, self.rounding.floor)
-        return bool(((small | lingers | dips | coarse) & (self.absolute < coarser)).any())
-
-    def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
-        """States (n, 1) that fall to a negligible part of what they were, and may grow again.
-
-        They stay there from one sample to the next: others pass through zero. They grow by their
-        own block of the Jacobian, whatever the others do. An integration that does not resolve them
-        makes noise of them, which grows as well.
-        """
-        dips, least, first = _dips(dense)
-        if not dips.any():
-            return dips[:, None]
-        later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
-        growth, small = 0.0, np.flatnonzero(dips)
-        for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
-            blocks = jacobian_blocks(self.system, self.points, time, at, small)
-            if np.isfinite(blocks).all():
-                charge(len(blocks) * eigenvalues(small.size))
-                growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
-        if growth * (dense.end - first) <= MOST_GROWTH:
-            return np.zeros_like(dips)[:, None]
-        lost = dips & (least < _LEAST_SIZE)
-        if lost.any():
-            name = self.system.states[int(np.argmax(lost))]
-            raise ConvergenceError(
-                f"`{name}` falls below {_LEAST_SIZE:g} and may grow again from there, which is "
-                "beyond floating-point numbers",
-                remedy="take its logarithm as the unknown, or shorten the horizon",
-            )
-        return dips[:, None]
-
-    def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
-        """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.
-
-        A state that starts from zero is as small at first as steps are short. What it is after a
-        part of the time in which it grows counts, and does not depend on them.
-        """
-        growth, start = 0.0, self.start
-        for time, states in samples:
-            block = first_jacobian(self.system, self.points, time, states)
-            if block is not None:
-                growth = max(growth, growth_rate(block))
-        if growth * (dense.end - start) <= MOST_GROWTH:
-            return np.full((len(self.size), 1), np.inf)
-        begun = dense(np.array([start + _BEGUN / growth]))
-        return np.asarray(np.abs(begun).max(axis=(1, 2))[:, None])
-
-    def reference(self, dense: DenseTrajectories) -> Reference:
-        """The trajectories, and why they end where they do."""
-        rounding, floor = self.rounding, self.floor[:, 0]
-        rounded, zero = rounding.floor[:, 0], rounding.zero[:, 0]
-        reference = Reference(self.points, (dense,), dense.end, floor, rounded, zero)
-        if self.end - dense.end <= LAST_GAP * np.spacing(abs(self.end)):
-            return reference
-        system, points, time, state = self.system, self.points, dense.end, dense.state
-        size = np.maximum(self.size, rounding.floor)
-        blown = first_to_end(system, time, state, points, self.rtol * _NEGLIGIBLE * size)
-        refuse_gap(system, time, dense.last[:, blown], points[blown])
-        large = bool((np.abs(state[:, blown]) > _BLOW_UP_GROWTH * size[:, 0]).any())
-        large = large or runs_away(system, time, state[:, blown], points[blown], self.horizon)
-        switch = None if large else switching_state(system, time, state, points, self.horizon)
-        if switch is None:
-            return replace(reference, blown=blown, large=large)
-        return replace(reference, blown=switch[1], switching=switch[0])
-
-
-def _times_held(size: int) -> int:
-    """At how many times so many states are held at once: one at least."""
-    most = min(_HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
-    return max(int(most // size), 1)
-
-
-def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
-    """States (n,) that fall to a negligible part of what they were, and their least sizes.
-
-    Also the time at which the first of them is there.
-    """
-    n, first = len(dense.state), math.inf
-    dips, least = np.zeros(n, dtype=bool), np.full(n, math.inf)
-    before, largest = np.zeros((0, *dense.state.shape)), np.zeros_like(dense.state)
-    earlier: tuple[float, ...] = ()
-    samples, most = iter(dense.samples(_DIP_SAMPLES)), _times_held(dense.state.size)
-    while sampled := list(itertools.islice(samples, most)):
-        times, states = zip(*sampled, strict=True)
-        sizes, times = np.concatenate([before, np.abs(states)]), (*earlier, *times)
-        running = np.maximum(np.maximum.accumulate(sizes, axis=0), largest)
-        staying = np.maximum(sizes[:-1], sizes[1:])
-        below = (staying < _NEGLIGIBLE * running[:-1]).any(axis=2)
-        if below.any():
-            first = min(first, times[int(np.argmax(below.any(axis=1)))])
-        dips, least = dips | below.any(axis=0), np.minimum(least, sizes.min(axis=(0, 2)))
-        before, largest, earlier = sizes[-1:], running[-1], times[-1:]
-    return dips, least, first
+def _reference(resolution: Resolution, dense: DenseTrajectories) -> Reference:
+    """The trajectories, and why they end where they do."""
+    rounding, floor = resolution.rounding, resolution.floor[:, 0]
+    rounded, zero = rounding.floor[:, 0], rounding.zero[:, 0]
+    reference = Reference(resolution.points, (dense,), dense.end, floor, rounded, zero)
+    if resolution.end - dense.end <= LAST_GAP * np.spacing(abs(resolution.end)):
+        return reference
+    system, points, time, state = resolution.system, resolution.points, dense.end, dense.state
+    size = np.maximum(resolution.size, rounding.floor)
+    blown = first_to_end(system, time, state, points, resolution.rtol * NEGLIGIBLE * size)
+    refuse_gap(system, time, dense.last[:, blown], points[blown])
+    large = bool((np.abs(state[:, blown]) > _BLOW_UP_GROWTH * size[:, 0]).any())
+    large = large or runs_away(system, time, state[:, blown], points[blown], resolution.horizon)
+    switch = None if large else switching_state(system, time, state, points, resolution.horizon)
+    if switch is None:
+        return replace(reference, blown=blown, large=large)
+    return replace(reference, blown=switch[1], switching=switch[0])
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:

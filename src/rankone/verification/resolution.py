@@ -1,0 +1,216 @@
+"""How far down the states of reference trajectories are resolved.
+
+Each state is resolved relative to its own size, down to a small part of it. An integration shows
+where that is not enough: what is tiny may grow, or matter to what others become.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, charge, limited, memory_left, work_left
+from rankone.support.costs import eigenvalues
+from rankone.support.errors import ConvergenceError
+from rankone.trajectories.diagnosis import MOST_GROWTH, Rounding, rounding_errors
+from rankone.trajectories.integrator import DenseTrajectories
+from rankone.trajectories.spectra import (
+    first_jacobian,
+    growth_rate,
+    jacobian_blocks,
+    logarithmic_norm,
+)
+
+NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
+HELD_NUMBERS = (
+    2**22
+)  # Numbers of states at several times that are held at once, unless one has more
+_HELD_NUMBERS = 2**22  # Numbers of states at several times that are held at once, or those at one
+_COPIES = 8  # Copies of these while they are compared
+_LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
+_BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
+_SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
+_SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
+_DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
+_DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
+_LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
+_LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
+_MOST_EXPONENT = 600.0  # Of e, by which a floor is lowered
+_COMPARED = 3  # Trajectories on which that is looked for
+_FINER_WORK = 4.0  # Most work for these, over that for all before
+_FINER_SHARE = 0.05  # Most of what is left of the budget for them
+_PASSED_ON = 10.0  # Differences from there on, in tolerances, are errors that were passed on
+
+Integrate: TypeAlias = Callable[[Array, Array], DenseTrajectories]
+
+
+def times_held(size: int) -> int:
+    """At how many times states of this size, (n, m), are held at once: one at least."""
+    most = min(_HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
+    return max(int(most // size), 1)
+
+
+class Resolution:
+    """How far down each state is resolved; an integration shows whether that was far enough.
+
+    For each state, (n, 1): the size that it has at ``first`` and the one that it is presumed to
+    have, the floor of a ``Reference``, and the absolute tolerance.
+    """
+
+    def __init__(
+        self, system: System, points: Array, start: float, end: float, rtol: float, initial: Array
+    ) -> None:
+        self.system, self.points, self.rtol = system, points, rtol
+        self.start, self.end, self.horizon = start, end, end - start
+        self.first = size = np.abs(initial).max(axis=1, keepdims=True)
+        self.rounding = self._rounding([(start, initial)], size)
+        self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
+        self.floor = np.full((len(initial), 1), np.inf)
+        self.absolute = np.maximum(rtol * NEGLIGIBLE * self.size, self.rounding.floor)
+
+    def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
+        stack = self.system, self.points, self.horizon
+        return rounding_errors(*stack, samples, largest, self.rtol)
+
+    def refined(self, dense: DenseTrajectories) -> bool:
+        """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
+        largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
+        samples = list(dense.samples(_SAMPLES))
+        before, self.rounding = self.rounding, self._rounding(samples, largest)
+        zero, finest = self.rounding.zero, self.rtol * NEGLIGIBLE * largest
+        coarse = before.floor > np.maximum(self.rounding.floor, finest)
+        small = ~zero & (largest > 0.0) & (largest < _SMALL_STATE * NEGLIGIBLE * self.size)
+        usual = NEGLIGIBLE * np.maximum(self.size, largest)
+        candidates = ~zero & ~small & (early > 0.0)
+        lingers = candidates & (early < np.minimum(usual, self.floor))
+        if lingers.any():
+            early = np.maximum(early, self._begun(dense, samples))
+            lingers = candidates & (early < np.minimum(usual, self.floor))
+        dips = ~zero & self._grows_again(dense)
+        self.size = np.where(small, largest, self.size)
+        self.floor = np.where(lingers, _LINGERING * early, self.floor)
+        self.floor = np.where(dips, _DIP_FLOOR, self.floor)
+        return self._resolves(small | lingers | dips | coarse)
+
+    def _resolves(self, changed: NDArray[np.bool_]) -> bool:
+        """Set the absolute tolerances by size and floor; whether one that changed is lower now."""
+        coarser = self.absolute
+        finest = self.rtol * np.minimum(NEGLIGIBLE * self.size, self.floor)
+        self.absolute = np.maximum(finest, self.rounding.floor)
+        return bool((changed & (self.absolute < coarser)).any())
+
+    def lowered(self, dense: DenseTrajectories, integrate: Integrate, work: float) -> bool:
+        """Lower the floors if errors that were negligible early are passed on; whether they are.
+
+        Down a long chain a state depends on what others were when they were a tiny part of what
+        they become. No eigenvalue says so, but the logarithmic norm bounds what becomes of an error
+        (Söderlind, BIT Numerical Mathematics 46 (2006), 631). Where the bound is large,
+        a few trajectories that are finer by that much show whether it comes true. ``integrate``
+        makes them at points and to absolute tolerances; all took ``work`` before.
+        """
+        largest = dense.largest.max(axis=1, keepdims=True)
+        begins = ~self.rounding.zero & (self.first < NEGLIGIBLE * largest)
+        if len(largest) < _LONG_CHAIN or not begins.any():
+            return False
+        growth = min(self._bound_of_growth(dense, largest), _MOST_EXPONENT)
+        lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
+        absolute = np.maximum(self.rtol * np.minimum(lower, self.floor), self.rounding.floor)
+        absolute = np.minimum(absolute, self.absolute)
+        if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
+            return False
+        try:
+            with limited(min(_FINER_WORK * work or math.inf, _FINER_SHARE * work_left())):
+                finer = integrate(self.points[:_COMPARED], absolute)
+        except OutOfBudgetError:
+            return False
+        times = np.linspace(self.start, min(finer.end, dense.end), _SAMPLES)
+        change = np.abs(finer(times) - dense.of(slice(_COMPARED))(times)).max(axis=2)
+        sizes = np.maximum(finer.largest, self.rounding.floor)
+        if (change <= _PASSED_ON * self.rtol * sizes).all():
+            return False
+        self.floor = np.minimum(self.floor, lower)
+        return self._resolves(begins)
+
+    def _bound_of_growth(self, dense: DenseTrajectories, largest: Array) -> float:
+        """The power of e by which an error may grow, relative to the sizes (n, 1) of the states."""
+        norms, sizes = list[float](), np.where(largest > 0.0, largest, self.size)[:, 0]
+        for time, states in dense.samples(_SAMPLES):
+            block = first_jacobian(self.system, self.points, time, states)
+            if block is not None:
+                norms.append(max(logarithmic_norm(block, sizes), 0.0))
+        return self.horizon * sum(norms) / max(len(norms), 1)
+
+    def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
+        """States (n, 1) that fall to a negligible part of what they were, and may grow again.
+
+        They stay there from one sample to the next: others pass through zero. They grow by their
+        own block of the Jacobian, whatever the others do. An integration that does not resolve them
+        makes noise of them, which grows as well.
+        """
+        dips, least, first = _dips(dense)
+        if not dips.any():
+            return dips[:, None]
+        later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
+        growth, small = 0.0, np.flatnonzero(dips)
+        for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
+            blocks = jacobian_blocks(self.system, self.points, time, at, small)
+            if np.isfinite(blocks).all():
+                charge(len(blocks) * eigenvalues(small.size))
+                growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
+        if growth * (dense.end - first) <= MOST_GROWTH:
+            return np.zeros_like(dips)[:, None]
+        lost = dips & (least < _LEAST_SIZE)
+        if lost.any():
+            name = self.system.states[int(np.argmax(lost))]
+            raise ConvergenceError(
+                f"`{name}` falls below {_LEAST_SIZE:g} and may grow again from there, which is "
+                "beyond floating-point numbers",
+                remedy="take its logarithm as the unknown, or shorten the horizon",
+            )
+        return dips[:, None]
+
+    def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
+        """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.
+
+        A state that starts from zero is as small at first as steps are short. What it is after a
+        part of the time in which it grows counts, and does not depend on them.
+        """
+        growth, start = 0.0, self.start
+        for time, states in samples:
+            block = first_jacobian(self.system, self.points, time, states)
+            if block is not None:
+                growth = max(growth, growth_rate(block))
+        if growth * (dense.end - start) <= MOST_GROWTH:
+            return np.full((len(self.size), 1), np.inf)
+        begun = dense(np.array([start + _BEGUN / growth]))
+        return np.asarray(np.abs(begun).max(axis=(1, 2))[:, None])
+
+
+def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
+    """States (n,) that fall to a negligible part of what they were, and their least sizes.
+
+    Also the time at which the first of them is there.
+    """
+    n, first = len(dense.state), math.inf
+    dips, least = np.zeros(n, dtype=bool), np.full(n, math.inf)
+    before, largest = np.zeros((0, *dense.state.shape)), np.zeros_like(dense.state)
+    earlier: tuple[float, ...] = ()
+    samples, most = iter(dense.samples(_DIP_SAMPLES)), times_held(dense.state.size)
+    while sampled := list(itertools.islice(samples, most)):
+        times, states = zip(*sampled, strict=True)
+        sizes, times = np.concatenate([before, np.abs(states)]), (*earlier, *times)
+        running = np.maximum(np.maximum.accumulate(sizes, axis=0), largest)
+        staying = np.maximum(sizes[:-1], sizes[1:])
+        below = (staying < NEGLIGIBLE * running[:-1]).any(axis=2)
+        if below.any():
+            first = min(first, times[int(np.argmax(below.any(axis=1)))])
+        dips, least = dips | below.any(axis=0), np.minimum(least, sizes.min(axis=(0, 2)))
+        before, largest, earlier = sizes[-1:], running[-1], times[-1:]
+    return dips, least, first
