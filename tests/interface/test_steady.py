@@ -1,6 +1,7 @@
 """Steady states of networks against closed forms and bisection; branches, folds, and errors."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import sympy as sp
 from scipy.optimize import brentq
 
 import rankone as ro
+from rankone.trajectories.steady.rest import SteadyStates, from_states
 
 t, k, a, b = sp.symbols("t k a b")
 x, y, z, E, S, C, P, ill, R = (sp.Function(name)(t) for name in [*"xyzESCPIR"])
@@ -213,3 +215,15 @@ def test_consumers_take_it(tmp_path):
     assert loaded.message == steady.message
     np.testing.assert_array_equal(loaded(a=0.03, k=0.44), steady(a=0.03, k=0.44))
     steady.export(tmp_path / "gene.py")
+
+
+def test_a_start_among_the_parameters_is_left_as_it_is():
+    """Where trajectories do not settle, the message is about the point that was asked for."""
+    swing = ro.compile(problem({x: k * y, y: -k * x}, {k: (1, 2)}, {x: 1, y: 0}))
+    whole = from_states(swing.system, (0.0, 9.0))
+    named = replace(whole, parameters=("k", "x(0)", "y(0)"), box=((1, 2), (1, 1), (0, 0)))
+    steady = SteadyStates(named, 1.0, 9.0)
+    start = np.array([1.5, 1.0, 0.0])
+    with pytest.raises(ro.ConvergenceError, match="have not settled by t = 9"):
+        steady(start[:, None])
+    assert start.tolist() == [1.5, 1.0, 0.0]

@@ -202,7 +202,7 @@ class SteadyStates:
 
     def _followed(self, points: Array) -> Array:
         """The steady states (n, m) that trajectories at points (m, d) reach, or NaN."""
-        states = self.system.initial(np.ascontiguousarray(points.T))
+        states = np.array(self.system.initial(np.ascontiguousarray(points.T)))  # not part of points
         largest, before = np.abs(states), np.full(states.shape, np.nan)
         settled, _ = self._nearby(states, points, largest, _AT_REST)
         if self.stable_only:
