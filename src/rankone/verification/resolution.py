@@ -42,7 +42,7 @@ _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below th
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
-_MOST_EXPONENT = 600.0  # Of e, by which a floor is lowered
+_MOST_EXPONENT = 250.0  # Of e, by which a floor is lowered
 _COMPARED = 3  # Trajectories on which that is looked for
 _FINER_WORK = 4.0  # Most work for these, over that for all before
 _FINER_SHARE = 0.05  # Most of what is left of the budget for them
@@ -139,13 +139,22 @@ class Resolution:
         return self._resolves(begins)
 
     def _bound_of_growth(self, dense: DenseTrajectories, largest: Array) -> float:
-        """The power of e by which an error may grow, relative to the sizes (n, 1) of the states."""
-        norms, sizes = list[float](), np.where(largest > 0.0, largest, self.size)[:, 0]
+        """The power of e by which an error may grow, relative to the sizes (n, 1) of the states.
+
+        The lesser of two bounds: in the norm relative to sizes, and in that of the states as they
+        are with the ratio of the largest to the smallest.
+        """
+        sizes = np.where(largest > 0.0, largest, self.size)[:, 0]
+        norms, ratio = list[list[float]](), math.log(sizes.max() / sizes.min())
         for time, states in dense.samples(_SAMPLES):
             block = first_jacobian(self.system, self.points, time, states)
             if block is not None:
-                norms.append(max(logarithmic_norm(block, sizes), 0.0))
-        return self.horizon * sum(norms) / max(len(norms), 1)
+                by_scale = (logarithmic_norm(block, s) for s in (sizes, np.ones_like(sizes)))
+                norms.append([max(norm, 0.0) for norm in by_scale])
+        if not norms:
+            return 0.0
+        relative, absolute = self.horizon * np.mean(norms, axis=0)
+        return float(min(relative, absolute + ratio))
 
     def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
         """States (n, 1) that fall to a negligible part of what they were, and may grow again.
