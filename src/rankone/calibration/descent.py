@@ -78,6 +78,11 @@ class Descent:
                 return
             self._step(problem)
 
+    def continue_from(self, other: Descent) -> None:
+        """Go on from where another way is."""
+        self.at, self.radius = other.at, other.radius
+        self.arrived, self.costs = other.arrived, other.costs
+
     def _step(self, problem: Expandable) -> None:
         at = self.at
         step, promised = bounded_step(at, np.where(problem.nested, 1.0, self.radius))
