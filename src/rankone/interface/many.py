@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -33,6 +31,7 @@ from rankone.support.errors import (
 from rankone.support.executors import Pool, checked_executor, open_pool
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import refuse_positional
+from rankone.support.parcels import Parcel, packed, unpacked
 from rankone.support.progress import counting_bar
 from rankone.support.tasks import Tasks
 from rankone.support.wording import count, shown
@@ -337,14 +336,14 @@ def _run_all(solves: Sequence[_Solve], executor: Any, kept: Checkpoint | None, d
 class _Sender:
     """What workers run for each solve that is not finished; each compiled problem is sent as one.
 
-    Processes get it pickled, and keep what they loaded.
+    Processes get it as a parcel, and keep what they loaded.
     """
 
     def __init__(
         self, solves: Sequence[_Solve], pool: Pool, is_finished: Callable[[int], bool]
     ) -> None:
         self._solves, self._pool, self._is_finished = solves, pool, is_finished
-        self._sent: dict[int, bytes | CompiledProblem] = {}
+        self._sent: dict[int, Parcel | CompiledProblem] = {}
 
     def __call__(self, number: int) -> tuple[Callable[..., _Outcome], tuple[object, ...]] | None:
         if self._is_finished(number):
@@ -352,8 +351,7 @@ class _Sender:
         solve = self._solves[number]
         key = id(solve.compiled)
         if key not in self._sent:
-            as_bytes = self._pool.takes_bytes
-            self._sent[key] = _pickled(solve.compiled) if as_bytes else solve.compiled
+            self._sent[key] = packed("the problem", solve.compiled, self._pool.wanted)
         return _outcome_elsewhere, (self._sent[key], solve.options)
 
 
@@ -372,37 +370,15 @@ def _outcome_of(compiled: CompiledProblem, options: Mapping[str, Any]) -> _Outco
     return _Outcome(solution, None if solution is not None else failure, seconds)
 
 
-def _outcome_elsewhere(sent: bytes | CompiledProblem, options: Mapping[str, Any]) -> _Outcome:
+def _outcome_elsewhere(sent: Parcel | CompiledProblem, options: Mapping[str, Any]) -> _Outcome:
     """The same in a worker, whose warnings travel with the outcome."""
     if isinstance(sent, CompiledProblem):
         return _outcome_of(sent, options)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RankoneWarning)
-        outcome = _outcome_of(_unpickled(sent), options)
+        outcome = _outcome_of(unpacked(sent), options)
     texts = (str(w.message) for w in caught if issubclass(w.category, RankoneWarning))
     return replace(outcome, warned=tuple(dict.fromkeys(texts)))
-
-
-def _pickled(compiled: CompiledProblem) -> bytes:
-    """A compiled problem for another process, or an error that names what cannot be sent."""
-    try:
-        return pickle.dumps(compiled)
-    except Exception as error:
-        raise OptionError(
-            f"the problem cannot be sent to another process: {error}",
-            remedy="define its functions by def at the top of a module, or leave out executor=",
-        ) from error
-
-
-@lru_cache(8)
-def _unpickled(sent: bytes) -> CompiledProblem:
-    try:
-        return cast(CompiledProblem, pickle.loads(sent))
-    except Exception as error:
-        raise OptionError(
-            f"a worker cannot load the problem: {type(error).__name__}: {error}",
-            remedy="define its functions in a module that the workers can import",
-        ) from error
 
 
 def _cell(change: Any) -> str:

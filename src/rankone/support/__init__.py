@@ -10,6 +10,7 @@
 ``costs``       what numerical work costs, in operations
 ``options``     options of engines: declared with their ranges, checked in one place
 ``executors``   processes that end with this one, executors of others, clusters of dask
+``parcels``     what all tasks share, loaded once by each worker
 ``tasks``       independent calls on them, also when workers die
 ``progress``    progress events, a bar, timings of stages
 ``files``       several files written together, all of them or none

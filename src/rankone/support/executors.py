@@ -54,35 +54,28 @@ class Pool:
     """
 
     def __init__(self, wanted: ExecutorLike) -> None:
-        self._wanted = wanted
+        self.wanted = wanted
         self._executor: Executor | None = None
         self._client: Any = None
         self._processes: list[SpawnProcess] = []
 
     @property
-    def takes_bytes(self) -> bool:
-        """Whether tasks are pickled for another process, which then keeps what it loaded."""
-        return not isinstance(self._wanted, Executor) or isinstance(
-            self._wanted, ProcessPoolExecutor
-        )
-
-    @property
     def processes(self) -> int | None:
         """The number of processes that were asked for, which can be started again."""
-        return self._wanted if isinstance(self._wanted, int) else None
+        return self.wanted if isinstance(self.wanted, int) else None
 
     def open(self) -> None:
         """Start processes, or ask whether the executor takes work."""
         starts = 1
-        if isinstance(self._wanted, int):
-            starts, context = self._wanted, _Spawn()
+        if isinstance(self.wanted, int):
+            starts, context = self.wanted, _Spawn()
             self._executor = ProcessPoolExecutor(starts, context, initializer=_obey_parent)
             self._processes = context.started
-        elif isinstance(self._wanted, str):
-            self._client = _connected(self._wanted)
+        elif isinstance(self.wanted, str):
+            self._client = _connected(self.wanted)
             self._executor = self._client.get_executor()
         else:
-            self._executor = self._wanted
+            self._executor = self.wanted
         for _ in range(starts):
             try:
                 self.submit(time.time)
@@ -94,7 +87,7 @@ class Pool:
         executor, self._executor = self._executor, None
         if self._client is not None:
             self._client.close()
-        if not isinstance(self._wanted, int) or executor is None:
+        if not isinstance(self.wanted, int) or executor is None:
             return
         executor.shutdown(wait=False, cancel_futures=True)
         running = [process for process in self._processes if process.is_alive()]
@@ -105,7 +98,7 @@ class Pool:
 
     def restart(self) -> bool:
         """Start processes anew after one died; False for an executor of others."""
-        if not isinstance(self._wanted, int):
+        if not isinstance(self.wanted, int):
             return False
         self.close()
         self.open()

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import concurrent.futures
 import math
-import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from contextvars import Context
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Generic, TypeAlias, TypeVar, cast
 
 from rankone.ir.system import ModuleSpecification, System
@@ -26,6 +24,7 @@ from rankone.support.budget import (
 )
 from rankone.support.errors import OptionError, RankoneError
 from rankone.support.executors import DEATHS, GUARD, ExecutorLike, Pool
+from rankone.support.parcels import Parcel, packed, unpacked
 
 Answer = TypeVar("Answer")  # What a task comes to
 Arguments: TypeAlias = "tuple[object, ...]"  # Those of a task, after the system
@@ -36,17 +35,17 @@ class Workers:
 
     def __init__(self, system: System, executor: ExecutorLike | None = None) -> None:
         self.system = system
-        self.pool = None if executor is None else Pool(executor)
-        if self.pool is None:
+        self.pool: Pool | None = None
+        if executor is None:
             return
+        self.pool = Pool(executor)
         specification = system.specification
         if specification is None:
             raise OptionError(
                 "executor= needs a system compiled by rankone: workers cannot load this one",
                 remedy="leave it out, or solve with rankone.solve",
             )
-        bytes_alone = self.pool.takes_bytes
-        self._specification = _pickled(specification) if bytes_alone else specification
+        self._specification = packed("a function of the user", specification, executor)
 
     def map(
         self,
@@ -146,11 +145,9 @@ class _Return(Generic[Answer]):
     failure: Exception | None = None
 
 
-def _run(specification: ModuleSpecification | bytes, call: _Call[Answer]) -> _Return[Answer]:
+def _run(specification: Parcel | ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
     """What a worker runs; an executor may run it in the thread of the solve, so it counts anew."""
-    if isinstance(specification, bytes):
-        specification = _unpickled(specification)
-    return Context().run(_counted, specification, call)
+    return Context().run(_counted, unpacked(specification), call)
 
 
 def _counted(specification: ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
@@ -183,25 +180,3 @@ def _answer(future: Future[_Return[Answer]], end: float) -> Answer:
     if returned.failure is not None:
         raise returned.failure
     return cast(Answer, returned.answer)
-
-
-def _pickled(specification: ModuleSpecification) -> bytes:
-    """The specification for another process, or an error that names what cannot be sent."""
-    try:
-        return pickle.dumps(specification)
-    except Exception as error:
-        raise OptionError(
-            f"a function of the user cannot be sent to another process: {error}",
-            remedy="define it by def at the top of a module, or leave out executor=",
-        ) from error
-
-
-@lru_cache(8)
-def _unpickled(specification: bytes) -> ModuleSpecification:
-    try:
-        return cast(ModuleSpecification, pickle.loads(specification))
-    except Exception as error:
-        raise OptionError(
-            f"a worker cannot load a function of the user: {type(error).__name__}: {error}",
-            remedy="define it in a module that the workers can import",
-        ) from error
