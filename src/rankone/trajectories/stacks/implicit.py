@@ -27,10 +27,10 @@ from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
 _MOST_ITERATIONS = 6  # Newton's iterations of a step of three stages before it is halved
-_MOST_EXCESS = 10  # Iterations that old Newton matrices may cost before they are made anew
+_MOST_EXCESS = 10.0  # Iterations that old Newton matrices may cost before they are made anew
 _LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
-_KEPT_FACTOR = 1.2  # Growth of the step below which its length stays
+_KEPT_FACTOR = 3.0  # Growth of the step below which its length stays while its matrices serve
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 
 
@@ -121,7 +121,7 @@ class _Newton:
 
     Later steps of a similar length take them as well. They are made at the time ``t`` for steps of
     the length ``h``; ``fresh`` counts the iterations of the first step, and ``excess`` those that
-    later ones needed beyond.
+    later ones needed beyond, and those of the further steps that their length makes necessary.
     """
 
     t: float
@@ -130,7 +130,7 @@ class _Newton:
     real: NewtonMatrices
     paired: tuple[NewtonMatrices, ...]
     fresh: int = 0
-    excess: int = 0
+    excess: float = 0.0
 
     @staticmethod
     def of(t: float, h: float, jacobians: Jacobians, scheme: _Scheme) -> _Newton:
@@ -147,6 +147,11 @@ class _Newton:
         """Count the iterations of a step that converged."""
         self.fresh = self.fresh or iterations
         self.excess += max(iterations - self.fresh, 0)
+
+    def keep(self, h: float, iterations: int, factor: float) -> bool:
+        """Whether to stay with a length that may grow by a factor; count what that costs."""
+        self.excess += iterations * (1.0 - 1.0 / factor)
+        return self.serves(h)
 
     def error(self, h: float, defect: Array) -> Array:
         """The error of a step of length h that a defect amounts to.
@@ -205,12 +210,12 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         h, before = self.h_abs, (self.h_abs_old, self.error_norm_old)
         if not shortest <= h <= self.max_step:
             h, before = min(max(h, shortest), self.max_step), (None, None)
-        refused = False
+        refused = again = False
         while h >= shortest:
             end = min(t + h, self.t_bound)
             h = end - t
             if (solved := self._collocated(h)) is None:
-                h *= 0.5
+                h, again = 0.5 * h, True
                 continue
             states, iterations = solved
             error = self._error(h, states, refused)
@@ -220,9 +225,11 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             factor = min(_MOST_FACTOR, max(_LEAST_FACTOR, factor))  # the least if not a number
             if not error <= 1.0:
                 h *= factor
-                refused = True
+                refused = again = True
                 continue
-            if 1.0 <= factor < _KEPT_FACTOR:
+            if again:  # a longer one would have to be tried again as well
+                factor = min(factor, 1.0)
+            elif 1.0 <= factor < _KEPT_FACTOR and self._newton.keep(h, iterations, factor):
                 factor = 1.0
             self.h_abs_old, self.error_norm_old, self.h_abs = h, error, h * factor
             self.sol = PowerPiece(t, end, y, self._scheme.to_powers @ states)

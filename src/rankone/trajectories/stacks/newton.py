@@ -24,8 +24,8 @@ from rankone.trajectories.stacks.elimination import Elimination, Solver, elimina
 SPARSE_STATES = 64
 """States from which on sparse factors pay."""
 _MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
-_FEW_STAGES, _MOST_STAGES = 5, 7
-_TIGHT = 1e-5  # Relative tolerance below which sparse systems take most stages
+_LEAST_STAGES, _FEW_STAGES, _MOST_STAGES = 3, 5, 7
+_TIGHT = 1e-5  # Relative tolerance from which on least stages are enough
 _STEP_MATRICES = 4.0  # Matrices of a step that are held at once, for each trajectory
 _ITERATIONS = 4  # Of Newton, in a step
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
@@ -71,9 +71,10 @@ def sparse_pattern(system: System) -> PatternJacobian | None:
 
 
 def stages_for(system: System, tolerance: float) -> int:
-    """The stages of Radau: most at tight tolerances with sparse factors, which cost little."""
-    tight = tolerance < _TIGHT and sparse_pattern(system) is not None
-    return _MOST_STAGES if tight else _FEW_STAGES
+    """The stages of Radau: more at tight tolerances, most with sparse factors, which cost less."""
+    if tolerance >= _TIGHT:
+        return _LEAST_STAGES
+    return _FEW_STAGES if sparse_pattern(system) is None else _MOST_STAGES
 
 
 def implicit_step_cost(system: System) -> float | None:
