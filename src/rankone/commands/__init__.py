@@ -4,6 +4,7 @@
 ``cli``       parsing and dispatch
 ``common``    parsers, problem files, saved solutions, summaries, exit status
 ``solve``     ``rankone solve`` and ``rankone show``
+``pieces``    pieces of a box for ``rankone solve``, side by side, which go on
 ``evaluate``  ``rankone eval``
 ``fit``       ``rankone fit``
 ``report``    ``rankone report``

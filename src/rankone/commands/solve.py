@@ -22,6 +22,7 @@ from rankone.commands.common import (
     toml_help,
     with_numbers,
 )
+from rankone.commands.pieces import add_pieces, in_pieces, solve_pieces
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
@@ -95,6 +96,7 @@ def register(commands: Commands) -> None:
     add("--outputs", metavar="NAME=EXPR", nargs="+", action="extend", help=_OUTPUTS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
     add("--markers", metavar="WHEN", nargs="+", default=["auto"], help=_MARKERS_HELP)
+    add_pieces(add)
     add("--json", action="store_true", help="print the summary as JSON")
     add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")
 
@@ -155,32 +157,37 @@ def _solve(arguments: argparse.Namespace) -> int:
         target(arguments.save, arguments.overwrite)
 
     of_model = is_model_file(arguments.file)  # its box and horizon are those of the problem
+    pieces = in_pieces(arguments)
     with preparing(arguments.max_seconds):
-        compiled = rankone.compile(
+        problem = (
             with_numbers(model_problem(arguments.file, box, arguments.t_final), arguments.set)
             if of_model
             else problem_of(arguments.file, arguments.set)
         )
-    check = True if arguments.check is None else arguments.check or False
+        ranges = {} if of_model else box
+        compiled = rankone.compile(problem.vary(ranges) if pieces and ranges else problem)
+    options |= {
+        "rtol": arguments.rtol,
+        "method": arguments.method,
+        "t_final": None if of_model else arguments.t_final,
+        "check": True if arguments.check is None else arguments.check or False,
+        "cover": arguments.cover,
+        "effort": arguments.effort,
+        "max_seconds": arguments.max_seconds,
+        "max_memory": arguments.max_memory,
+        "unknowns": arguments.unknowns,
+        "outputs": pairs_of("--outputs", arguments.outputs, str) or None,
+        "integrator": arguments.integrator,
+        "markers": _markers(arguments.markers),
+    }
     bar = sys.stderr.isatty() and not arguments.quiet
     try:
-        solution = compiled.solve(
-            rtol=arguments.rtol,
-            method=arguments.method,
-            parameters={} if of_model else box,
-            t_final=None if of_model else arguments.t_final,
-            check=check,
-            cover=arguments.cover,
-            effort=arguments.effort,
-            max_seconds=arguments.max_seconds,
-            max_memory=arguments.max_memory,
-            unknowns=arguments.unknowns,
-            outputs=pairs_of("--outputs", arguments.outputs, str) or None,
-            integrator=arguments.integrator,
-            markers=_markers(arguments.markers),
-            progress=bar,
-            **options,
-        )
+        if pieces:
+            solution = solve_pieces(compiled, arguments, options, bar)
+        else:
+            if arguments.executor is not None:
+                options["executor"] = arguments.executor
+            solution = compiled.solve(parameters=ranges, progress=bar, **options)
     except ConvergenceError as error:
         if error.solution is None:
             raise
