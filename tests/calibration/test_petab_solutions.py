@@ -11,6 +11,7 @@ from tests.calibration.conversion import (
     OBSERVABLES,
     PARAMETERS,
     rows,
+    simulated,
     table,
     write,
 )
@@ -158,3 +159,29 @@ def test_what_solutions_do_not_have_is_refused(tmp_path):
     normal = ro.read_petab(write(tmp_path, observables=NORMAL))
     with pytest.raises(ro.ProblemError, match="at the steady state in `rest -> high`"):
         normal.solve(1e-3, BOX)
+
+
+def test_levels_of_noise_have_the_names_and_the_bounds_of_the_table(tmp_path):
+    """A name like that of the observable, a prediction that begins at zero, an idle level."""
+    formula = "observableParameter1_obs_B * (B - 0.2)"
+    header = OBSERVABLES.split("\n")[0]
+    generator = np.random.default_rng(3)
+    times = np.repeat(np.linspace(0.0, 3.0, 7), 2)
+    measured = 2.0 * (simulated("low", "", times)[1] - 0.2) + generator.normal(0.0, 0.05, 14)
+    lines = [
+        ("obs_B", "", "low", repr(float(y)), str(at), "scale", "")
+        for at, y in zip(times, measured, strict=True)
+    ]
+    levels = "sd_obs_B\tlog10\t1e-05\t1000\t0.1\t1\nrel\tlog10\t1e-05\t1000\t1e-5\t1\n"
+    problem = ro.read_petab(
+        write(
+            tmp_path,
+            observables=f"{header}\nobs_B\t{formula}\tsd_obs_B + rel * {formula}\tlin\tnormal\n",
+            measurements=table(lines),
+            parameters=fixed("k2", "a0").split("sd_B")[0] + levels,
+        )
+    )
+    fit = problem.solve(1e-5, {"k1": (0.4, 1.6)}).fit()
+    assert set(fit.x) == {"k1", "scale", "sd_obs_B", "rel"}
+    assert -fit.log_likelihood == pytest.approx(problem.objective(fit.most_likely), abs=1e-3)
+    assert fit.most_likely["rel"] == pytest.approx(1e-5, rel=0.5)

@@ -20,6 +20,7 @@ from rankone.estimation.noise import Noise
 from rankone.estimation.observations import (
     Observations,
     Sigma,
+    check_levels,
     checked_times,
     label,
     observables,
@@ -118,6 +119,7 @@ def _new_trial(solution: SolutionCore, times: Array, wanted: Wanted) -> Trial:
         )
     ones = {name: np.ones(times.size) for name in names}
     row = observed(solution, times, ones, observe, sigma=sigma, noise=noise)
+    check_levels(solution, row)
     return trial_of("", solution, held_parameters(solution, fixed), row)
 
 

@@ -37,6 +37,7 @@ _STANDARD_DEVIATIONS = {
     "log-normal": "sigma",
     "student": "sigma",
 }
+_LEVELS = ("sigma", "relative")
 _PREDICTION = "p"
 NOISES = tuple(_STANDARD_DEVIATIONS)
 """The kinds of noise that ``noise=`` takes."""
@@ -120,10 +121,19 @@ def noise_of(kind: object, observable: str, spread: Array, *, given: bool) -> No
         if kind != "proportional":
             return Noise(distribution, spread)
         return Noise(distribution, spread, _named(formula_of("abs(p)"), {_PREDICTION: observable}))
-    levels = {word: f"{word}_{observable}" for word in ("sigma", "relative") if word in text}
+    levels = {
+        word: name
+        for word, name in zip(_LEVELS, usual_levels(observable), strict=True)
+        if word in text
+    }
     formula = _named(formula_of(text), {**levels, _PREDICTION: observable})
     relative = [levels[word] for word in levels if word == "relative" or kind == "log-normal"]
     return Noise(distribution, spread, formula, tuple(levels.values()), tuple(relative))
+
+
+def usual_levels(observable: str) -> tuple[str, ...]:
+    """Names of the levels of noise of an observable, unless sigma names others."""
+    return tuple(f"{word}_{observable}" for word in _LEVELS)
 
 
 def _named(formula: Formula, names: Mapping[str, str]) -> Formula:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rankone.discretization.coordinates import name_of
 from rankone.estimation.formulas import Formula, formula_of
-from rankone.estimation.noise import Noise, noise_of
+from rankone.estimation.noise import Noise, noise_of, usual_levels
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -343,16 +343,30 @@ def _expressed(
     formula = formula_of(given, solution.metadata.time)
     known = {*solution.states, *solution.parameters, solution.metadata.time, observable}
     levels = tuple(name for name in formula.names if name not in known)
-    for name in levels:
-        near = did_you_mean(name, known, MISSPELT)
-        if near:
-            raise OptionError(
-                f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",
-                term=given,
-                remedy="choose a name for a level of noise that is less like it",
-            )
     distribution = str(kind) if kind in ("log-normal", "student") else "normal"
     return Noise(distribution, row, formula, levels, levels)
+
+
+def check_levels(
+    solution: SolutionCore, observations: Observations, declared: Collection[str] = ()
+) -> None:
+    """Raise an OptionError for levels of noise that look like misspelt names.
+
+    Those that are ``declared`` by bounds or a value do not, nor those with the usual names.
+    """
+    for observable, noise in zip(observations.names, observations.noises, strict=True):
+        known = {*solution.states, *solution.parameters, solution.metadata.time, observable}
+        for name in noise.levels:
+            if name in declared or name in usual_levels(observable):
+                continue
+            near = did_you_mean(name, known, MISSPELT)
+            if near:
+                raise OptionError(
+                    f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",
+                    term=name,
+                    remedy="a level of noise with such a name needs bounds; or choose one that is "
+                    "less like it, upper and lower case aside",
+                )
 
 
 def _spread(

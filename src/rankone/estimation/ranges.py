@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from rankone.estimation.experiments import Predicted, Trial
 from rankone.estimation.formulas import linear_names
 from rankone.estimation.free_parameters import FreeParameters, Range
 from rankone.estimation.likelihood import START_ROUNDS, Likelihood
-from rankone.estimation.observations import MISSPELT
+from rankone.estimation.observations import MISSPELT, check_levels
 from rankone.statistics.distributions import Measure
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
@@ -36,6 +36,8 @@ def ranges_of(trials: Sequence[Trial], declared: Sequence[str]) -> dict[str, Ran
     Linear ones have an infinite range, which :func:`with_linear_ranges` makes finite. Others are
     ``declared`` by bounds or a value; an OptionError if they are not, or look like a misspelt name.
     """
+    for trial in trials:
+        check_levels(trial.solution, trial.observations, declared)
     levels = {name for trial in trials for name in trial.observations.levels}
     extras = dict.fromkeys(name for trial in trials for name in trial.extras)
     formulas = [formula for trial in trials for formula in trial.observations.formulas]
@@ -155,21 +157,30 @@ def vanishing_noise(trial: Trial, i: int, one: Predicted, data: Array) -> NDArra
     error = np.nan_to_num(trial.solution.error)
 
     def none(rows: Array) -> NDArray[np.bool_]:
-        largest = np.abs(np.broadcast_to(rows, (len(rows), data.size))).max(axis=0)
-        return np.asarray(largest <= max(_NOTHING, error) * largest.max())
+        sizes = np.abs(np.broadcast_to(rows, (len(rows), data.size)))
+        largest = sizes.max(axis=1, keepdims=True)
+        shares = np.divide(sizes, largest, out=np.zeros(sizes.shape), where=largest > 0.0)
+        return np.asarray(shares.max(axis=0) <= max(_NOTHING, error))
 
     silent = none(value_of(one.sigma)) | none(data[None])
     return none(value_of(one.value)) & silent
 
 
-def idle_levels(problem: Likelihood, z: Array, cost: float) -> dict[str, float]:
-    """Levels of combined noise that the data do not need: they may as well be zero."""
+def idle_levels(
+    problem: Likelihood, z: Array, cost: float, bounded: Collection[str]
+) -> dict[str, float]:
+    """Levels of combined noise that the data do not need: they may as well be zero.
+
+    Those that somebody has ``bounded`` stay.
+    """
     free = problem.free
     idle: dict[str, float] = {}
     for group in problem.groups:
         if len(group) < 2:
             continue
         for j in group:
+            if free.names[j] in bounded:
+                continue
             lowest = z.copy()
             lowest[j] = 0.0
             if problem.costs(lowest[None])[1][0] <= cost + _IDLE_RISE:

@@ -240,7 +240,8 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
     check_certain(problem, points)
     ends = minima_across_jumps(problem, _starts(problem, starts, points))
     k = chosen(problem, ends)
-    idle = idle_levels(problem, ends.z[k], float(ends.cost[k]))
+    bounded = by_name("bounds", options.bounds, problem.free.order)
+    idle = idle_levels(problem, ends.z[k], float(ends.cost[k]), bounded)
     if idle:
         held = {**by_name("fixed", options.fixed, problem.free.order), **idle}
         return fitted(trials, replace(options, fixed=held))

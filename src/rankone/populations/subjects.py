@@ -17,7 +17,7 @@ from rankone.estimation.duals import Dual, Operand
 from rankone.estimation.experiments import Experiment, fixed_by_label, observed_in
 from rankone.estimation.formulas import Formula
 from rankone.estimation.noise import Noise, log_likelihood
-from rankone.estimation.observations import Observations
+from rankone.estimation.observations import Observations, check_levels
 from rankone.estimation.tables import GROUPS, Block, blocks_of
 from rankone.populations.doses import Doses, DosesBySubject
 from rankone.populations.predictions import OwnTimes, own_times
@@ -163,6 +163,8 @@ def subjects_of(
     blocks = blocks_of(solution, dict(columns), experiment.observe)
     held = fixed_by_label(solution, experiment.fixed, blocks)
     observed = [observed_in(solution, experiment, block) for block in blocks]
+    for each in observed:
+        check_levels(solution, each)
     names = list(dict.fromkeys(block.labels[-1] for block in blocks))
     owners = np.array([names.index(block.labels[-1]) for block in blocks], dtype=np.intp)
     order = np.argsort(owners, kind="stable")
