@@ -315,6 +315,45 @@ def test_a_force_that_saturates_at_the_start_or_not():
         assert solution(6.0, a=start)[0] == pytest.approx(run, abs=2.0 * RTOL * 1.5)
 
 
+@pytest.mark.slow
+def test_an_order_that_grazes_in_a_sliver_is_declared(tmp_path):
+    """Few trajectories overshoot so far that they saturate on the other side as well."""
+    box = {"u": (0.6, 2), "x0": (0.4, 1), "v0": (-0.5, 0.5)}
+    rates = {"x": "v", "v": "-Max(-u, Min(u, 3*x + 2*v))"}
+    problem = text(rates, {"x": "x0", "v": "v0"}, box, 4)
+    solution = ro.solve(problem, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 2
+    assert 0.004 < solution.timeline.undecided < 0.01
+    assert ro.load(solution.save(tmp_path / "sliver.npz")).timeline == solution.timeline
+    at, times = points(solution, 4000, 3), np.linspace(0.0, 4.0, 5)
+    states = values(solution, times[:, None], at)
+    wanted, both = _controlled(times, **at)
+    undecided = np.isnan(states).any(axis=(0, 1))
+    assert np.array_equal(undecided, both)
+    assert np.nanmax(np.abs(states - wanted)) < 2.0 * RTOL
+
+
+def _controlled(times, u, x0, v0):
+    """States under a force of at most u, and where that ends with both signs: Runge-Kutta."""
+    y, most, steps, states = np.array([x0, v0]), np.full(u.shape, -np.inf), 500, []
+
+    def rates(y):
+        return np.array([y[1], -np.clip(3.0 * y[0] + 2.0 * y[1], -u, u)])
+
+    h = (times[1] - times[0]) / steps
+    for k in range(steps * (times.size - 1) + 1):
+        if k % steps == 0:
+            states.append(y)
+        most = np.maximum(most, -(3.0 * y[0] + 2.0 * y[1]) - u)
+        a = rates(y)
+        b = rates(y + 0.5 * h * a)
+        c = rates(y + 0.5 * h * b)
+        d = rates(y + h * c)
+        y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    return np.stack(states, axis=1), most > 0.0
+
+
 def _saturated(start):
     """The position at the end, in closed form on either side of the limit."""
     x, v, time = start, 0.0, 0.0
@@ -331,6 +370,19 @@ def test_an_order_that_grazes_is_refused_with_its_event():
     grazing = text({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, {"a": (0.7, 1.4)}, 4, kick)
     with pytest.raises(ro.ConvergenceError, match=r"cannot be continued: .* `kick` at a = "):
         ro.solve(grazing, RTOL)
+
+
+def test_an_order_that_holds_in_a_sliver_alone_is_declared():
+    """A kick at a level that few oscillations reach, and from which they come back elsewhere."""
+    kick = {"when": "x - 1.395", "direction": "rising", "then": {"v": "-v"}, "name": "kick"}
+    problem = text({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, {"a": (0.7, 1.4)}, 4, kick)
+    solution = ro.solve(problem, RTOL)
+    assert solution.success
+    assert solution.timeline.undecided == pytest.approx(0.005 / 0.7, rel=0.1)
+    with pytest.warns(ro.RankoneWarning, match="undecided in which order"):
+        assert np.isnan(solution(3.0, a=1.397)).all()
+    at = np.array([0.8, 1.3, 1.394])
+    np.testing.assert_allclose(solution(3.0, a=at)[0], at * np.sin(3.0), atol=RTOL)
 
 
 def test_an_event_that_comes_before_the_start_in_a_part_of_the_box():

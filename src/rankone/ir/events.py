@@ -98,19 +98,32 @@ class Guard:
 
 
 @dataclass(frozen=True)
+class Clearance:
+    """By how much trajectories miss an event on a stretch, ``sign`` times what ``when`` of it is.
+
+    It is a function of the parameters and of the time along the stretch.
+    """
+
+    event: int
+    stretch: int
+    sign: float
+
+
+@dataclass(frozen=True)
 class ForcedOrder:
     """An order that trajectories follow wherever it holds or not.
 
     ``met`` are the events at each instant in the order in which they happen: the first one ends the
     stretch. Stretches may then be of negative length. ``lengths`` predicts those up to the last
     instant, (m, instants) at points (m, d), to about ``margins`` (instants,). The ``guards`` are
-    functions of the parameters besides.
+    functions of the parameters besides, and the ``clearances`` of parameters and time.
     """
 
     met: tuple[tuple[int, ...], ...]
     lengths: OfPoints
     margins: tuple[float, ...]
     guards: tuple[Guard, ...] = ()
+    clearances: tuple[Clearance, ...] = ()
 
 
 class Ending(StrEnum):

@@ -242,8 +242,9 @@ class Clock:
 
     @property
     def n_guards(self) -> int:
-        """Number of functions of the parameters behind the states."""
-        return 0 if self.forced is None else len(self.forced.guards)
+        """Number of guards and clearances behind the states."""
+        forced = self.forced
+        return 0 if forced is None else len(forced.guards) + len(forced.clearances)
 
     @property
     def n_states(self) -> int:

@@ -128,14 +128,28 @@ class Fork:
 
 
 @dataclass(frozen=True)
+class Grazing:
+    """An event that a branch does not meet on a stretch, but for a sliver of where it holds.
+
+    There a row of the branch behind its states, a ``guard``, is below zero somewhere along the
+    stretch. It is relative to its ``scale``.
+    """
+
+    branch: int
+    stretch: int
+    guard: int
+    scale: float
+
+
+@dataclass(frozen=True)
 class BranchedTimeline:
     """Timelines of branches: orders of events that hold in parts of the box.
 
-    The slabs of each branch follow those of the one before. ``guards`` counts the functions of the
-    parameters, behind the states of each branch, that tell which one holds by the ``forks``. These
-    are known up to a ``width``, relative to the horizon or to their scales. Where branches differ
-    by more than the ``tolerances`` of the states within it, which one holds is ``undecided``: on
-    that share of the box.
+    The slabs of each branch follow those of the one before. ``guards`` counts the functions behind
+    the states of each branch that tell which one holds by the ``forks``. These are known up to a
+    ``width``, relative to the horizon or to their scales. Where branches differ by more than the
+    ``tolerances`` of the states within it, which one holds is ``undecided``: on that share of the
+    box. So it is where an order holds that cannot be continued: by the ``grazings``.
     """
 
     branches: tuple[Timeline, ...]
@@ -144,6 +158,7 @@ class BranchedTimeline:
     width: float
     tolerances: tuple[float, ...]
     undecided: float
+    grazings: tuple[Grazing, ...] = ()
 
     @property
     def events(self) -> tuple[str, ...]:

@@ -36,5 +36,10 @@ def branch_evaluator(slabs: Sequence[SlabTrain], timeline: BranchedTimeline) -> 
         for own, branch in zip(slabs_of_branches(slabs, timeline), timeline.branches, strict=True)
     ]
     return BranchEvaluator(
-        evaluators, timeline.guards, timeline.forks, timeline.width, timeline.tolerances
+        evaluators,
+        timeline.guards,
+        timeline.forks,
+        timeline.width,
+        timeline.tolerances,
+        timeline.grazings,
     )

@@ -18,7 +18,7 @@ from rankone.ir.events import ForcedOrder
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
-from rankone.ir.timeline import BranchedTimeline, Fork, Timeline
+from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Timeline
 from rankone.ir.verdict import MeasuredError, Note, Status, UndecidedShare
 from rankone.solution.branches import branch_evaluator
 from rankone.solvers.stretches import sizes_at_start, timed_system
@@ -28,6 +28,7 @@ from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
+from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.orders import Order, OrderSearch
 from rankone.trajectories.events.stretches import in_stretches
@@ -47,6 +48,7 @@ MOST_UNDECIDED = 0.01
 """Largest share of the box that may be undecided."""
 _POINTS = 256  # Trajectories that tell the orders
 _MOST_BRANCHES = 16
+_MOST_GRAZED = 0.03  # Share of the trajectories, about, with an order that cannot be continued
 _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy
 _MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
 _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
@@ -133,6 +135,19 @@ def with_points(search: OrderSearch, points: Array) -> OrderSearch:
 
 
 @dataclass(frozen=True)
+class _Branches:
+    """The branches, where each two of them part, and which events they graze.
+
+    The orders that are only ``grazed`` hold in slivers of the box, and are no branches.
+    """
+
+    branches: list[_Branch]
+    grazed: list[Order]
+    forks: tuple[Fork, ...] = ()
+    grazings: tuple[Grazing, ...] = ()
+
+
+@dataclass(frozen=True)
 class _BranchSolve:
     """A solve of all branches that a search has found, to a share of the tolerance."""
 
@@ -143,7 +158,8 @@ class _BranchSolve:
 
     def outcome(self, solve: Solve) -> tuple[Outcome, Array]:
         """The outcome, and points (m, d) at which other orders hold than those of its branches."""
-        branches, forks = self._with_forks(self._branches())
+        parted = self._with_grazings(self._with_forks(self._branches()))
+        branches = parted.branches
         outcomes, timelines = list[Outcome](), list[Timeline]()
         most = _MOST_OF_ONE * work_left()
         for k, branch in enumerate(branches):
@@ -160,15 +176,19 @@ class _BranchSolve:
             timelines.append(timeline)
         rtol = self.request.rtol
         tolerances = tuple((rtol * self.search.sizes).tolist())
-        guards = tuple(len(branch.forced.guards) for branch in branches)
-        branched = BranchedTimeline(
-            tuple(timelines), guards, tuple(forks), _WIDTH * rtol, tolerances, 0.0
+        guards = tuple(
+            len(branch.forced.guards) + len(branch.forced.clearances) for branch in branches
         )
-        return self._checked(outcomes, branched, [branch.order for branch in branches])
+        branched = BranchedTimeline(
+            tuple(timelines), guards, parted.forks, _WIDTH * rtol, tolerances, 0.0, parted.grazings
+        )
+        orders = [*(branch.order for branch in branches), *parted.grazed]
+        return self._checked(outcomes, branched, orders)
 
-    def _branches(self) -> list[_Branch]:
-        """The orders, without those that a longer one goes on from."""
-        branches = list[_Branch]()
+    def _branches(self) -> _Branches:
+        """The orders, without those that a longer one goes on from or that are only grazed."""
+        branches, grazed = list[_Branch](), list[Order]()
+        most_grazed = _MOST_GRAZED * len(self.search.points)
         for order, places in self.search.groups().items():
             if any(self._goes_on(order, places, other) for other in branches):
                 continue
@@ -176,8 +196,13 @@ class _BranchSolve:
                 raise OrderError(
                     f"events come in more than {_MOST_BRANCHES} orders over the box", remedy=REMEDY
                 )
-            branches.append(_Branch(order, self.search.continued(order, places), places))
-        return branches
+            try:
+                branches.append(_Branch(order, self.search.continued(order, places), places))
+            except ContinuationError:
+                if len(places) > most_grazed or order.terminal:
+                    raise
+                grazed.append(order)
+        return _Branches(branches, grazed)
 
     def _goes_on(self, order: Order, places: NDArray[np.intp], other: _Branch) -> bool:
         """Whether another branch has an order, and further events only after the end."""
@@ -197,8 +222,28 @@ class _BranchSolve:
         tighter = replace(request, domain=domain, rtol=self.share * request.rtol)
         return solve(stretched, tighter), Timeline.of(clock)
 
-    def _with_forks(self, branches: Sequence[_Branch]) -> tuple[list[_Branch], list[Fork]]:
+    def _with_grazings(self, parted: _Branches) -> _Branches:
+        """The branches with clearances from the events at which grazed orders part from them."""
+        branches, grazings = [*parted.branches], list[Grazing]()
+        for order in parted.grazed:
+            steps = [order.parts_at(branch.order) for branch in branches]
+            step = max(steps, default=0)
+            if not 0 < step <= len(order.met):
+                raise self.search.unforeseen(order)
+            clearance, scale = self.search.clearance(order, step)
+            for k in (k for k, at in enumerate(steps) if at == step):
+                forced = branches[k].forced
+                if clearance in forced.clearances:
+                    continue
+                guard = len(forced.guards) + len(forced.clearances)
+                forced = replace(forced, clearances=(*forced.clearances, clearance))
+                branches[k] = replace(branches[k], forced=forced)
+                grazings.append(Grazing(k, clearance.stretch, guard, scale))
+        return replace(parted, branches=branches, grazings=tuple(grazings))
+
+    def _with_forks(self, parted: _Branches) -> _Branches:
         """The branches with their guards, and where each two of them part."""
+        branches = parted.branches
         search, guarded, forks = self.search, [*branches], list[Fork]()
         lengths = [branch.forced.lengths(search.points) for branch in branches]
         least = -_PAST * search.length
@@ -221,7 +266,7 @@ class _BranchSolve:
                 guards.append(guard)
                 guarded[a] = replace(guarded[a], forced=replace(forced, guards=tuple(guards)))
             forks.append(replace(fork, guard=guards.index(guard), sign=sign, scale=scale))
-        return guarded, forks
+        return replace(parted, branches=guarded, forks=tuple(forks))
 
     def _at_once(
         self, one: Order, other: Order, step: int, lengths: Array, other_lengths: Array

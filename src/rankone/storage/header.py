@@ -421,6 +421,10 @@ def _check_branches(
         fits = fork.first in branches and fork.second in branches and fork.stretch >= -1
         if not fits or (fork.guard is not None and not 0 <= fork.guard < guards):
             raise ValueError(f"{fork} is between no branches")
+    for grazing in timeline.grazings:
+        guards = timeline.guards[grazing.branch] if grazing.branch in branches else 0
+        if not 0 <= grazing.guard < guards or not grazing.scale > 0.0:
+            raise ValueError(f"{grazing} is of no branch")
     ends = np.cumsum([branch.stretches for branch in timeline.branches])
     counts = set()
     for slab in slabs:

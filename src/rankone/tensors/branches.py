@@ -17,6 +17,8 @@ from rankone.tensors.evaluator import Rows
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
+_LOOKS = 65  # Times along a stretch at which a grazed event is looked for
+
 
 class BranchFork(Protocol):
     """A fork of two branches; see :class:`rankone.ir.timeline.Fork`."""
@@ -37,16 +39,31 @@ class BranchFork(Protocol):
     def may_be_past(self) -> tuple[bool, bool]: ...
 
 
+class BranchGrazing(Protocol):
+    """An event that is only grazed; see :class:`rankone.ir.timeline.Grazing`."""
+
+    @property
+    def branch(self) -> int: ...
+    @property
+    def stretch(self) -> int: ...
+    @property
+    def guard(self) -> int: ...
+    @property
+    def scale(self) -> float: ...
+
+
 @dataclass(frozen=True)
 class Decision:
     """Which branch holds at N points, and by how much it is ahead of each (branches, N).
 
-    Points are ``undecided`` if no branch is ahead of all others. ``borders`` are those of the
+    ``clear`` is by how much it misses events that are only grazed, (N,). Points are ``undecided``
+    if no branch is ahead of all others, or it meets one of these. ``borders`` are those of the
     stretches of each branch, as solved.
     """
 
     chosen: NDArray[np.intp]
     ahead: Array
+    clear: Array
     undecided: NDArray[np.bool_]
     borders: list[Array]
 
@@ -66,7 +83,9 @@ class BranchEvaluator(ClockEvaluator):
         forks: Sequence[BranchFork],
         width: float,
         tolerances: Sequence[float],
+        grazings: Sequence[BranchGrazing] = (),
     ) -> None:
+        self.grazings = tuple(grazings)
         self.branches, self.guards, self.forks = tuple(branches), tuple(guards), tuple(forks)
         self.width, self.tolerances = width, np.array(tolerances, dtype=float)
         self.horizon = branches[0].horizon
@@ -85,7 +104,8 @@ class BranchEvaluator(ClockEvaluator):
     def deciders(self, points: Array) -> Array:
         """Smooth functions (k, N) of points (d, N) that tell branches and stretches.
 
-        They are the borders of all branches, as solved, and then the guards of the forks.
+        They are the borders of all branches, as solved, the guards of the forks, and by how much
+        branches miss events that are only grazed.
         """
         borders = [branch.borders_as_solved(points) for branch in self.branches]
         guards = [
@@ -93,7 +113,8 @@ class BranchEvaluator(ClockEvaluator):
             for fork in self.forks
             if fork.guard is not None
         ]
-        return np.concatenate([*borders, *guards])
+        clearances = [self._clearance(grazing, points)[None] for grazing in self.grazings]
+        return np.concatenate([*borders, *guards, *clearances])
 
     def _decided_by(self, deciders: Array) -> Decision:
         """The branches that hold by deciders (k, N)."""
@@ -101,6 +122,7 @@ class BranchEvaluator(ClockEvaluator):
         length = self.horizon[1] - start
         ends = np.cumsum([round(branch.slabs[-1].end) + 1 for branch in self.branches])
         *borders, guards = np.split(deciders, ends)
+        guards, clearances = np.split(guards, [len(guards) - len(self.grazings)])
         guard = iter(guards)
         ahead = np.full((count, count, deciders.shape[1]), np.inf)
         for fork in self.forks:
@@ -120,7 +142,24 @@ class BranchEvaluator(ClockEvaluator):
             times = borders[k][:, here]
             back = (np.diff(times, axis=0) < -self.width * length) & (times[:-1] < self.horizon[1])
             undecided[here] |= back.any(axis=0)
-        return Decision(chosen, ahead[chosen, :, columns].T, undecided, borders)
+        clear = np.full(chosen.shape, np.inf)
+        for grazing, clearance in zip(self.grazings, clearances, strict=True):
+            here = chosen == grazing.branch
+            clear[here] = np.minimum(clear[here], clearance[here] / grazing.scale)
+        undecided |= ~(clear > 0.0)
+        return Decision(chosen, ahead[chosen, :, columns].T, clear, undecided, borders)
+
+    def _clearance(self, grazing: BranchGrazing, points: Array) -> Array:
+        """The least value of a guard along its stretch at points (d, N), by parabolas."""
+        evaluator = self.branches[grazing.branch]
+        first = len(evaluator.slabs[0].cores[0]) - 2 - self.guards[grazing.branch]
+        times = grazing.stretch + np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
+        heights = evaluator.trains.curves(times, points, np.array([first + grazing.guard]))[0]
+        slope = 0.5 * (heights[2:] - heights[:-2])
+        bend = heights[2:] - 2.0 * heights[1:-1] + heights[:-2]
+        turns = (bend > 0.0) & (np.abs(slope) <= bend)
+        lowest = heights[1:-1] - 0.5 * slope**2 / np.where(turns, bend, np.inf)
+        return np.asarray(np.minimum(heights.min(axis=0), lowest.min(axis=0)))
 
     def _guard(self, branch: int, guard: int, points: Array) -> Array:
         """A guard of a branch at points (d, N)."""

@@ -132,6 +132,10 @@ def _blocks(points: Array) -> list[Array]:
 
 
 def _margins(evaluator: BranchEvaluator, points: Array) -> Array:
-    """By how much the branch that holds at points (m, d) is ahead of all others, (m,)."""
+    """By how much the branch that holds at points (m, d) is ahead of all others, (m,).
+
+    Or by how much it misses an event that is only grazed.
+    """
     decision = evaluator.decided(np.ascontiguousarray(points.T))
-    return np.where(decision.undecided, -np.inf, decision.ahead.min(axis=0))
+    ahead = np.minimum(decision.ahead.min(axis=0), decision.clear)
+    return np.where(decision.undecided, -np.inf, ahead)

@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Ending, SystemEvent
+from rankone.ir.events import Clearance, Ending, SystemEvent
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
@@ -99,7 +99,7 @@ class ForcedTrajectories(PseudoTimeTrajectories):
     """Trajectories of a forced order, over the pseudo-time of its stretches.
 
     ``borders`` (m, stretches + 1) are clock times, which need not ascend; ``guards`` (g, m) belong
-    to the order.
+    to the order. Its clearances are rows behind these.
     """
 
     system: System
@@ -132,11 +132,12 @@ class ForcedTrajectories(PseudoTimeTrajectories):
 
     def __call__(self, times: Array) -> Array:
         """States, guards, clock and length of the stretch at pseudo-times (T,)."""
-        n, g = self.clock.n_states, len(self.guards)
+        n, g = self.clock.n_states, self.clock.n_guards
         stretch = np.clip(np.floor(times).astype(int), 0, len(self.flows) - 1)
         lengths = np.diff(self.borders, axis=1)
         states = np.empty((n + g + CLOCK_STATES, len(self.points), times.size))
-        states[n : n + g] = self.guards[:, :, None]
+        constant = n + len(self.guards)
+        states[n:constant] = self.guards[:, :, None]
         elapsed = (times - stretch) * lengths[:, stretch]
         states[n + g], states[n + g + 1] = (
             self.borders[:, stretch] + elapsed,
@@ -145,7 +146,15 @@ class ForcedTrajectories(PseudoTimeTrajectories):
         for i in np.unique(stretch):
             here = stretch == i
             states[:n, :, here] = self.flows[i](elapsed[:, here])[:n]
+            for row, each in enumerate(self._clearances, constant):
+                event = self.clock.system.events[each.event]
+                heights = self.flows[i].heights(event, elapsed[:, here])
+                states[row, :, here] = each.sign * heights.T
         return states
+
+    @property
+    def _clearances(self) -> tuple[Clearance, ...]:
+        return () if self.clock.forced is None else self.clock.forced.clearances
 
     def of(self, trajectories: slice) -> ForcedTrajectories:
         """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
@@ -230,8 +239,11 @@ class _Follower:
         (first, *_), before = forced.met[i], forced.met[i - 1] if i else ()
         event = self.clock.system.events[first]
         if event.at is None:
-            at_root = first in before or not before
-            return self._to_root(event, times, states, expected, forced.margins[i], at_root)
+            margin = forced.margins[i]
+            at_root = np.full(times.shape, first in before)
+            if not before:  # at points that begin at the very event, it is the one expected
+                at_root = np.abs(expected) > margin
+            return self._to_root(event, times, states, expected, margin, at_root)
         at = event.at(np.ascontiguousarray(self.points.T))
         elapsed = np.broadcast_to(at, times.shape) - times
         return self._flow(times, states, elapsed, np.zeros_like(elapsed)), elapsed
@@ -293,7 +305,7 @@ class _Follower:
         states: Array,
         expected: Array,
         margin: float,
-        at_root: bool,
+        at_root: NDArray[np.bool_],
     ) -> tuple[_Flow, Array]:
         """The flow around the expected root of an event, and the elapsed times (m,) of roots."""
         for factor in _WIDER:
@@ -333,20 +345,23 @@ def guard_heights(
 
 
 def _nearest_roots(
-    flow: _Flow, event: SystemEvent, low: Array, high: Array, expected: Array, at_root: bool
+    flow: _Flow,
+    event: SystemEvent,
+    low: Array,
+    high: Array,
+    expected: Array,
+    at_root: NDArray[np.bool_],
 ) -> Array:
     """The roots of an event nearest to what is expected, (m,); NaN where there are none.
 
-    Where stretches begin at a root, that one does not count.
+    Where stretches begin ``at_root`` (m,), that one does not count.
     """
     shares = np.linspace(0.0, 1.0, _LOOKS)
     elapsed = low[:, None] + (high - low)[:, None] * shares
     heights = flow.heights(event, elapsed)
-    deflated = np.zeros(len(low), dtype=bool)
-    if at_root:
-        at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
-        deflated = at_start <= _AT_ROOT * np.abs(heights).max(axis=1)
-        heights = _deflated(heights, elapsed, deflated)
+    at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
+    deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
+    heights = _deflated(heights, elapsed, deflated)
     signs = np.sign(heights)
     crossed = signs[:, :-1] * signs[:, 1:] < 0.0
     crossed |= (signs[:, :-1] == 0.0) & (signs[:, 1:] != 0.0)

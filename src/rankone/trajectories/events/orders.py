@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rankone.ir.events import Ending, EventOrder, ForcedOrder, Guard
+from rankone.ir.events import BOTH, Clearance, Ending, EventOrder, ForcedOrder, Guard
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
@@ -244,6 +244,28 @@ class OrderSearch:
         clock = order.clock(self.system, self.horizon, forced)
         stretched = in_stretches(clock)
         return forced_trajectories(stretched, clock, self.integrator, points, self.tolerances)
+
+    def clearance(self, order: Order, step: int) -> tuple[Clearance, float]:
+        """From the event that an order meets at a step while others go on, with its size.
+
+        An OrderError if that does not come where it falls or rises to zero.
+        """
+        k = order.met[step - 1][0]
+        event = self.system.events[k]
+        if event.at is not None or event.direction == BOTH:
+            raise self.unforeseen(order)
+        states = np.stack([each.paths[0].state for each in self.trajectories], axis=1)
+        times = np.full(len(self.points), self.horizon[0])
+        heights = guard_heights(self.system, k, None, times, states, self.points)
+        return Clearance(k, step - 1, -float(event.direction)), float(np.abs(heights).max()) or 1.0
+
+    def unforeseen(self, order: Order) -> OrderError:
+        """The error for an order that holds in a part of the box and cannot be continued."""
+        return OrderError(
+            f"the order {self.named(order)} of events holds in a small part of the box and cannot "
+            "be continued from there",
+            remedy=REMEDY,
+        )
 
     def guard(
         self,

@@ -35,6 +35,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 
 Answer = TypeVar("Answer")
+_STEP = 1e-6  # Step over which clearances are differentiated, in horizons
 
 
 def fixed_times(system: System, cuts: Sequence[float]) -> list[float]:
@@ -125,11 +126,12 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
 def in_stretches(clock: Clock) -> System:
     """The system over the pseudo-time of stretches, with its clock and their lengths as states.
 
-    Guards of a forced order are constant states before these. Its Jacobian leaves out how the rates
-    depend on the clock.
+    Guards of a forced order are constant states before these, and then come its clearances. Its
+    Jacobian leaves out how the rates depend on the clock.
     """
     system, order, guards = clock.system, clock.order, clock.n_guards
     cost, n = function_cost(system.rhs, system.user_functions), clock.n_states
+    clearances = () if clock.forced is None else clock.forced.clearances
     now = n + guards  # the row of the clock
     stretches = order.stretches
     sides = np.array(order.sides, dtype=float).reshape(stretches, system.n_sides)
@@ -146,9 +148,16 @@ def in_stretches(clock: Clock) -> System:
         rows = np.asarray(u)
         states, time, length = of_system(s, rows), rows[now], rows[now + 1]
         charge(cost(length.size))
-        rates = np.broadcast_to(system.rhs(time, states, p), states.shape)[:n]
-        still = np.zeros((guards, *length.shape))
-        return np.concatenate([length * rates, still, [length, np.zeros_like(length)]])
+        rates = np.broadcast_to(system.rhs(time, states, p), states.shape)
+        of_guards = np.zeros((guards, *length.shape))
+        for row, each in enumerate(clearances, guards - len(clearances)):
+            step = _STEP * clock.length
+            ahead, behind = (
+                system.events[each.event].when(time + h, states + h * rates, np.asarray(p))
+                for h in (step, -step)
+            )
+            of_guards[row] = length * each.sign * (ahead - behind) / (2.0 * step)
+        return np.concatenate([length * rates[:n], of_guards, [length, np.zeros_like(length)]])
 
     def jacobian(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
@@ -167,9 +176,12 @@ def in_stretches(clock: Clock) -> System:
         parameters = np.asarray(p)
         count = parameters.shape[1]
         clock_states = [np.full(count, clock.horizon[0]), np.full(count, clock.length / stretches)]
-        return np.concatenate(
-            [system.initial(parameters)[:n], np.ones((guards, count)), clock_states]
-        )
+        start = system.initial(parameters)
+        of_guards = np.ones((guards, count))
+        for row, each in enumerate(clearances, guards - len(clearances)):
+            height = system.events[each.event].when(clock_states[0], start, parameters)
+            of_guards[row] = each.sign * height
+        return np.concatenate([start[:n], of_guards, clock_states])
 
     features = system.features
     features = Features(
