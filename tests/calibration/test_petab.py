@@ -33,6 +33,13 @@ variable="A"><math xmlns="http://www.w3.org/1998/Math/MathML"><cn>1</cn></math><
 </listOfEventAssignments></event></listOfEvents></model>"""
 
 
+def with_prior(prior):
+    """The table of parameters with a prior of k1."""
+    header, first, *others = PARAMETERS.strip().split("\n")
+    header += "\tobjectivePriorType\tobjectivePriorParameters"
+    return "\n".join([header, f"{first}\t{prior}", *(f"{x}\t\t" for x in others)]) + "\n"
+
+
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     return write(tmp_path_factory.mktemp("petab"))
@@ -228,6 +235,9 @@ def test_pickles(problem):
         ({"conversion": ""}, "format_version"),
         ({"model": MODEL.replace("</model>", EVENT)}, "has 1 event, `halved`"),
         ({"conditions": CONDITIONS.replace("3\n", "\n").replace("0\n", "-9\n")}, "steady state"),
+        ({"measurements": table([(*rows()[0][:3], "inf", *rows()[0][4:])])}, "row 1.* is inf"),
+        ({"parameters": with_prior("uniform\t2;1")}, "prior of `k1` the parameters `2;1`"),
+        ({"parameters": with_prior("normal\t1;0")}, "prior of `k1` the parameters `1;0`"),
     ],
 )
 def test_faults_are_named(tmp_path, files, message):

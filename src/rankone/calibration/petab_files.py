@@ -255,9 +255,26 @@ def _prior(name: str, row: Any, scale: str) -> Prior | None:
     numbers = row.get("objectivePriorParameters")
     if _is_empty(numbers) and kind == "parameterScaleUniform":
         return None
-    first, second = map(float, str(numbers).split(";"))
     shape, coordinate = _PRIORS[kind]
+    first, second = _prior_numbers(name, shape, str(numbers))
     return Prior(shape, coordinate or scale, first, second, of_value=coordinate is not None)
+
+
+def _prior_numbers(name: str, shape: str, text: str) -> tuple[float, float]:
+    """Ends in order, or a location and a positive width."""
+    try:
+        first, second = map(float, text.split(";"))
+    except ValueError:
+        first = second = math.nan
+    usable = first < second if shape == "uniform" else second > 0.0
+    if not (usable and math.isfinite(first) and math.isfinite(second)):
+        what = "a lower and a higher end" if shape == "uniform" else "a location and a width > 0"
+        raise ProblemError(
+            f"the parameter table gives the prior of {quote(name)} the parameters {quote(text)}",
+            term=name,
+            remedy=f"give {what}, as `1;2`",
+        )
+    return first, second
 
 
 def _assigned(cell: Any) -> Assigned:
@@ -350,11 +367,16 @@ def _series(
         if not rows:
             continue
         some = table.iloc[rows]
-        for row, at in zip(rows, some["time"], strict=True):
+        for row, at, measured in zip(rows, some["time"], some["measurement"], strict=True):
             if not float(at) >= 0.0:
                 raise ProblemError(
-                    f"the measurement table, row {row + 1}: the time {at} is before the start at 0",
-                    term=at,
+                    f"the measurement table, row {row + 1}: the time {at} is not from 0 on", term=at
+                )
+            if not math.isfinite(float(measured)):
+                raise ProblemError(
+                    f"the measurement table, row {row + 1}: the measurement is {measured}",
+                    term=measured,
+                    remedy="leave the row out",
                 )
         placeholders: dict[str, list[Assigned]] = {}
         for word in ("observable", "noise"):
