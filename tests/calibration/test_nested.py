@@ -80,9 +80,9 @@ def least(nested, simulated, values, names):
             return 1e6
 
     generator, bounds = np.random.default_rng(0), [(0.0, 1.0)] * len(names)
-    points = generator.random((40, len(names)))
-    best = sorted(points, key=cost)[:3]
-    options = {"maxiter": 4000, "maxfev": 4000, "xatol": 1e-9, "fatol": 1e-9}
+    points = generator.random((30, len(names)))
+    best = sorted(points, key=cost)[:2]
+    options = {"maxiter": 1500, "maxfev": 1500, "xatol": 1e-6, "fatol": 1e-6}
     return min(
         scipy.optimize.minimize(cost, z, method="Nelder-Mead", bounds=bounds, options=options).fun
         for z in best

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,8 @@ def sensitive_path(
     """
     (n, w), count = start.slopes.shape, times.size
     at = Sensitive(np.full((count, n), np.nan), np.full((count, n, w), np.nan))
+    stages = _FEW_STAGES if tolerances.relative >= _LOOSE else _STAGES
+    variation = _Variation(system, point, rate_slopes, stages)
     for a, b in itertools.pairwise(edges):
         if after_jump is not None:
             start = after_jump(a, start)
@@ -79,8 +82,7 @@ def sensitive_path(
             at.states[here] = path(times[here]).T
         if path.steps and w:
             ends = np.append(times[here], path.end)
-            stages = _FEW_STAGES if tolerances.relative >= _LOOSE else _STAGES
-            slopes = _slopes(system, point, path, start.slopes, rate_slopes, ends, stages)
+            slopes = variation.slopes(path, start.slopes, ends)
             at.slopes[here], start = slopes[:-1], Start(path.state, slopes[-1])
         if path.end < b:
             break
@@ -88,29 +90,30 @@ def sensitive_path(
     return at
 
 
-def _slopes(
-    system: System,
-    point: Array,
-    path: Path,
-    start: Array,
-    rate_slopes: RateSlopes,
-    times: Array,
-    stages: int,
-) -> Array:
-    """Derivatives (T, n, w) at times of a path."""
+@dataclass(frozen=True)
+class _Variation:
+    """What derivatives along a trajectory depend on beside the trajectory."""
 
-    def rates(clock: Array, states: Array, _: NDArray[np.intp]) -> Array:
-        return rate_slopes(clock, states)
+    system: System
+    point: Array
+    rate_slopes: RateSlopes
+    stages: int
 
-    def states(clock: Array) -> Array:
-        return path(clock)[:, None]
+    def slopes(self, path: Path, start: Array, times: Array) -> Array:
+        """Derivatives (T, n, w) at times of a path, which has those of the start (n, w) there."""
 
-    forcing = Forcing(rates, start[..., None])
-    steps = _with_times(path.breaks, times)
-    slopes = sensitivities(
-        system, point[None], states, steps.tolist(), forcing, times, stages=stages, halves=False
-    )
-    return np.moveaxis(slopes[:, :, 0], 2, 0)
+        def rates(clock: Array, states: Array, _: NDArray[np.intp]) -> Array:
+            return self.rate_slopes(clock, states)
+
+        def states(clock: Array) -> Array:
+            return path(clock)[:, None]
+
+        forcing = Forcing(rates, start[..., None])
+        steps, point = _with_times(path.breaks, times).tolist(), self.point[None]
+        slopes = sensitivities(
+            self.system, point, states, steps, forcing, times, stages=self.stages, halves=False
+        )
+        return np.moveaxis(slopes[:, :, 0], 2, 0)
 
 
 def _with_times(breaks: Array, times: Array) -> Array:
