@@ -86,3 +86,20 @@ def test_a_thermostat_that_takes_all_of_the_budget():
     assert "where the rate of `T` switches to and fro" in solution.message
     assert "the reference trajectories took 85 % of the budget" in solution.message
     assert "in equation 1 switches at" in solution.message
+
+
+@pytest.mark.parametrize(
+    ("rate", "boundary", "smooth"),
+    [
+        ("Abs(x - y) + a", "x - y", "sqrt((x - y)**2 + w**2)"),
+        ("Min(1, Max(a, y))", "a - y", "sqrt((a - y)**2 + w**2)"),
+    ],
+)
+def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):
+    rates = {"x": "y", "y": f"{rate} - 3*x"}
+    box = {"a": (0.1, 0.4), "b": (-2, 2)}
+    problem = ro.Problem.from_strings(rates, {"x": "1", "y": "b"}, box, (0, 10))
+    solution = ro.solve(problem, 1e-8, effort=0.002)
+    assert not solution.success
+    assert f"in equation 2 switches at `{boundary}` = 0" in solution.message
+    assert smooth in solution.message

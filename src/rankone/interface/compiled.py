@@ -281,7 +281,8 @@ class CompiledProblem(CompiledStages):
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
         notes = outcome.notes
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
-            term = switching_term(self.first_order, outcome.switching)
+            kinks = not outcome.status.ends_early
+            term = switching_term(self.first_order, outcome.switching, kinks=kinks)
             notes = notes if term is None else (*notes, term)
         if observed is not None:  # no state is kept that could be named
             metadata, outcome = metadata.observing(observed), replace(outcome, switching=None)

@@ -44,6 +44,7 @@ _MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are sol
 # A function that changes over the interval divided by this is narrow: samples would miss it
 _NARROW_PARTS = 3e4
 _NARROW_CHANGE = 0.01  # Relative change over that distance from which a function is narrow
+_KINKED = (sp.Abs, sp.Max, sp.Min)
 _HUGE = 1e300  # Stands for infinite function values, so that their differences are numbers
 
 
@@ -145,30 +146,54 @@ def features_of(
     )
 
 
-def switching_term(system: FirstOrderSystem, state: int | None = None) -> SwitchingTerm | None:
+def switching_term(
+    system: FirstOrderSystem, state: int | None = None, *, kinks: bool = False
+) -> SwitchingTerm | None:
     """Which term switches over the unknowns, and how to smooth it; None if there is none.
 
-    ``state`` is one whose rate is known to switch; by default the first that may.
+    ``state`` is one whose rate is known to switch; by default the first that may. With ``kinks`` it
+    is one that kinks, where none jumps.
+    """
+    for index in range(len(system.rhs)) if state is None else (state,):
+        if (term := _switching_in(system, index, DISCONTINUOUS, "tanh({}/w)")) is not None:
+            return term
+    for index in range(len(system.rhs)) if kinks and state is None else ():
+        if (term := _switching_in(system, index, _KINKED, "sqrt({}**2 + w**2)")) is not None:
+            return term
+    return None
+
+
+def _switching_in(
+    system: FirstOrderSystem, index: int, functions: tuple[type, ...], smooth: str
+) -> SwitchingTerm | None:
+    """The first term of a rate that switches by some functions, if there is one.
+
+    ``smooth`` is one in their place, of the boundary and a width.
     """
     plain = {
         f: sp.Symbol(state.name) for f, state in zip(system.functions, system.states, strict=True)
     }
-    for index in range(len(system.rhs)) if state is None else (state,):
-        for term in sp.Add.make_args(system.rhs[index]):
-            switches = [
-                boundary
-                for boundary, levels in boundaries([term], DISCONTINUOUS)
-                if levels is not None and boundary.has(AppliedUndef)
-            ]
-            if not switches:
-                continue
-            boundary = min(switches, key=sp.default_sort_key).xreplace(plain)
-            origin = system.origins[index]
-            equation = f"the equation of {quote(system.states[index].name)}"
-            equation = equation if origin is None else f"equation {origin}"
-            smooth = f"tanh({boundary}/w)" if boundary.is_Symbol else f"tanh(({boundary})/w)"
-            return SwitchingTerm(written(term.xreplace(plain)), equation, written(boundary), smooth)
+    for term in sp.Add.make_args(system.rhs[index]):
+        switches = [
+            boundary
+            for boundary, levels in boundaries([term], functions)
+            if levels is not None and boundary.has(AppliedUndef)
+        ]
+        if not switches:
+            continue
+        boundary = min(switches, key=_inner_first).xreplace(plain)
+        origin = system.origins[index]
+        equation = f"the equation of {quote(system.states[index].name)}"
+        equation = equation if origin is None else f"equation {origin}"
+        inside = str(boundary) if boundary.is_Symbol else f"({boundary})"
+        place = written(term.xreplace(plain)), equation, written(boundary)
+        return SwitchingTerm(*place, smooth.format(inside))
     return None
+
+
+def _inner_first(boundary: sp.Expr) -> tuple[bool, object]:
+    """A key that sorts boundaries with kinks inside behind the others."""
+    return boundary.has(*_KINKED), sp.default_sort_key(boundary)
 
 
 class _Unsolved(Exception):
