@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rankone import Solution
 
-__all__ = ["POINTS", "TIMES", "Independent", "measured_errors"]
+__all__ = ["POINTS", "TIMES", "Independent", "measured_errors", "trajectories"]
 
 Array = NDArray[np.float64]
 
@@ -60,47 +60,49 @@ class Independent:
 
 
 @cache
-def _trajectories(system: Independent) -> tuple[Array, Array, Array]:
-    """Parameters (d, m), times (T,) and states (n, m, T)."""
+def trajectories(
+    system: Independent, count: int = POINTS, rtol: float = 1e-11
+) -> tuple[Array, Array, Array]:
+    """Random parameters (d, count), times (T,) and states (n, count, T)."""
     lower, upper = np.array(system.box).T
-    points = np.random.default_rng(SEED).uniform(lower, upper, (POINTS, lower.size)).T
+    points = np.random.default_rng(SEED).uniform(lower, upper, (count, lower.size)).T
     times = np.linspace(system.start, system.end, TIMES)
-    start = np.stack([np.broadcast_to(value, POINTS) for value in system.initial(points)])
+    start = np.stack([np.broadcast_to(value, count) for value in system.initial(points)])
     start = start.astype(float)
     n = len(start)
 
     def stacked(t: float, y: Array) -> Array:
-        rows = system.rhs(t, y.reshape(n, POINTS), points)
-        return np.stack([np.broadcast_to(row, POINTS) for row in rows]).ravel()
+        rows = system.rhs(t, y.reshape(n, count), points)
+        return np.stack([np.broadcast_to(row, count) for row in rows]).ravel()
 
     options: dict[str, object] = {"method": "DOP853"}
     if system.stiff:
-        blocks = scipy.sparse.kron(np.ones((n, n)), scipy.sparse.eye(POINTS))
+        blocks = scipy.sparse.kron(np.ones((n, n)), scipy.sparse.eye(count))
         options = {"method": "Radau", "jac_sparsity": blocks}
     found = np.empty((TIMES, start.size))
     state, edges = start.ravel(), [system.start, *sorted(system.jumps), system.end]
     for a, b in itertools.pairwise(edges):
         if a in system.jumps:
-            state = np.stack(system.jumps[a](state.reshape(n, POINTS), points)).ravel()
+            state = np.stack(system.jumps[a](state.reshape(n, count), points)).ravel()
         inside = (times >= a) & ((times < b) | (b == system.end))
         result = scipy.integrate.solve_ivp(
             stacked,
             (a, b),
             state,
             t_eval=[*times[inside], *([] if b == system.end else [b])],
-            rtol=1e-11,
-            atol=np.repeat(1e-13 * np.array(system.sizes), POINTS),
+            rtol=rtol,
+            atol=np.repeat(0.01 * rtol * np.array(system.sizes), count),
             **options,
         )
         assert result.success, result.message
         state = result.y[:, -1]
         found[inside] = result.y.T[: np.count_nonzero(inside)]
-    return points, times, found.T.reshape(n, POINTS, TIMES)
+    return points, times, found.T.reshape(n, count, TIMES)
 
 
-def measured_errors(solution: Solution, system: Independent) -> Array:
-    """Largest error of each unknown, relative to the unknown's size, shape (n,)."""
-    points, times, exact = _trajectories(system)
+def measured_errors(solution: Solution, system: Independent, count: int = POINTS) -> Array:
+    """Largest error of each unknown at random points, relative to the unknown's size: (n,)."""
+    points, times, exact = trajectories(system, count)
     values = {name: row[:, None] for name, row in zip(solution.parameters, points, strict=True)} | {
         solution.metadata.time: times
     }

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from tests.reference.measure import measured_errors
+from tests.reference.measure import measured_errors, trajectories
 from tests.reference.published import KINDS, PUBLISHED
 
-POINTS, TIMES, RTOL = 8, 12, 1e-3
+RTOL = 1e-3
+FEW, POINTS = 8, 64
+"""Points of trajectories whose rates are compared, and at which solutions are measured."""
 UNSOLVED = {"chua", "wilson_cowan"}
 """Those that a low effort leaves above RTOL, and says so."""
 QUICK = {entry.kind: name for name, entry in PUBLISHED.items()}.values()
@@ -21,32 +21,6 @@ QUICK = {entry.kind: name for name, entry in PUBLISHED.items()}.values()
 each = pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in PUBLISHED]
 )
-
-
-@cache
-def _run(name):
-    """Parameters (d, m), times (T,) and states (n, m, T) of one stacked integration."""
-    system = PUBLISHED[name].independent
-    lower, upper = np.array(system.box).T
-    p = np.random.default_rng(42).uniform(lower, upper, (POINTS, lower.size)).T
-    start = np.stack([np.broadcast_to(value, POINTS) for value in system.initial(p)]).astype(float)
-    times = np.linspace(system.start, system.end, TIMES)
-
-    def stacked(t, y):
-        rows = system.rhs(t, y.reshape(start.shape), p)
-        return np.stack([np.broadcast_to(row, POINTS) for row in rows]).ravel()
-
-    result = scipy.integrate.solve_ivp(
-        stacked,
-        (system.start, system.end),
-        start.ravel(),
-        method="LSODA" if system.stiff else "DOP853",
-        t_eval=times,
-        rtol=1e-8,
-        atol=np.repeat(1e-10 * np.array(system.sizes), POINTS),
-    )
-    assert result.success, result.message
-    return p, times, result.y.reshape(*start.shape, TIMES)
 
 
 def test_the_suite_is_large_and_varied():
@@ -57,8 +31,8 @@ def test_the_suite_is_large_and_varied():
 
 @each
 def test_trajectories_reach_the_end(name):
-    _, _, states = _run(name)
     system = PUBLISHED[name].independent
+    _, _, states = trajectories(system, FEW, 1e-8)
     largest = np.abs(states).max(axis=(1, 2)) / np.array(system.sizes)
     least = 1e-3 if system.stiff else 0.1  # peaks of fast transients fall between the times
     assert np.isfinite(states).all()
@@ -74,7 +48,7 @@ def test_the_statement_by_hand_is_the_symbolic_one(name):
     rhs = sp.lambdify([time, first.functions, parameters], first.rhs, "numpy", cse=True)
     initial = sp.lambdify([parameters], first.initial, "numpy")
 
-    p, times, states = _run(name)
+    p, times, states = trajectories(entry.independent, FEW, 1e-8)
     for ours, theirs in zip(entry.independent.initial(p), initial(p), strict=True):
         np.testing.assert_allclose(*np.broadcast_arrays(ours, theirs), rtol=1e-13, atol=0.0)
     # off the trajectories, so that stiff terms do not cancel
@@ -96,7 +70,7 @@ def test_a_success_is_right(name):
     solution = ro.solve(entry.problem(), RTOL, effort="low")
     assert solution.success or name in UNSOLVED, solution.message
     if solution.success:
-        errors = measured_errors(solution, entry.independent)
+        errors = measured_errors(solution, entry.independent, POINTS)
         assert np.all(errors <= 5 * RTOL), errors
 
 

@@ -16,7 +16,7 @@ from rankone.codegen.output_translation import KINDS, OutputTranslator
 from rankone.codegen.printer import numpy_text
 from rankone.expressions.admissible import gaps
 from rankone.expressions.boundaries import boundaries
-from rankone.expressions.notation import exact, plain_text
+from rankone.expressions.notation import exact, expression_of, plain_text
 from rankone.expressions.parsing import parse_expression
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import stable
@@ -227,11 +227,8 @@ def _expression(
     if isinstance(output, str):
         text = dict(metadata.definitions).get(output.strip(), output)
         return _parsed(name, text, metadata, timeline, _shorthand(metadata))
-    try:
-        expression = sp.sympify(output, strict=True)
-    except (sp.SympifyError, TypeError):
-        expression = None
-    if not isinstance(expression, sp.Expr):
+    expression = expression_of(output)
+    if expression is None:
         raise OptionError(
             f"the output {quote(name)} is {shown(output)}, not an expression",
             term=output,

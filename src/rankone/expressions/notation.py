@@ -36,6 +36,15 @@ _LONGEST_SIDE = 400  # Characters of one side of an equation; longer ones are cu
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+def expression_of(value: object) -> sp.Expr | None:
+    """A number or SymPy expression as the latter; None for text, matrices and anything else."""
+    try:
+        expression = sp.sympify(value, strict=True)
+    except (sp.SympifyError, TypeError):
+        return None
+    return expression if isinstance(expression, sp.Expr) else None
+
+
 def exact(expression: sp.Expr) -> sp.Expr:
     """Replace floating-point numbers by the decimal fractions they stand for.
 

@@ -12,7 +12,7 @@ import scipy.linalg
 import scipy.sparse
 import sympy as sp
 
-from rankone.expressions.notation import exact
+from rankone.expressions.notation import exact, expression_of
 from rankone.frontend.term_table import fraction_of
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
@@ -49,17 +49,14 @@ def addends_of(written: Any, subject: str) -> Addends:
         return [(sp.S.One, array_of(written, subject))]
     addends: Addends = []
     for key, array in written.items():
-        try:
-            coefficient = exact(sp.sympify(key, strict=True))
-        except (sp.SympifyError, TypeError):
-            coefficient = None
-        if not isinstance(coefficient, sp.Expr):
+        coefficient = expression_of(key)
+        if coefficient is None:
             raise ProblemError(
                 f"the coefficient {shown(key)} of {subject} is no number or expression",
                 term=key,
                 remedy="use symbols of parameters and numbers as keys: {1: K0, k: K1}",
             )
-        addends.append((coefficient, array_of(array, subject)))
+        addends.append((exact(coefficient), array_of(array, subject)))
     if not addends:
         raise ProblemError(f"{subject} has no terms", term=written, remedy=f"give {_FORMS}")
     return addends

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.expressions.notation import exact
+from rankone.expressions.notation import exact, expression_of
 from rankone.expressions.unknowns import rate_of
 from rankone.frontend.box import Time
 from rankone.frontend.matrices import scalar_equations
@@ -316,11 +316,8 @@ def check_symbols(residuals: Iterable[sp.Expr], symbols: Symbols) -> None:
 
 def as_expression(value: object, subject: str, remedy: str) -> sp.Expr:
     """A number or SymPy expression as the latter; else a ProblemError that says what it is for."""
-    try:
-        expression = sp.sympify(value, strict=True)
-    except (sp.SympifyError, TypeError):
-        expression = None
-    if not isinstance(expression, sp.Expr):
+    expression = expression_of(value)
+    if expression is None:
         raise ProblemError(f"{subject} is {value!r}, not an expression", term=value, remedy=remedy)
     return expression
 

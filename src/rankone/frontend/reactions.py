@@ -12,7 +12,7 @@ import scipy.sparse
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.expressions.notation import exact
+from rankone.expressions.notation import exact, expression_of
 from rankone.frontend.addends import array_of, numbers_of
 from rankone.frontend.matrices import named_unknowns
 from rankone.frontend.term_table import (
@@ -146,11 +146,8 @@ def _laws(written: Any, reactions: int) -> tuple[sp.Expr, ...]:
 
 
 def _law(written: Any) -> sp.Expr:
-    try:
-        law = sp.sympify(written, strict=True)
-    except (sp.SympifyError, TypeError):
-        law = None
-    if not isinstance(law, sp.Expr):
+    law = expression_of(written)
+    if law is None:
         raise ProblemError(
             f"the law {quote(written)} is no number or expression",
             term=written,

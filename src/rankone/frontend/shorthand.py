@@ -18,7 +18,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.named_constants import NamedConstant
-from rankone.expressions.notation import exact, plain_text
+from rankone.expressions.notation import exact, expression_of, plain_text
 from rankone.frontend.box import Box, check_assumptions, real_number
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
@@ -184,11 +184,8 @@ def _check_definitions(definitions: object, time: sp.Symbol) -> dict[sp.Expr, sp
                 term=symbol,
                 remedy="rename one of them",
             )
-        try:
-            expression = sp.sympify(value, strict=True)
-        except (sp.SympifyError, TypeError):
-            expression = None
-        if not isinstance(expression, sp.Expr) or isinstance(expression, sp.MatrixExpr):
+        expression = expression_of(value)
+        if expression is None or isinstance(expression, sp.MatrixExpr):
             remedy = "give an expression of unknowns, parameters, constants and time"
             remedy += "; Problem.from_strings takes text" if isinstance(value, str) else ""
             raise ProblemError(

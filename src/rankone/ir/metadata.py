@@ -82,6 +82,18 @@ class SolutionMetadata:
             additive=(),
         )
 
+    def derivative(self, coordinate: str) -> SolutionMetadata:
+        """The same of a solution that holds the derivatives of the states."""
+        return replace(
+            self,
+            equations=(),
+            source=None,
+            units=_of_derivatives(self.units, self.states, coordinate),
+            definitions=(),
+            atol=(),
+            additive=(),
+        )
+
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of all coordinates: time, unless the solution is timeless, and the parameters."""
@@ -115,7 +127,7 @@ def per(unit: str, by: str, times: int = 1) -> str:
     return f"{_bracketed(unit)}/{_bracketed(by)}{power}"
 
 
-def of_derivatives(
+def _of_derivatives(
     units: tuple[tuple[str, str], ...], states: tuple[str, ...], coordinate: str
 ) -> tuple[tuple[str, str], ...]:
     """Units after a derivative of all states with respect to a coordinate.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
-from rankone.ir.metadata import SolutionMetadata, of_derivatives
+from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import DerivativeOf, Status
@@ -97,17 +97,8 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
         require_states(quantities)
     interpolation = OutputInterpolation(solution, quantities)
     outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
-    units = of_derivatives(metadata.units, metadata.states, name)
-    metadata = replace(
-        metadata,
-        equations=(),
-        source=None,
-        units=units,
-        definitions=(),
-        atol=(),
-        additive=(),
-    )
-    return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
+    outcome = replace(outcome, cause=DerivativeOf(name), notes=())
+    return outcome, metadata.derivative(name)
 
 
 def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rankone.discretization.coordinates import name_of, round_off
-from rankone.ir.metadata import SolutionMetadata, of_derivatives
+from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, Piece
 from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
 from rankone.solution.joining import joined
@@ -41,16 +41,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
         cause=DerivativeOf(name),
         notes=(),
     )
-    units = of_derivatives(metadata.units, metadata.states, name)
-    return derivative, replace(
-        metadata,
-        equations=(),
-        source=None,
-        units=units,
-        definitions=(),
-        atol=(),
-        additive=(),
-    )
+    return derivative, metadata.derivative(name)
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
