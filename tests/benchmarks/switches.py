@@ -105,6 +105,12 @@ def oscillators() -> dict[str, ro.Problem]:
     text = ro.Problem.from_strings
     prey = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}, {"x": "a", "y": "b"}
     rates = {"v": "v - v**3/3 - w + a", "w": "b*(v + 0.7 - 0.8*w)"}
+    nerve = {
+        "v": "a - b*m**3*h*(v - 115) - 36*n**4*(v + 12) - 0.3*(v - 10.613)",
+        "m": "0.1*(25 - v)/(exp((25 - v)/10) - 1)*(1 - m) - 4*exp(-v/18)*m",
+        "h": "0.07*exp(-v/20)*(1 - h) - h/(exp((30 - v)/10) + 1)",
+        "n": "0.01*(10 - v)/(exp((10 - v)/10) - 1)*(1 - n) - 0.125*exp(-v/80)*n",
+    }
     chemistry = {"x": "a + x**2*y - (b + 1)*x", "y": "b*x - x**2*y"}
     return {
         "Lotka-Volterra, 36 periods": text(*prey, {"a": (8, 12), "b": (4, 6)}, (0, 120)),
@@ -119,6 +125,12 @@ def oscillators() -> dict[str, ro.Problem]:
             {"x": "b", "v": 0},
             {"a": (3, 6), "b": (1, 2)},
             (0, 150),
+        ),
+        "Hodgkin-Huxley, 10 periods": text(
+            nerve,
+            {"v": 0, "m": 0.0529, "h": 0.5961, "n": 0.3177},
+            {"a": (10, 12), "b": (115, 125)},
+            (0, 140),
         ),
         "pendulum, 20 periods": text(
             {"x": "v", "v": "-b*sin(x)"},

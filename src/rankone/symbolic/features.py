@@ -185,7 +185,7 @@ def _switching_in(
         origin = system.origins[index]
         equation = f"the equation of {quote(system.states[index].name)}"
         equation = equation if origin is None else f"equation {origin}"
-        inside = str(boundary) if boundary.is_Symbol else f"({boundary})"
+        inside = written(boundary) if boundary.is_Symbol else f"({written(boundary)})"
         place = written(term.xreplace(plain)), equation, written(boundary)
         return SwitchingTerm(*place, smooth.format(inside))
     return None
