@@ -64,7 +64,8 @@ class Evaluator:
     ) -> Simulated:
         """States at values of all parameters; see :meth:`Simulation.states`."""
         active = tuple(name for name in self.settings.active if name in by)
-        states = self.simulation.states(values, active, accuracy, quick=quick)
+        with np.errstate(all="ignore"):  # what overflows ends a trajectory, which is said
+            states = self.simulation.states(values, active, accuracy, quick=quick)
         return Simulated(active, tuple(states))
 
     def terms(

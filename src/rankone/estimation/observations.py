@@ -364,8 +364,8 @@ def check_levels(
                 raise OptionError(
                     f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",
                     term=name,
-                    remedy="a level of noise with such a name needs bounds; or choose one that is "
-                    "less like it, upper and lower case aside",
+                    remedy="choose a name for a level of noise that is less like it, upper and "
+                    "lower case aside; in a fit it may also have bounds",
                 )
 
 
