@@ -216,7 +216,7 @@ def stream(count: int, limit: str) -> None:
     print(f"{total:.3g} points in {seconds:.1f} s: peak {share:.2f} x {limit}", flush=True)
 
 
-def chain(states: int, limit: str | None) -> None:
+def chain(states: int, limit: str | None, method: str = "auto") -> None:
     """Solve a chain of compartments with a limit, and print how it ends and the peak."""
     rates = {f"x{i}": f"k*x{i - 1} - (k + c)*x{i}" for i in range(1, states)}
     problem = ro.Problem.from_strings(
@@ -226,16 +226,18 @@ def chain(states: int, limit: str | None) -> None:
         (0, 2),
     )
     compiled, before = ro.compile(problem), peak()
-    solution = compiled.solve(1e-3, max_memory=limit)
+    solution = compiled.solve(1e-3, method=method, max_memory=limit)
     grown = peak() - before
     text = "" if limit is None else f", {grown / checked_memory('limit', limit):.2f} x {limit}"
-    print(f"{states} states: {in_words(grown)}{text}; {solution.message[:150]}", flush=True)
+    ended = f"{solution.method}: {solution.message[:150]}"
+    print(f"{states} states: {in_words(grown)}{text}; {ended}", flush=True)
 
 
 def memory() -> None:
     """Compare peaks with limits, each in a process of its own."""
     calls = [["stream", "1e7", "100MB"], ["stream", "1e8", "500MB"]]
     calls += [["chain", n, limit] for n in ("50", "300") for limit in ("", "50MB", "100MB", "1GB")]
+    calls += [["chain", n, limit, "train"] for n in ("20", "150") for limit in ("50MB", "100MB")]
     for call in calls:
         subprocess.run([sys.executable, __file__, *call], check=True)
 
@@ -248,7 +250,7 @@ if __name__ == "__main__":
     elif sys.argv[1:2] == ["stream"]:
         stream(int(float(sys.argv[2])), sys.argv[3])
     elif sys.argv[1:2] == ["chain"]:
-        chain(int(sys.argv[2]), sys.argv[3] or None)
+        chain(int(sys.argv[2]), sys.argv[3] or None, *sys.argv[4:])
     elif sys.argv[1:2] == ["memory"]:
         memory()
     else:
