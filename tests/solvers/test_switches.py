@@ -6,6 +6,7 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
+from rankone.solvers.engine import Engine
 from tests.honesty.cases import unknown
 
 RTOL = 1e-4
@@ -84,6 +85,25 @@ def test_markers_none_keeps_the_clock(markers):
     )
     solution = ro.solve(clipped, 1e-3, markers=markers)
     assert (solution.outcome.timeline is None) == (markers is None)
+
+
+@pytest.mark.parametrize(
+    ("rtol", "c", "at_once"), [(1e-5, 0.5, True), (1e-3, 0.5, False), (1e-5, 2, False)]
+)
+def test_kinks_that_are_crossed_are_held_at_once(rtol, c, at_once, monkeypatch):
+    written = []
+    as_written = Engine._solve_as_written
+
+    def noted(engine, *arguments):
+        written.append(engine.name)
+        return as_written(engine, *arguments)
+
+    monkeypatch.setattr(Engine, "_solve_as_written", noted)
+    rates = {"x": f"-a*x + Max(0, y - {c})", "y": "cos(t)"}
+    solution = ro.solve(problem(rates, {"x": 1, "y": 0}, {"a": (1, 2)}, 2), rtol, method="cross")
+    assert solution.success
+    assert (not written) == at_once
+    assert (solution.outcome.timeline is not None) == at_once
 
 
 def test_an_order_that_changes_in_the_box_is_solved_over_the_clock():

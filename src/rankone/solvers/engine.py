@@ -39,6 +39,7 @@ _CROSS_SHARE = 0.7
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches
 _KINKS_SHARE, _HELD_SHARE = 0.05, 0.6
+_LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretches between them
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
 _MOST_MORE_EVENTS = 2
@@ -65,20 +66,26 @@ class Engine:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance.
 
         Switches of the rates are held, and times at which rates jump or peak are events, as long as
-        all trajectories meet them in the same order.
+        all trajectories meet them in the same order. Kinks alone may be smooth enough where they
+        are not met so, or the tolerance is loose.
         """
         if system.held is None or not request.markers:
             return self._solve_as_written(system, request, report)
-        if not system.events and not system.features.n_steps:  # kinks may be smooth enough
+        held: Outcome | None = None
+        kinks = not system.events and not system.features.n_steps
+        if kinks and request.rtol < _LOOSE:
+            with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
+                held = self._solve_in_order(system.held, request, report, Stages(), crossed=True)
+        if kinks and held is None:
             with limited(*_part(_KINKS_SHARE)), suppress(ConvergenceError):
                 outcome = self._solve_as_written(system, request, report)
                 if outcome.status in _SOLVED:
                     return outcome
-        held: Outcome | None = None
-        with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
-            held = self._solve_over_stretches(system.held, request, report)
-            if held.status in _SOLVED:
-                return held
+        if held is None:
+            with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
+                held = self._solve_over_stretches(system.held, request, report)
+        if held is not None and held.status in _SOLVED:
+            return held
         outcome = self._solve_as_written(system, request, report)
         return held if held is not None and _is_better(held, outcome) else outcome
 
@@ -96,17 +103,42 @@ class Engine:
     def _solve_over_stretches(
         self, system: System, request: SolveRequest, report: Report
     ) -> Outcome:
-        """Solve over the stretches between events; an OrderError where their order changes."""
-        first: OrderError | None = None
-        stages = Stages()
+        """Solve over the stretches between events, in branches where their order changes."""
 
         def solve(stretched: System, over_it: SolveRequest) -> Outcome:
             return self._attempted(stretched, over_it, report)
 
+        stages = Stages()
+        try:
+            return self._solve_in_order(system, request, report, stages)
+        except OrderError as error:
+            if self.name != "cross" or isinstance(error, TrajectoryEndError):
+                raise
+            first = error
+        try:
+            return solve_in_branches(solve, system, request, first)
+        except OutOfBudgetError as out:
+            return out_at_reference(out, system, stages)
+
+    def _solve_in_order(
+        self,
+        system: System,
+        request: SolveRequest,
+        report: Report,
+        stages: Stages,
+        crossed: bool = False,
+    ) -> Outcome:
+        """Solve over the stretches between events; an OrderError where their order changes.
+
+        Also where there are no events, if some must be ``crossed``. ``stages`` count what tells it.
+        """
+        first: OrderError | None = None
         for more in range(1 + _MOST_MORE_EVENTS):
             try:
                 with stages.of("reference"):
                     clock = clock_of(system, request, more)
+                if crossed and not clock.order.instants:
+                    raise OrderError("no trajectory crosses a kink")
                 stretched, request_there = over_stretches(clock, request)
                 outcome = self._solve(stretched, request_there, report)
                 return replace(
@@ -124,12 +156,7 @@ class Engine:
                 first = first or error
                 break
         assert first is not None
-        if self.name != "cross" or isinstance(first, TrajectoryEndError):
-            raise first
-        try:
-            return solve_in_branches(solve, system, request, first)
-        except OutOfBudgetError as out:
-            return out_at_reference(out, system, stages)
+        raise first
 
     def _solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve over stretches between markers where they pay, else over the time of the system."""
