@@ -43,6 +43,8 @@ _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, a
 # Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
 _NUMBERS_OF_STATE = 100
 _MOST_INTEGRATIONS = 5  # Most integrations: a state that starts from zero shows its size only then
+_PILOTS = 3  # Trajectories that show the sizes of such states before all are integrated
+_MANY_NUMBERS = 3000  # States times trajectories from which on these pilots cost little
 
 _FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
 _FACE_POINTS = 8  # Trajectories that begin inside of a face of the box
@@ -178,6 +180,11 @@ def integrate_reference(
     def integrated(points: Array, absolute: Array) -> DenseTrajectories:
         return chosen.run(system, points, edges, Tolerances(rtol, absolute, longest))
 
+    if resolution.presumes and initial.size >= _MANY_NUMBERS:
+        pilots = Resolution(system, points[:_PILOTS], start, end, rtol, initial[:, :_PILOTS])
+        few = integrated(pilots.points, pilots.absolute)
+        if few.has_begun and pilots.refined(few):
+            resolution.follow(pilots)
     for _ in range(_MOST_INTEGRATIONS):
         before = work_done()
         dense = integrated(points, resolution.absolute)

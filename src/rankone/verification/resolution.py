@@ -29,14 +29,12 @@ from rankone.trajectories.spectra import (
 )
 
 NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
-HELD_NUMBERS = (
-    2**22
-)  # Numbers of states at several times that are held at once, unless one has more
 _HELD_NUMBERS = 2**22  # Numbers of states at several times that are held at once, or those at one
 _COPIES = 8  # Copies of these while they are compared
 _LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
 _BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
 _SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
+_MARGIN = 0.1  # Absolute tolerances of all trajectories over those that a few of them need
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
@@ -78,6 +76,18 @@ class Resolution:
     def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
         stack = self.system, self.points, self.horizon
         return rounding_errors(*stack, samples, largest, self.rtol)
+
+    @property
+    def presumes(self) -> bool:
+        """Whether a state that starts from zero has no size of its own yet."""
+        return bool(((self.first == 0.0) & ~self.rounding.zero).any())
+
+    def follow(self, pilots: Resolution) -> None:
+        """Begin with sizes and floors that a few of the trajectories have shown, and a margin."""
+        self.size = np.where(self.first > 0.0, np.maximum(self.size, pilots.size), pilots.size)
+        self.floor = pilots.floor
+        finest = _MARGIN * self.rtol * np.minimum(NEGLIGIBLE * self.size, self.floor)
+        self.absolute = np.maximum(finest, self.rounding.floor)
 
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
