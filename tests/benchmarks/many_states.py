@@ -1,4 +1,4 @@
-"""Solve systems of many states: python tests/benchmarks/many_states.py [NAME ...]
+"""Solve systems of many states: python tests/benchmarks/many_states.py [NAME ...] [--method METHOD]
 
 Each row runs in a process of its own. Seconds are of the processor, with compiling; the peak is of
 the whole process. The error is that at random parameters against SciPy's BDF with the sparse
@@ -178,13 +178,13 @@ class Peer:
         return integrated.y
 
 
-def row(name: str) -> str:
+def row(name: str, method: str) -> str:
     """One line of the table."""
     case, clock = CASES[name], time.process_time
     began = clock()
     compiled = ro.compile(case.problem())
     compiling = clock() - began
-    solution = compiled.solve(rtol=case.rtol)
+    solution = compiled.solve(rtol=case.rtol, method=method)
     seconds = clock() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     peer, system = Peer(compiled), compiled.system
@@ -222,10 +222,11 @@ def line(cells: tuple[str, ...]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="rows whose names begin so; all by default")
+    parser.add_argument("--method", default="auto")
     parser.add_argument("--row", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.row:
-        print(row(arguments.row), flush=True)
+        print(row(arguments.row, arguments.method), flush=True)
         return
     titles = (
         "states",
@@ -241,7 +242,8 @@ def main() -> None:
     print(line(titles), flush=True)
     for name in CASES:
         if not arguments.names or any(name.startswith(given) for given in arguments.names):
-            subprocess.run([sys.executable, __file__, "--row", name], check=False)
+            call = [sys.executable, __file__, "--row", name, "--method", arguments.method]
+            subprocess.run(call, check=False)
 
 
 if __name__ == "__main__":

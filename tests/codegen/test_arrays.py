@@ -80,11 +80,3 @@ def test_small_systems_keep_a_line_for_each_state() -> None:
     source = decays(N - 1).source
     assert f"out[{N - 2}] = " in source
     assert "sparse" not in source
-
-
-def test_methods_with_operators_are_refused_for_very_many_states() -> None:
-    problem = decays(201)
-    assert problem.methods["train"] is not None
-    assert problem.automatic == ("cross",)
-    with pytest.raises(ro.OptionError, match="200 states"):
-        problem.solve(method="train")

@@ -129,9 +129,10 @@ class CompiledStages:
         if method in _ANY_SYSTEM or self._has_operators:
             return self
         if self.quadratic is not None:
+            if self._many_states(method) is None:
+                return self
             raise OptionError(
-                f"method={method!r} takes at most {MOST_KERNEL_STATES} states, and there are "
-                f"{len(self.quadratic.states)}",
+                f"method={method!r} does not apply: {self._many_states(method)}",
                 remedy="leave method= out, or take cross",
             )
         if self.lifted is not None:
@@ -158,6 +159,17 @@ class CompiledStages:
         """Whether there are kernels, which methods other than cross need."""
         return self.quadratic is not None and self.quadratic.has_kernels
 
+    def _many_states(self, method: str) -> str | None:
+        """Why a method does not take a separated system of very many states, if so."""
+        assert self.quadratic is not None
+        states, products = len(self.quadratic.differential), len(self.quadratic.products)
+        if method == "train" and not products:
+            return None
+        count = f"there are {states + products} states" + (" and products" if products else "")
+        if method == "train":
+            return f"{count}, and above {MOST_KERNEL_STATES} no term may multiply three states"
+        return f"{count}, and it takes at most {MOST_KERNEL_STATES}"
+
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user that the source calls, by the names it calls them by."""
@@ -175,7 +187,9 @@ class CompiledStages:
         if applies or self._stretched is not None:
             pass
         elif self.quadratic is not None:
-            reason = f"there are more than {MOST_KERNEL_STATES} states"
+            return {
+                name: None if name in _ANY_SYSTEM else self._many_states(name) for name in ENGINES
+            }
         elif self.first_order.events:
             reason = "events of the states are followed by trajectories, which cross samples"
         else:

@@ -8,6 +8,7 @@
 ``budget``      counted work, and a deadline where a user asked for one
 ``memory``      amounts of memory as users write and read them
 ``costs``       what numerical work costs, in operations
+``sparse``      factors of one sparse matrix, counted
 ``options``     options of engines: declared with their ranges, checked in one place
 ``executors``   processes that end with this one, executors of others, clusters of dask
 ``parcels``     what all tasks share, loaded once by each worker

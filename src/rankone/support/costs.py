@@ -107,6 +107,11 @@ def in_pieces(stack: Array, each: float) -> list[Array]:
     return [stack[first : first + count] for first in range(0, len(stack), count)]
 
 
+# SuperLU: for each entry of the factors
+SPARSE_FACTORS = Cost(80e3, 45.0)
+SPARSE_SOLUTION = Cost(22e3, 2.0)
+
+
 def product(rows: float, inner: float, columns: float) -> float:
     """A product of matrices."""
     return CALL + rows * columns * (1.0 + 0.04 * inner)

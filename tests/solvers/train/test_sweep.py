@@ -6,6 +6,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis, LegendreBasis, RadauCollocation
+from rankone.solvers.train.inverse import SlabJacobian
 from rankone.solvers.train.slab import ParameterOperators, SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.tensors.train import Train
@@ -36,7 +37,7 @@ def setting(module, kind=ChebyshevBasis, seed=0):
     collocation = RadauCollocation.of(4)
     n = len(module.states)
     scale = rng.uniform(0.5, 2.0, n)
-    jacobian = rng.standard_normal((n, n, 4))
+    jacobian = SlabJacobian.of(rng.standard_normal((n, n, 4)))
     operator = SlabOperator(module, collocation, 0.3, 0.2, scale, jacobian)
     ranks = (3, 4, 2)
 
@@ -88,12 +89,16 @@ def fixed_point(module, sweeper, bases, train):
         lifted = np.einsum("ab...,b...->a...", mean, states)
         lifted[:m] += module.rhs(times, zero[:m], [g[None] for g in grids])
     f = lifted * weight / units
-    rest = f - np.einsum("abk,bkxyz->akxyz", operator.jacobian, dense(train))
-    grid = rest.shape[2:]
-    solved = (operator.solution_operator @ rest.reshape(n * count, -1)).reshape(n, count, *grid)
-    source = dense(sweeper.source.cores).reshape(m, -1)
-    start = (operator.propagator @ source).reshape(n, count, *grid) / np.sqrt(count)
-    return solved + start
+    jacobian, collocation = operator.jacobian.dense(), operator.collocation
+    rest = f - np.einsum("kab,bkxyz->akxyz", jacobian, dense(train))
+    mass = np.where(np.arange(n) < m, 1.0 / operator.length, 0.0)
+    matrix = np.einsum("ab,kl->akbl", np.diag(mass), collocation.derivative)
+    matrix -= np.einsum("kab,kl->akbl", jacobian, np.eye(count))
+    source = np.zeros((n, *states.shape[2:]))
+    source[:m] = dense(sweeper.source.cores)
+    rest += np.einsum("a,k,axyz->akxyz", mass, collocation.start, source) / np.sqrt(count)
+    right = rest.reshape(n * count, -1)
+    return np.linalg.solve(matrix.reshape(n * count, -1), right).reshape(states.shape)
 
 
 def frames(cores, b):

@@ -8,6 +8,8 @@ module           subject
 ``iteration``    the solve of one slab, and when its sweeps have converged or diverged
 ``sweep``        two-site alternating sweeps: contraction, truncated SVD, enrichment
 ``slab``         operators of one slab: collocation, mean Jacobian, kernels of the term groups
+``inverse``      its Jacobian and preconditioner, as one matrix or by sparse factors
+``terms``        kernels of many states, from the table of terms
 ``nodes``        parameter nodes: first, refined, coarsened, and after a jump
 ``options``      limits, discretisation and tuning constants
 ===============  ===============================================================================

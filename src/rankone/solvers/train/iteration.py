@@ -10,6 +10,7 @@ import numpy as np
 from rankone.discretization import RadauCollocation
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.verdict import Status
+from rankone.solvers.train.inverse import SlabJacobian
 from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
 from rankone.solvers.train.nodes import ParameterNodes, after_jump
 from rankone.solvers.train.options import (
@@ -165,9 +166,8 @@ class SlabIteration:
         system, reference = self.reference_set.system, self.reference_set.reference
         times = self.collocation.times(span.start, span.length)
         states = system.with_products(reference(times)[:, 0])
-        jacobian = system.quadratic_jacobian(times, states, reference.points[0][:, None])
-        n = self.scale.size
-        jacobian = np.broadcast_to(jacobian, (n, n, times.size))
+        point = reference.points[0][:, None]
+        jacobian = SlabJacobian.along(system.quadratic_jacobian, times, states, point)
         place = span.start, span.length
         return SlabOperator(system, self.collocation, *place, self.scale, jacobian)
 

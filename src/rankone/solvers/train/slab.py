@@ -15,19 +15,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.system import Kernel, System
+from rankone.solvers.train.inverse import SlabJacobian, inverse_of
+from rankone.solvers.train.terms import TermKernels, entries_of
 from rankone.support.arrays import Array
-from rankone.support.budget import reserve
+from rankone.support.errors import OptionError
 
 CONSTANT = 0
 LINEAR = 1
 QUADRATIC = 2
 """Degrees of term groups in the states."""
 
-_OPERATOR_COPIES = 5  # Matrices over state and time while the slab is set up
 Key = tuple[int, tuple[int, ...]]
 """(degree, factor rows of the remaining parameters): all terms with the same key share one
 contraction over those parameters, whatever they did before."""
@@ -53,8 +53,22 @@ class GroupKernels:
 
 
 def term_groups(system: System) -> tuple[GroupKernels, ...]:
-    """The groups of a generated system, by degree and signature."""
+    """The groups of a generated system, by degree and signature.
+
+    Systems of very many states have no generated kernels: theirs are made from the table of terms.
+    """
     kernels = system.kernels
+    if system.terms and not kernels.signatures:
+        if system.products:
+            raise OptionError(
+                f"method='train' does not apply: with their products there are "
+                f"{len(system.states)} states, too many for terms that multiply three of them",
+                remedy="leave method= out, or take cross",
+            )
+        return tuple(
+            _tabulated(degree, signature, TermKernels(entries, len(system.states)))
+            for (degree, signature), entries in entries_of(system).items()
+        )
     by_degree = (
         (CONSTANT, kernels.constant, kernels.constant),
         (LINEAR, kernels.linear, kernels.linear_adjoint),
@@ -68,6 +82,17 @@ def term_groups(system: System) -> tuple[GroupKernels, ...]:
         )
         if kernel is not None and adjoint is not None
     )
+
+
+def _tabulated(degree: int, signature: tuple[int, ...], kernels: TermKernels) -> GroupKernels:
+    """A group whose kernels are those of its terms."""
+    by_degree: dict[int, tuple[Kernel, Kernel]] = {
+        CONSTANT: (kernels.constant, kernels.constant),
+        LINEAR: (kernels.linear, kernels.linear_adjoint),
+        QUADRATIC: (kernels.quadratic, kernels.quadratic_adjoint),
+    }
+    forward, backward = by_degree[degree]
+    return GroupKernels(degree, signature, forward, backward, kernels.paired)
 
 
 class ParameterOperators:
@@ -100,7 +125,7 @@ class SlabOperator:
 
     Cores hold states divided by ``scale * sqrt(K)``, with the sizes ``scale`` (n,) of the states:
     the Euclidean norm of a core is a root mean square over the K nodes in units of the size.
-    ``jacobian`` (n, n, K) is that of the quadratic system along the trajectory at the box centre.
+    ``jacobian`` is that of the quadratic system along the trajectory at the box centre.
     """
 
     def __init__(
@@ -110,7 +135,7 @@ class SlabOperator:
         start: float,
         length: float,
         scale: Array,
-        jacobian: Array,
+        jacobian: SlabJacobian,
     ) -> None:
         self.collocation = collocation
         self.start, self.length = start, length
@@ -119,22 +144,10 @@ class SlabOperator:
         self.times = collocation.times(start, length)
         self.phi = system.time_factors(self.times)
         self._units = scale * np.sqrt(count)
-        self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])
-        reserve(8.0 * _OPERATOR_COPIES * (n * count) ** 2)
-        mass = np.zeros(n)
-        mass[: system.n_differential] = 1.0 / length
-        matrix = np.zeros((n, count, n, count))
-        index, nodes = np.arange(n), np.arange(count)
-        matrix[index, :, index, :] = mass[:, None, None] * collocation.derivative
-        matrix[:, nodes, :, nodes] -= np.moveaxis(self.jacobian, 2, 0)
-        factored = scipy.linalg.lu_factor(matrix.reshape(n * count, n * count), check_finite=False)
-        start_columns = np.zeros((n, count, n))
-        start_columns[index, :, index] = mass[:, None] * collocation.start
-        start_columns = start_columns[:, :, : system.n_differential]
-        self.solution_operator = scipy.linalg.lu_solve(
-            factored, np.eye(n * count), check_finite=False
-        )
-        self.propagator = self.solution_operator @ start_columns.reshape(n * count, -1)
+        self._mass = np.zeros(n)
+        self._mass[: system.n_differential] = 1.0 / length
+        self.jacobian = jacobian.scaled(scale)
+        self.inverse = inverse_of(self.jacobian, self._mass, collocation)
 
     # Kernels act on x (n, P, r) with P = K * repeat points, time-major.
 
@@ -157,25 +170,24 @@ class SlabOperator:
         z = (paired.reshape(m * points, r) @ env.reshape(r, -1)).reshape(m, points, r, -1)
         return np.asarray(group.kernel(phi, x, z) / self._units[:, None, None])
 
-    def minus_jacobian(self, x: Array, repeat: int) -> Array:
+    def minus_jacobian(self, x: Array) -> Array:
         """-A x at x (n, K * repeat, r)."""
-        n, count = self.shape
-        blocks = x.reshape(n, count, -1)
-        product = np.matmul(np.moveaxis(self.jacobian, 2, 0), np.moveaxis(blocks, 1, 0))
-        return np.asarray(-np.moveaxis(product, 0, 1).reshape(x.shape))
+        return -self.inverse.jacobian(self._paired(x)).reshape(x.shape)
 
     def solve(self, y: Array) -> Array:
         """S y for y (n, K * repeat, r): acts on (state, time), time-major points."""
+        return self.inverse.solve(self._paired(y)).reshape(y.shape)
+
+    def _paired(self, x: Array) -> Array:
+        """(n, K * repeat, r) as (n * K, repeat * r)."""
         n, count = self.shape
-        return np.asarray((self.solution_operator @ y.reshape(n * count, -1)).reshape(y.shape))
+        return x.reshape(n * count, -1)
 
     # Left environments: test functions w = S^T L against the kernels on x.
 
     def adjoint(self, tests: Array) -> Array:
         """S^T tests for tests (n, K, s)."""
-        n, count = self.shape
-        flat = tests.reshape(n * count, -1)
-        return np.asarray((self.solution_operator.T @ flat).reshape(n, count, -1))
+        return self.inverse.adjoint(self._paired(tests)).reshape(tests.shape)
 
     def left(self, group: GroupKernels, weighted: Array, x: Array) -> Array:
         """<weighted_s, group(x)>: (s,), (s, r) or (s, r, r) by the degree of the group.
@@ -198,11 +210,13 @@ class SlabOperator:
 
     def left_minus_jacobian(self, weighted: Array, x: Array) -> Array:
         """<weighted_s, -A x>: (s, r)."""
-        minus_jacobian = self.minus_jacobian(x, 1)
+        minus_jacobian = self.minus_jacobian(x)
         return np.asarray(np.tensordot(weighted, minus_jacobian, axes=([0, 1], [0, 1])))
 
     def initial(self, start: Array) -> Array:
         """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""
         n, count = self.shape
-        states = self.propagator @ start
-        return np.asarray(states.reshape(n, count, -1) / np.sqrt(count))
+        rates = np.zeros((n, count, start.shape[1]))
+        states = self._mass[: len(start), None, None] * start[:, None]
+        rates[: len(start)] = self.collocation.start[:, None] * states
+        return np.asarray(self.solve(rates) / np.sqrt(count))

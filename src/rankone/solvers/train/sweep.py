@@ -213,7 +213,7 @@ class Sweeper:
         rank = flat.shape[2]
         charge(self._cost_of_first(count * repeat, x.shape[-1]))
         phi = self.operator.tiled(repeat)
-        total = self.operator.minus_jacobian(flat, repeat)
+        total = self.operator.minus_jacobian(flat)
         for group in self.groups:
             right, key = self._right[bond], (group.degree, group.signature[bond - 1 :])
             if group.degree == CONSTANT:
@@ -240,7 +240,7 @@ class Sweeper:
         """Operations of the right-hand side on the first core, at points of time and parameter."""
         n, count = self.operator.shape
         size = n * points * rank
-        total = 2.0 * product(n * count, n * count, points // count * rank)
+        total = self.operator.inverse.cost(points // count * rank)
         total += GROUP_COST.once + 4.0 * size
         for group in self.groups:
             total += GROUP_COST(size) + product(n * points, rank, rank)

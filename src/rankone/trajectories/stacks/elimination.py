@@ -22,6 +22,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from rankone.ir.jacobian import PatternJacobian
 from rankone.support.arrays import Array
+from rankone.support.costs import SPARSE_FACTORS, SPARSE_SOLUTION
 
 Places: TypeAlias = NDArray[np.intp]
 Solver: TypeAlias = Callable[[Array, Places], Array]
@@ -29,9 +30,7 @@ Solver: TypeAlias = Callable[[Array, Places], Array]
 _KEPT = 8  # Eliminations that are kept: as many as one session works with at a time
 _ORDERS = ("MMD_AT_PLUS_A", "COLAMD")  # Orders of SuperLU that are tried
 _PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its column is the pivot
-# Operations of factors and of a solution: once, and for each entry of the factors
-_SPARSE_FACTORS, _SPARSE_SOLUTION = (80e3, 45.0), (22e3, 2.0)
-# The same in bands: for each state, for each entry of the factors, and for each product
+# Operations of factors and of a solution in bands: for each state, entry of the factors, product
 _BAND_FACTORS, _BAND_SOLUTION = (35.0, 5.0, 0.1), (25.0, 2.0, 0.0)
 
 
@@ -176,13 +175,11 @@ class SparseElimination:
 
     @property
     def factor_cost(self) -> float:
-        once, each = _SPARSE_FACTORS
-        return once + each * self.filled
+        return SPARSE_FACTORS(self.filled)
 
     @property
     def solution_cost(self) -> float:
-        once, each = _SPARSE_SOLUTION
-        return once + each * self.filled
+        return SPARSE_SOLUTION(self.filled)
 
     def factored(self, numbers: Array) -> Solver:
         n = self.columns.size

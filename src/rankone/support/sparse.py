@@ -1,0 +1,38 @@
+"""Factors of one sparse matrix, counted as work and memory.
+
+SuperLU factors it (Demmel et al., SIAM J. Matrix Anal. Appl. 20 (1999), 720).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.linalg import splu
+
+from rankone.support.arrays import Array
+from rankone.support.budget import charge, reserve
+from rankone.support.costs import SPARSE_FACTORS, SPARSE_SOLUTION
+
+_ENTRY_BYTES = 16.0  # An entry of the factors, with its row
+
+
+class SparseFactors:
+    """Factors of a square matrix: a RuntimeError if it is singular."""
+
+    def __init__(self, matrix: scipy.sparse.csc_matrix) -> None:
+        self._factors = splu(matrix, permc_spec="COLAMD")
+        self.filled = int(self._factors.nnz)
+        reserve(_ENTRY_BYTES * self.filled)
+        charge(SPARSE_FACTORS(self.filled))
+
+    def solve(self, x: Array) -> Array:
+        """Solutions for right-hand sides (n, m)."""
+        return np.asarray(self._factors.solve(x))
+
+    def adjoint(self, x: Array) -> Array:
+        """Solutions with the transpose."""
+        return np.asarray(self._factors.solve(x, "T"))
+
+    def cost(self, columns: int) -> float:
+        """Operations of so many solutions."""
+        return SPARSE_SOLUTION(float(columns * self.filled))
