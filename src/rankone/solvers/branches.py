@@ -223,7 +223,11 @@ class _BranchSolve:
         return solve(stretched, tighter), Timeline.of(clock)
 
     def _with_grazings(self, parted: _Branches) -> _Branches:
-        """The branches with clearances from the events at which grazed orders part from them."""
+        """The branches with clearances from the events at which grazed orders part from them.
+
+        Trajectories may graze such an event between any two others: there are clearances on all
+        stretches that come before it.
+        """
         branches, grazings = [*parted.branches], list[Grazing]()
         for order in parted.grazed:
             steps = [order.parts_at(branch.order) for branch in branches]
@@ -231,14 +235,19 @@ class _BranchSolve:
             if not 0 < step <= len(order.met):
                 raise self.search.unforeseen(order)
             clearance, scale = self.search.clearance(order, step)
-            for k in (k for k, at in enumerate(steps) if at == step):
-                forced = branches[k].forced
-                if clearance in forced.clearances:
-                    continue
-                guard = len(forced.guards) + len(forced.clearances)
-                forced = replace(forced, clearances=(*forced.clearances, clearance))
-                branches[k] = replace(branches[k], forced=forced)
-                grazings.append(Grazing(k, clearance.stretch, guard, scale))
+            for k, branch in enumerate(branches):
+                missed = {*branch.order.stretches_without(clearance.event)}
+                if steps[k] == step:
+                    missed.add(step - 1)
+                for stretch in sorted(missed):
+                    here = replace(clearance, stretch=stretch)
+                    forced = branches[k].forced
+                    if here in forced.clearances:
+                        continue
+                    guard = len(forced.guards) + len(forced.clearances)
+                    forced = replace(forced, clearances=(*forced.clearances, here))
+                    branches[k] = replace(branches[k], forced=forced)
+                    grazings.append(Grazing(k, stretch, guard, scale))
         return replace(parted, branches=branches, grazings=tuple(grazings))
 
     def _with_forks(self, parted: _Branches) -> _Branches:

@@ -146,7 +146,7 @@ class BranchEvaluator(ClockEvaluator):
         for grazing, clearance in zip(self.grazings, clearances, strict=True):
             here = chosen == grazing.branch
             clear[here] = np.minimum(clear[here], clearance[here] / grazing.scale)
-        undecided |= ~(clear > 0.0)
+        undecided |= ~(clear > self.width)
         return Decision(chosen, ahead[chosen, :, columns].T, clear, undecided, borders)
 
     def _clearance(self, grazing: BranchGrazing, points: Array) -> Array:

@@ -75,6 +75,11 @@ class Order:
         """Whether another order goes on as this one, up to the end of the horizon and further."""
         return not self.terminal and other.steps[: len(self.steps)] == self.steps
 
+    def stretches_without(self, event: int) -> range:
+        """The stretches before the first one that an event ends."""
+        ended = (i for i, each in enumerate(self.met) if event in each)
+        return range(next(ended, len(self.sides)))
+
     def parts_at(self, other: Order) -> int:
         """The first of the steps that is not the same in another order."""
         pairs = enumerate(zip(self.steps, other.steps, strict=False))
