@@ -9,6 +9,7 @@ curves of each one, counted from its own time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -27,17 +28,27 @@ def additive_parameters(system: FirstOrderSystem) -> tuple[str, ...]:
     for added in _added(system):
         amounts = [p for p in amounts if _proportional(added, p)]
     amounts = [p for p in amounts if _free_of(times, p)]
-    if not amounts or len(system.examined_rates) < len(system.states):
+    if len(system.examined_rates) < len(system.states):
         return ()
-    slopes, rest = [], []
     states = set(system.functions)
-    for rate in system.examined_rates:
+
+    @cache
+    def split(rate: sp.Expr) -> tuple[list[sp.Expr], sp.Expr]:
+        """Slopes of a rate in its states, and what it is without them."""
         present = states & rate.atoms(AppliedUndef)
-        slopes += [rate.diff(state) for state in present]
-        if not _free_of(slopes[len(slopes) - len(present) :], clock.symbol):
-            return ()
-        rest.append(rate.xreplace(dict.fromkeys(present, sp.S.Zero)))
-    return tuple(p.name for p in amounts if _free_of(slopes, p) and _proportional(rest, p))
+        slopes = [rate.diff(state) for state in present]
+        return slopes, rate.xreplace(dict.fromkeys(present, sp.S.Zero))
+
+    def adds_up(p: sp.Symbol) -> bool:
+        """Rates with the parameter come first: they decide soon, of many states too."""
+        rates = sorted(system.examined_rates, key=lambda rate: p not in rate.free_symbols)
+        parts = (split(rate) for rate in rates)
+        return all(_free_of(slopes, p) and _proportional([rest], p) for slopes, rest in parts)
+
+    amounts = [p for p in amounts if adds_up(p)]
+    if amounts and not all(_free_of(split(r)[0], clock.symbol) for r in system.examined_rates):
+        return ()
+    return tuple(p.name for p in amounts)
 
 
 def _times_of_events(events: Sequence[EventForm]) -> list[sp.Expr] | None:
