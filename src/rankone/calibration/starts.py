@@ -50,8 +50,8 @@ def descents(problem: Expandable, count: int, seed: int, screened: int = 1) -> l
     Of so many ``screened`` points for each, the best that are apart go a short way, and the best of
     these are the starts; where none are screened, one without trajectories is replaced by another
     random point. All go on for some iterations, the best for more. Unless half of them end at the
-    same optimum, the best end then hops: some of its coordinates are drawn anew, and where the way
-    down from there leads lower, it stays.
+    same optimum, the best end then hops: it takes some coordinates of other ends, a few are drawn
+    anew, and where the way down from there leads lower, it stays.
     """
     generator = np.random.default_rng(seed)
     points = random_starts(count * screened, len(problem.names), seed)
