@@ -67,7 +67,8 @@ def compare(other: Path, given: argparse.Namespace) -> None:
         row = f"{1e3 * before:.2f} | {1e3 * now:.2f} | {now / before:.3f}"
         print(f"| {name} | {rtol:g} | {row} |", flush=True)
     if not ratios:
-        raise SystemExit(f"no problem's name starts with {given.only}: there are {', '.join(dict(BARS))}")
+        names = ", ".join(dict(BARS))
+        raise SystemExit(f"no problem's name starts with {given.only}: there are {names}")
     mean = math.exp(sum(map(math.log, ratios)) / len(ratios))
     print(f"\ngeometric mean {mean:.3f}, largest {max(ratios):.3f}")
 

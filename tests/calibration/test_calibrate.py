@@ -49,6 +49,7 @@ def log_likelihood(data, sigma, **rates):
     return whole
 
 
+@pytest.mark.slow
 def test_every_start_over_eight_decades_reaches_the_optimum(kinetics):
     experiment, data, sigma = measured(concentrations(**TRUTH))
     calibration = ro.calibrate(kinetics, experiment, starts=4, seed=3)

@@ -13,6 +13,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 CONVERSION = Path(__file__).parents[2] / "examples" / "conversion"
 
 
+@pytest.mark.slow
 def test_random_starts_reach_a_maximum_of_the_objective():
     problem = ro.read_petab(CONVERSION / "conversion.yaml")
     calibration = problem.fit(starts=2, seed=1)

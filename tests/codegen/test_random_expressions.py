@@ -1,6 +1,6 @@
 """Generated functions of random expressions have the digits that their condition leaves.
 
-``pytest -m slow`` tries 600 of them, ``python tests/benchmarks/expressions.py`` 2,000.
+``pytest -m slow`` tries 200 of them, ``python tests/benchmarks/expressions.py`` 2,000.
 """
 
 import pytest
@@ -16,7 +16,7 @@ def test_some(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(0, 30, 5))
+@pytest.mark.parametrize("part", [0, 8])
 def test_further_ones(part):
-    """Every fifth part of those that tests/benchmarks/expressions.py checks."""
+    """Two of the hundred parts that tests/benchmarks/expressions.py checks."""
     check_part(part)

@@ -299,6 +299,7 @@ def test_plots_that_make_no_sense_are_left_out(run: Run) -> None:
     assert sorted(os.listdir("plain")) == sorted(["trajectories_u.png", *TEXTS])
 
 
+@pytest.mark.slow
 def test_models_of_saved_solutions_and_of_problems(run: Run) -> None:
     assert run("export", "u.nc", "-o", "m.c") == (0, "", "")
     assert run("export", "u.npz", "-o", "m.py") == (0, "", "")

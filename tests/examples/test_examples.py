@@ -24,7 +24,13 @@ def test_every_file_is_tested():
     assert files == {example.__name__.split(".")[-1] for example in ALL.values()}
 
 
-@pytest.mark.parametrize("name", EXAMPLES | GENERAL)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.slow if n == "robertson" else ())
+        for n in EXAMPLES | GENERAL
+    ],
+)
 def test_main(name, capsys, monkeypatch):
     """What it prints is a solution that agrees; that of the falling card has tests of its own."""
     solutions, solve = [], ro.CompiledProblem.solve

@@ -57,7 +57,9 @@ def data_of(page):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "ball" else ()) for n in FIXED]
+)
 def test_what_is_written(name, pages):
     solution, data = shown(name), data_of(pages[name])
     assert len(data["stretches"]) == solution.timeline.stretches

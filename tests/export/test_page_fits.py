@@ -122,6 +122,7 @@ console.log(JSON.stringify(told));
     ]
 
 
+@pytest.mark.slow
 def test_the_button_of_a_page(tmp_path):
     page_file = oral().explore(tmp_path / "page.html")
     table = tmp_path / "measured.csv"
@@ -145,6 +146,7 @@ def test_the_button_of_a_page(tmp_path):
         assert shown[name] == pytest.approx(x, rel=AGREES)
 
 
+@pytest.mark.slow
 def test_a_page_says_what_measurements_do_not_determine(tmp_path):
     """With the dose free, the blood alone does not tell it from the volume."""
     columns = {name: column for name, column in measured(0.15).items() if name in ("t", "C")}
@@ -171,6 +173,7 @@ IN_SIGHT = """(shown) => [...document.querySelectorAll(shown)].filter((element) 
 }).length"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_sliders_curves_and_what_a_fit_says_are_in_sight(tmp_path, width, scheme):
     """Beside each other on a screen; on a telephone each slider below the curves."""

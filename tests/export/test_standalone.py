@@ -391,6 +391,7 @@ def test_a_blow_up_leaves_what_comes_before_it(alone, tmp_path):
     assert answer["values"]["x"] == pytest.approx(4.0, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_formatted(tmp_path):
     pytest.importorskip("ruff")
     for name, method in itertools.product(EXAMPLES, ("train", "cross", "greedy")):

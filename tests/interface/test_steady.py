@@ -117,6 +117,7 @@ def test_networks_come_to_rest(network):
     assert (errors.max(axis=(1, 2)) <= RTOL * np.abs(slopes).max(axis=(0, 1))).all()
 
 
+@pytest.mark.slow
 def test_totals_of_compartments_of_different_volumes_are_kept():
     """The amounts S + a*(C + P) are conserved; their coefficients depend on a parameter."""
     across, paired = k * (S - C), 2 * C**2 - P
@@ -149,6 +150,7 @@ def test_a_fold_inside_the_box_is_named():
     assert at["a"] == pytest.approx(at["k"] * fold - fold**2 / (1 + fold**2), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_another_branch_inside_the_box_is_named():
     """x goes to 1 from above a, and to 0 from below."""
     model = problem({x: k * x * (1 - x) * (x - a)}, {k: (1, 2), a: (0.3, 0.6)}, {x: 0.5})

@@ -108,6 +108,7 @@ def laplace(table, x):
     return whole
 
 
+@pytest.mark.slow
 def test_likelihood_of_an_independent_evaluation():
     table, few = table_of(0, 8), population(0, 8)
     at_fit = laplace(table, few.x)

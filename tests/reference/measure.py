@@ -100,9 +100,11 @@ def trajectories(
     return points, times, found.T.reshape(n, count, TIMES)
 
 
-def measured_errors(solution: Solution, system: Independent, count: int = POINTS) -> Array:
+def measured_errors(
+    solution: Solution, system: Independent, count: int = POINTS, rtol: float = 1e-11
+) -> Array:
     """Largest error of each unknown at random points, relative to the unknown's size: (n,)."""
-    points, times, exact = trajectories(system, count)
+    points, times, exact = trajectories(system, count, rtol)
     values = {name: row[:, None] for name, row in zip(solution.parameters, points, strict=True)} | {
         solution.metadata.time: times
     }

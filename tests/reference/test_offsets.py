@@ -112,7 +112,9 @@ def alone():
     python.close()
 
 
-@pytest.mark.parametrize("name", ["body_temperature", "rate_16"])
+@pytest.mark.parametrize(
+    "name", ["body_temperature", pytest.param("rate_16", marks=pytest.mark.slow)]
+)
 def test_the_standalone_solver_far_from_zero(alone, name, tmp_path):
     arguments = SYSTEMS[name].arguments
     ro.compile(ro.Problem.from_strings(**arguments)).export(tmp_path / "solver.py")

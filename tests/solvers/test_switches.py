@@ -33,6 +33,7 @@ def sign(z):
     return np.tanh(z / 1e-7)
 
 
+@pytest.mark.slow
 def test_a_mass_that_sticks_and_slips():
     box = {"F": (1.6, 1.7), "mu": (0.5, 0.55)}
     stick = problem({"x": "v", "v": "F*cos(t/2) - x - mu*sign(v)"}, {"x": 0, "v": 0.5}, box, 15)
@@ -78,7 +79,7 @@ def test_no_time_beside_a_crossing_is_left_out():
         np.testing.assert_allclose(solution(t=times, c=c), run.values, atol=3e-6)
 
 
-@pytest.mark.parametrize("markers", ["auto", None])
+@pytest.mark.parametrize("markers", ["auto", pytest.param(None, marks=pytest.mark.slow)])
 def test_markers_none_keeps_the_clock(markers):
     clipped = problem(
         {"x": "-x + 3*Heaviside(y - c)", "y": "cos(t)"}, {"x": 1, "y": 0}, {"c": (0.4, 0.5)}, 4

@@ -207,6 +207,7 @@ def test_the_end_of_a_long_chain_depends_on_what_is_tiny_early():
     assert np.abs(states / sizes - exact / sizes).max() < 10 * rtol
 
 
+@pytest.mark.slow
 def test_a_few_trajectories_show_the_sizes_of_states_from_zero_before_all(monkeypatch):
     """The stack is integrated once then, and not a second time to tighter tolerances."""
     system = ro.compile(PUBLISHED["pollu"].problem()).system

@@ -201,6 +201,7 @@ def test_unchecked_is_no_success():
     assert solution["u"](t=1.0, k=2.0) == pytest.approx(np.exp(-2.0), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_blow_up_names_time_and_parameters_and_keeps_the_solved_part():
     original = REFERENCE["coupled"]()
     longer = ro.Problem(
