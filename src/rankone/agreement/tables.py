@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
 from rankone.agreement.problems import REMEDY, ComparedPoints, DisagreementError
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.parsing import syntax_trees
+from rankone.expressions.text_values import value_of
 from rankone.frontend.problem import Problem
 from rankone.frontend.term_table import TermTable
 from rankone.ir.jacobian import pattern_of
@@ -22,6 +27,8 @@ _SEED = 1938  # Of directions in which the Jacobian is compared
 def check_table(problem: Problem, table: TermTable, system: System) -> None:
     """Compare rates, Jacobian and initial values with the terms of a problem, summed one by one.
 
+    Terms that were read from texts are compared with these, too.
+
     A DisagreementError names the first state that is off by more than rounding.
     """
     with np.errstate(all="ignore"):
@@ -30,12 +37,22 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
         sums = _Sums(problem, table)
         rates, sizes = sums.rates(t, p, u)
         _compare(problem, "rate", points.rates, rates, sizes)
+        if table.texts:
+            _compare(problem, "rate", _written_rates(problem, table.texts, t, p, u), rates, sizes)
         direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * u
         slopes, sizes = sums.slopes(t, p, u, direction)
         _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
         start = [_at_points(e, [*problem.parameters], p) for e in problem.initial.values()]
         generated = np.asarray(system.initial(p), dtype=float)
         _compare(problem, "initial value", generated, np.array(start), np.abs(start))
+
+
+def _written_rates(problem: Problem, texts: Sequence[str], t: Array, p: Array, u: Array) -> Array:
+    """Right-hand sides at points, evaluated as they are written."""
+    names = [problem.time[0].name, *(symbol.name for symbol in problem.parameters)]
+    values = dict(zip([*names, *map(name_of, problem.initial)], [t, *p, *u], strict=True))
+    rates = (sum(value_of(tree, values) for _, tree in syntax_trees(text)) for text in texts)
+    return np.array([np.broadcast_to(rate, t.shape) for rate in rates])
 
 
 Places = NDArray[np.intp]

@@ -103,11 +103,7 @@ def parse_expression(
     """
     translator = _Translator(text, names, where, equation, further or {}, unknown_name_remedy)
     try:
-        one_line = " ".join(text.split()).replace(
-            "^", "**"
-        )  # with lambda and other keywords as ordinary names
-        names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
-        terms = [translator.translated(piece) for piece in _pieces(names_only)]
+        terms = [translator.translated(*piece) for piece in syntax_trees(text)]
     except (RecursionError, MemoryError):
         raise translator.error(
             f"functions, powers or parentheses are nested too deep, or parentheses hold a sum of "
@@ -125,6 +121,14 @@ def parse_expression(
             remedy=_remedy(text),
         ) from None
     return terms[0] if len(terms) == 1 else sp.Add(*terms)
+
+
+def syntax_trees(text: str) -> list[tuple[str, ast.expr]]:
+    """A formula as pieces of text that add up to it, each with its syntax tree."""
+    one_line = " ".join(text.split()).replace("^", "**")
+    # with lambda and other keywords as ordinary names
+    names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
+    return [(piece, ast.parse(piece, mode="eval").body) for piece in _pieces(names_only)]
 
 
 def _remedy(text: str) -> str:
@@ -174,10 +178,10 @@ class _Translator(ast.NodeVisitor):
         check_time()
         return super().visit(node)
 
-    def translated(self, source: str) -> sp.Expr:
+    def translated(self, source: str, tree: ast.expr) -> sp.Expr:
         """A piece of the formula as an expression."""
         self.source = source
-        expression: sp.Expr = self.visit(ast.parse(source, mode="eval").body)
+        expression: sp.Expr = self.visit(tree)
         return expression
 
     def error(self, message: str, remedy: str | None = None) -> ProblemError:

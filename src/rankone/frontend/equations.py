@@ -248,6 +248,10 @@ def check_names(
 
     ``further`` has names and their owners: ``("bounce", "event 1")``.
     """
+    states, parameters, further = list(states), list(parameters), list(further)
+    names = [time.name, *(p.name for p in parameters), *(n for n, _ in (*states, *further))]
+    if name_defect((name, "") for name in names) is None:
+        return
     named = [(time.name, "the time")]
     named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]

@@ -1,7 +1,8 @@
 """Rates of many states as a table of terms, from which no expression has to be written.
 
-Matrices and reactions of mass action say which products of states change which state, and how
-fast. A table keeps that as it is; the equations are written out when somebody looks at them.
+Matrices, reactions of mass action and polynomial texts say which products of states change which
+state, and how fast. A table keeps that as it is; the equations are written out when somebody looks
+at them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 import sympy as sp
+from sympy.core.function import Application
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import exact
@@ -42,19 +44,19 @@ class TermTable:
         Functions of time and parameters.
     terms : tuple of Entry
         Those of all rates; the states multiplied are ascending.
+    texts : tuple of str
+        The right-hand sides of which the terms were read, if they came as texts.
     """
 
     states: tuple[sp.Expr, ...]
     functions: tuple[sp.Expr, ...]
     terms: tuple[Entry, ...]
+    texts: tuple[str, ...] = ()
 
     def fits(self, time: sp.Symbol, box: Box) -> bool:
         """Whether all functions are smooth ones of time and the parameters of a box."""
         declared = {time, *box}
-        return all(
-            f.free_symbols <= declared and all(isinstance(a, _SMOOTH) for a in f.atoms(sp.Function))
-            for f in self.functions
-        )
+        return all(f.free_symbols <= declared and is_smooth(f) for f in self.functions)
 
     @property
     def symbols(self) -> set[sp.Basic]:
@@ -90,6 +92,11 @@ class TabulatedEquations(Deferred[sp.Basic]):
     ) -> None:
         super().__init__(length, make)
         self.table = table
+
+
+def is_smooth(function: sp.Expr) -> bool:
+    """Whether a function of time and parameters is smooth wherever it is finite."""
+    return all(isinstance(inner, _SMOOTH) for inner in function.atoms(Application))
 
 
 def written_rates(table: TermTable, time: sp.Symbol, equations: int) -> list[sp.Eq]:

@@ -15,7 +15,9 @@ from rankone.expressions.parsing import parse_expression
 from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.equations import check_names
 from rankone.frontend.events import Event, event_name
+from rankone.frontend.polynomial_texts import table_of_texts
 from rankone.frontend.steady_start import SteadyState
+from rankone.frontend.term_table import FEWEST_TABULATED, TabulatedEquations
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
@@ -61,18 +63,9 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         }
     names = {**states, "t": t, **symbols, **functions}
     units = written["units"]
+    plain = not any(written[key] for key in ("jumps", "events", *_NAMED))
     return {
-        "equations": [
-            *(
-                sp.Eq(
-                    rate_of(functions[state], t),
-                    formula(text, names, f"right-hand side of {quote(state)}", i),
-                    evaluate=False,
-                )
-                for i, (state, text) in enumerate(rhs.items(), 1)
-            ),
-            *(_equation(text, names, i) for i, text in enumerate(equations, 1 + len(rhs))),
-        ],
+        "equations": _equations(rhs, equations, functions, names, plain),
         "time": (t, *time),
         "parameters": {symbols[name]: ends for name, ends in tables["parameters"].items()},
         "initial": _start(
@@ -96,6 +89,33 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         },
         **{key: written[key] for key in ("name", "tail", "correlation", "atol")},
     }
+
+
+def _equations(
+    rhs: Mapping[str, Any], equations: Sequence[str], functions: Names, names: Names, plain: bool
+) -> Sequence[sp.Basic]:
+    """The equations; of many right-hand sides a table of their terms, if they have one.
+
+    ``plain`` says that the problem consists of right-hand sides and initial values alone.
+    """
+    t = names["t"]
+
+    def written() -> list[sp.Basic]:
+        rates = (
+            (
+                rate_of(functions[state], t),
+                formula(text, names, f"right-hand side of {quote(state)}", i),
+            )
+            for i, (state, text) in enumerate(rhs.items(), 1)
+        )
+        further = (_equation(text, names, i) for i, text in enumerate(equations, 1 + len(rhs)))
+        return [*(sp.Eq(*sides, evaluate=False) for sides in rates), *further]
+
+    if not plain or equations or not FEWEST_TABULATED <= len(rhs) == len(functions):
+        return written()
+    coordinates = {name: symbol for name, symbol in names.items() if name not in functions}
+    table = table_of_texts(rhs, functions, coordinates)
+    return written() if table is None else TabulatedEquations(len(rhs), written, table)
 
 
 def _start(
