@@ -492,7 +492,8 @@ def test_parameters_from_data(case):
 # --- pictures, exports ---------------------------------------------------------------------------
 
 
-def test_plots(case, tmp_path):
+def test_plots(case, monkeypatch):
+    monkeypatch.setattr("rankone.plotting.sensitivities._EFFECT_POINTS", 5)  # to save time
     pyplot = pytest.importorskip("matplotlib.pyplot")
     (point,) = case.points(1)
     axes = plotting.plot_trajectories(case.solution, point, unknowns=case.unknown)
