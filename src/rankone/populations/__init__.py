@@ -10,6 +10,7 @@
 ``specification``  random parameters, correlations and covariates as users say them
 ``individuals``    the most probable random effects of each subject
 ``marginal``       the marginal likelihood by Laplace's method
+``slopes``         its derivatives, and those of the random effects
 ``search``         its optimum
 ``uncertainty``    standard errors and degrees of freedom
 ``population``     ``fit_population``

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.populations.individuals import EmpiricalBayes, Individuals, Start
+from rankone.populations.slopes import Slopes, slopes_of
 from rankone.support.arrays import Array
 
 _POINTS_AT_ONCE = 256  # Population parameters that are evaluated together, to bound memory
@@ -33,6 +34,20 @@ class Marginal:
         """-2 log L (K,) at psi (K, P), block after block."""
         blocks = range(0, len(psi), _POINTS_AT_ONCE)
         return np.concatenate([self.at(psi[k : k + _POINTS_AT_ONCE], start)[0] for k in blocks])
+
+    def slopes(self, psi: Array, individuals: Individuals) -> Slopes:
+        """The derivatives at psi (K, P), where the random effects are at their modes."""
+        return slopes_of(self.search, psi, individuals)
+
+    def gradients(self, psi: Array, start: Start) -> Array:
+        """The derivatives (K, P) of -2 log L at psi (K, P), from a start for each of these."""
+        layout = self.search.layout
+        step = max(_POINTS_AT_ONCE // (2 * len(layout.names) + 2 * len(layout.levels)), 1)
+        gradients = []
+        for here in (slice(k, k + step) for k in range(0, len(psi), step)):
+            individuals = self.search(psi[here], start._replace(eta=start.eta[here]))
+            gradients.append(self.slopes(psi[here], individuals).gradient)
+        return np.concatenate(gradients)
 
     def _values(self, psi: Array, individuals: Individuals) -> Array:
         factor = self.search.layout.cholesky(psi)[:, None]

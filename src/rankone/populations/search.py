@@ -2,8 +2,8 @@
 
 The search begins with the best of many points of the box for each subject. A few steps of
 expectation and maximisation then bring means, covariance and noise near the optimum (Lindstrom &
-Bates, Biometrics 46, 1990, for the means), and quasi-Newton steps on differences of the marginal
-likelihood end the search: all displaced population parameters and all subjects are one call.
+Bates, Biometrics 46, 1990, for the means), and quasi-Newton steps on the marginal likelihood and
+its derivatives end the search.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from rankone.populations.individuals import EmpiricalBayes, Individuals, Start, linearised
 from rankone.populations.layout import Layout
 from rankone.populations.marginal import Marginal
+from rankone.populations.slopes import Slopes
 from rankone.populations.subjects import Subjects
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
@@ -29,7 +30,8 @@ _START_RELATIVE = 0.2  # Levels of noise at the start, in shares of the data
 _LEAST_SPREAD = 1e-3  # Least standard deviation of a random effect in the first steps
 _MOST_ITERATIONS = 40
 _CONVERGED = 1e-8  # Expected gain in -2 log L that ends the search
-_GRADIENT_STEP, _HESSIAN_STEP = 0.02, 0.15  # Displacements in standard errors
+_HESSIAN_STEP = 0.05  # Displacements in standard errors
+_FIRST_STEPS = 0.1  # Standard errors of all population parameters that are assumed at first
 _SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 1e-3])  # Shares of a step that are tried
 _LONGEST_STEP = 3.0  # Longest step in standard errors of any parameter
 _CURVATURE_FLOOR = 1e-4
@@ -37,11 +39,12 @@ _CURVATURE_FLOOR = 1e-4
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where -2 log L is least: psi (P,), the random effects, and the Hessian (P, P) of -2 log L."""
+    """Where -2 log L is least: psi (P,), random effects, derivatives, and the Hessian (P, P)."""
 
     psi: Array
     value: float
     individuals: Individuals
+    slopes: Slopes
     hessian: Array
     converged: bool
 
@@ -154,34 +157,32 @@ def _noise_step(marginal: Marginal, individuals: Individuals, covariance: Array)
 
 def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
     """The optimum by quasi-Newton steps from psi (P,) and a start of the random effects."""
-    scale = np.full(psi.size, 0.1)
     value, individuals = marginal.at(psi[None], start)
-    least, start = float(value[0]), individuals.start()
-    hessian = hessian_of(marginal, psi, start, scale)
+    least = float(value[0])
+    slopes = marginal.slopes(psi[None], individuals)
+    hessian = hessian_of(marginal, psi, slopes, np.full(psi.size, _FIRST_STEPS))
     fresh, converged = True, False
-    gradient = gradient_of(marginal, psi, start, standard_steps(hessian))
     for _ in range(_MOST_ITERATIONS):
-        step, gain = _newton_step(hessian, gradient)
+        step, gain = _newton_step(hessian, slopes.gradient[0])
         if gain < _CONVERGED:
             converged = True
             break
-        trials = psi + _SHARES[:, None] * step
-        values, tried = marginal.at(trials, start)
+        moves = _SHARES[:, None] * step
+        values, tried = marginal.at(psi + moves, slopes.start(moves))
         k = int(np.argmin(values))
         if values[k] >= least:
             if fresh:
                 converged = gain < 1e3 * _CONVERGED
                 break
-            hessian, fresh = hessian_of(marginal, psi, start, standard_steps(hessian)), True
+            hessian, fresh = hessian_of(marginal, psi, slopes, standard_steps(hessian)), True
             continue
-        moved, individuals = trials[k], tried.at_position(k)
-        least, start = float(values[k]), individuals.start()
-        slope = gradient_of(marginal, moved, start, standard_steps(hessian))
-        hessian, fresh = _updated(hessian, moved - psi, slope - gradient), False
-        psi, gradient = moved, slope
+        psi, least, individuals = psi + moves[k], float(values[k]), tried.at_position(k)
+        before, slopes = slopes, marginal.slopes(psi[None], individuals)
+        change = slopes.gradient[0] - before.gradient[0]
+        hessian, fresh = _updated(hessian, moves[k], change), False
     if not fresh:
-        hessian = hessian_of(marginal, psi, start, standard_steps(hessian))
-    return Optimum(psi, least, individuals, hessian, converged)
+        hessian = hessian_of(marginal, psi, slopes, standard_steps(hessian))
+    return Optimum(psi, least, individuals, slopes, hessian, converged)
 
 
 def standard_steps(hessian: Array) -> Array:
@@ -189,28 +190,13 @@ def standard_steps(hessian: Array) -> Array:
     return np.sqrt(2.0 / np.maximum(np.abs(np.diag(hessian)), 1e-2))
 
 
-def gradient_of(marginal: Marginal, psi: Array, start: Start, scale: Array) -> Array:
-    """Derivatives (P,) of -2 log L by central differences."""
-    steps = np.diag(_GRADIENT_STEP * scale)
-    values = marginal.values(np.concatenate([psi + steps, psi - steps]), start)
-    return (values[: psi.size] - values[psi.size :]) / (2.0 * _GRADIENT_STEP * scale)
-
-
-def hessian_of(marginal: Marginal, psi: Array, start: Start, scale: Array) -> Array:
-    """Second derivatives (P, P) of -2 log L by differences."""
-    size = psi.size
+def hessian_of(marginal: Marginal, psi: Array, slopes: Slopes, scale: Array) -> Array:
+    """Second derivatives (P, P) of -2 log L by differences of the first."""
     h = _HESSIAN_STEP * scale
-    steps = np.diag(h)
-    rows, columns = np.triu_indices(size, 1)
-    both = steps[rows] + steps[columns]
-    points = [psi[None], psi + steps, psi - steps, psi + both, psi - both]
-    values = marginal.values(np.concatenate(points), start)
-    here, rest = values[0], values[1:]
-    more, less = rest[:size], rest[size : 2 * size]
-    plus, minus = np.split(rest[2 * size :], 2)
-    hessian = np.diag((more + less - 2.0 * here) / h**2)
-    mixed = plus + minus - more[rows] - more[columns] - less[rows] - less[columns] + 2.0 * here
-    hessian[rows, columns] = hessian[columns, rows] = mixed / (2.0 * h[rows] * h[columns])
+    moves = np.concatenate([np.diag(h), -np.diag(h)])
+    gradients = marginal.gradients(psi + moves, slopes.start(moves))
+    hessian = (gradients[: psi.size] - gradients[psi.size :]) / (2.0 * h[:, None])
+    hessian = 0.5 * (hessian + hessian.T)
     return np.where(np.isfinite(hessian), hessian, 0.0)
 
 

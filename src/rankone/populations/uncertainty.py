@@ -80,7 +80,7 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     corrected = optimum.psi.copy()
     corrected[spreads] += shift
     psi = np.stack([optimum.psi, corrected])
-    _, individuals = marginal.at(psi, optimum.individuals.start())
+    _, individuals = marginal.at(psi, optimum.slopes.start(psi - optimum.psi))
     with np.errstate(all="ignore"):
         before, after = np.diagonal(
             _inverse(marginal.information_of_means(psi, individuals)), 0, 1, 2
@@ -117,8 +117,9 @@ def _slopes_of_information(marginal: Marginal, optimum: Optimum, scale: Array) -
     steps = np.zeros((size, psi.size))
     h = _STEP * scale[layout.spreads]
     steps[range(size), range(layout.spreads.start, layout.spreads.stop)] = h
-    points = np.concatenate([psi + steps, psi - steps])
-    _, individuals = marginal.at(points, optimum.individuals.start())
+    moves = np.concatenate([steps, -steps])
+    points = psi + moves
+    _, individuals = marginal.at(points, optimum.slopes.start(moves))
     information = marginal.information_of_means(points, individuals)
     logarithms = np.linalg.slogdet(information)[1]
     variances = np.log(np.maximum(np.diagonal(_inverse(information), 0, 1, 2), 1e-300))

@@ -23,6 +23,7 @@ from rankone.tensors.train import Train
 # Operations of multiplying a core: once, and for each of its entries at a point
 _CORE_COST = Cost(10.0 * CALL, 0.1)
 _MODE_COST = 15.0  # Operations of evaluating a mode at a point
+_ENTRIES_AT_ONCE = 1 << 18  # Entries of matrices at points that are held together
 
 
 @dataclass(frozen=True)
@@ -76,18 +77,29 @@ class SlabTrain:
         For each point the value, then the derivatives from the last parameter to the first.
         """
         count = points.shape[1]
-        products = np.ones((1, count, 1))
-        for j in reversed(range(len(self.bases))):
-            core, basis = self.cores[j + 1], self.bases[j]
-            modes = basis.modal_values(points[j])
-            matrix = core.reshape(len(core), -1)
-            columns = modes.T[:, None, :, None] * products
-            if j in free:
-                slopes = basis.modal_slopes(points[j]).T[:, None, :, None] * products[:, :, :1]
-                columns = np.concatenate([columns, slopes], axis=3)
-            width = columns.shape[3]
-            products = (matrix @ columns.reshape(matrix.shape[1], -1)).reshape(-1, count, width)
+        step = max(
+            _ENTRIES_AT_ONCE // max((len(c) * c.shape[2] for c in self.cores[1:]), default=1), 1
+        )
+        products = np.empty((self.ranks[0] if self.ranks else 1, count, 1 + len(free)))
+        for begin in range(0, count, step):
+            here = slice(begin, begin + step)
+            products[:, here] = self._with_slopes(points[:, here], free).transpose(0, 2, 1)
         return products.reshape(len(products), -1)
+
+    def _with_slopes(self, points: Array, free: Sequence[int]) -> Array:
+        """The same in the shape (r_1, 1 + k, N): a core becomes a matrix for each point."""
+        products = np.ones((1, 1, points.shape[1]))
+        for j in reversed(range(len(self.bases))):
+            basis, core = self.bases[j], self.cores[j + 1].swapaxes(1, 2)
+            entries = core.reshape(-1, core.shape[2])
+            at = (entries @ basis.modal_values(points[j]).T).reshape(*core.shape[:2], -1)
+            columns = np.einsum("rsn,swn->rwn", at, products)
+            if j in free:
+                slopes = (entries @ basis.modal_slopes(points[j]).T).reshape(at.shape)
+                along = np.einsum("rsn,sn->rn", slopes, products[:, 0])
+                columns = np.concatenate([columns, along[:, None]], axis=1)
+            products = columns
+        return products
 
     def on_grid(self, times: Array, columns: Array) -> Array:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
