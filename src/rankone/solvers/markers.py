@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -21,8 +22,10 @@ from rankone.trajectories.events.markers import (
     marked_order,
     may_pay,
 )
+from rankone.trajectories.events.periods import is_autonomous
 from rankone.trajectories.events.stretches import timed_events
-from rankone.trajectories.integrator import DenseTrajectories, SeparateTrajectories, Tolerances
+from rankone.trajectories.integrator import SeparateTrajectories, Spans, Tolerances
+from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.verification.measure import ReferenceSet
 
@@ -30,6 +33,7 @@ from rankone.verification.measure import ReferenceSet
 # trajectories that are out of phase take many common steps
 _FIRST_LOOK = 2e8
 _PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
+_PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be enough
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 
@@ -84,43 +88,65 @@ def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveSt
     (dense,), sizes = reference.batches, reference_set.states[:, None]
     if reference.blown is not None or reference_set.cuts or reference.integrator == "compiled":
         return None  # compiled trajectories have no paths to look for crossings on
-    tolerances = Tolerances(reference_set.accuracy, reference_set.accuracy * _FLOOR * sizes)
-    return _by_trajectories(system, request, reference.points, dense, tolerances)
-
-
-def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
-    """The start over stretches, if markers pay for a few trajectories."""
-    domain = request.domain
-    points, tolerances = pilots(system, domain, _PILOT_RTOL)
-    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
-    dense = chosen.run(system, points, domain.horizon, tolerances)
-    if dense.end < domain.horizon[1]:
-        return None
-    return _by_trajectories(system, request, points, dense, tolerances)
-
-
-def _by_trajectories(
-    system: System,
-    request: SolveRequest,
-    points: Array,
-    dense: DenseTrajectories,
-    tolerances: Tolerances,
-) -> SolveStart | None:
-    """The start over stretches, if markers pay for trajectories over clock time."""
     separate = cast(SeparateTrajectories, dense)
     if not may_pay(separate.of(SCOUTS).paths):
         return None
-    paths = separate.paths
-    marker = chosen_marker(system, paths, points)
+    tolerances = Tolerances(reference_set.accuracy, reference_set.accuracy * _FLOOR * sizes)
+    return _by_paths(system, request, reference.points, separate.paths, tolerances)
+
+
+def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
+    """The start over stretches, if markers pay for a few trajectories.
+
+    They go over a part of the horizon at first, which is enough where all of them repeat.
+    """
+    domain = request.domain
+    (start, end), length = domain.horizon, domain.horizon[1] - domain.horizon[0]
+    points, tolerances = pilots(system, domain, _PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
+    for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
+        ends = np.full(len(points), end if share == 1.0 else start + share * length)
+        spans = Spans(np.full(len(points), time), states, ends)
+        further = chosen.paths(system, points, spans, tolerances)
+        if any(path.end < ends[0] for path in further):
+            return None
+        paths = [joined(each) for each in zip(paths, further, strict=True)] if paths else [*further]
+        time, states = float(ends[0]), np.stack([path.state for path in paths], axis=1)
+        found = _by_paths(system, request, points, paths, tolerances)
+        if found is not None:
+            return found
+    return None
+
+
+def _by_paths(
+    system: System,
+    request: SolveRequest,
+    points: Array,
+    paths: Sequence[Path],
+    tolerances: Tolerances,
+) -> SolveStart | None:
+    """The start over stretches, if markers pay for trajectories over clock time.
+
+    Their paths may end before the horizon if they repeat.
+    """
+    domain = request.domain
+    further = (domain.horizon[1] - domain.horizon[0]) / (paths[0].end - domain.horizon[0])
+    if not may_pay(paths[SCOUTS], further):
+        return None
+    marker = chosen_marker(system, paths, points, further)
     if marker is None:
         return None
-    domain = request.domain
     timed = timed_events(system, (), (marker,))
     chosen = span_integrator_for(timed, request.integrator, accuracy=tolerances.relative)
     clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), (marker,))
-    order, marked = marked_order(chosen, clock, points, paths, tolerances)
-    last = np.array([each.occurrences[len(order.instants) - 1].time for each in marked])
-    gap = float(last.max() - domain.horizon[0]) / len(order.instants)
+    marked = marked_order(chosen, clock, points, paths, tolerances)
+    if marked is None:
+        return None
+    order, trajectories = marked
+    count = len(order.instants)
+    last = np.array([each.occurrences[count - 1].time for each in trajectories])
+    gap = float(last.max() - domain.horizon[0]) / count
     last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
     clock = replace(clock, order=order, last_marks=last_marks)
     stretched, there = over_stretches(clock, request)

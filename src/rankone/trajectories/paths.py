@@ -72,6 +72,14 @@ class Path:
         """Largest absolute values after any of the first steps, (n,)."""
         return np.asarray(np.abs(self.nodal[:steps, -1]).max(axis=0, initial=0.0))
 
+    def until(self, time: float) -> Path:
+        """The path up to a time within."""
+        count = int(np.searchsorted(self.breaks, time))
+        breaks = np.append(self.breaks[:count], time)
+        nodal = self.nodal[:count].copy()
+        nodal[-1] = self(breaks[-2] + (time - breaks[-2]) * NODES).T
+        return Path(breaks, nodal, nodal[-1, -1])
+
     def over_times(self, start: float, end: float) -> Path:
         """A path over the share of the way as one over times.
 

@@ -5,6 +5,7 @@
 ``instants``            what events do at one instant, and what they trigger
 ``crossings``           where paths cross the roots of functions, all of a stack at once
 ``integration``         roots of functions along trajectories, which end them or reset states
+``periods``             trajectories of oscillators that repeat, which are integrated no further
 ``event_order``         the order in which all trajectories of a box meet their events
 ``sides``               whether they stay on the sides of switches that they should be on
 ``stretches``           the system over stretches: from event to event, in pseudo-time

@@ -15,6 +15,7 @@ from rankone.support.wording import quote
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
+from rankone.trajectories.events.periods import begin_with_periods, may_repeat
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
 _FAR = 4.0  # Horizons beyond the horizon up to which events are waited for
@@ -103,7 +104,7 @@ def follow(
 ) -> list[EventTrajectory]:
     """Trajectories to the end of the horizon and to so many instants of events.
 
-    They go on from those that have ``begun``, which have reached the end of the horizon.
+    They go on from those that have ``begun``. Where they repeat they are integrated no further.
     """
     (start, end), length = clock.horizon, clock.length
 
@@ -113,10 +114,12 @@ def follow(
     edges = [start, end, end + _FAR * length]
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
-    if begun:
-        edges = edges[1:]
     events = clock.system.events
-    first_ends = clock.last_marks(points) if clock.last_marks and not begun else None
+    first_ends = None
+    if may_repeat(clock):
+        begun = begin_with_periods(clock, integrator, points, tolerances, count, begun)
+    elif clock.last_marks and not begun:
+        first_ends = np.maximum(clock.last_marks(points), end)
     followed = integrate_to_events(
         integrator,
         clock.system,

@@ -30,8 +30,10 @@ class EventTrajectory:
     go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
     them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
     time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
-    such events to the next ones. ``ahead`` (events,) are known times that it has not reached,
-    infinite for other events; ``due`` are the times at which events with a delay reset states.
+    such events to the next ones. Where its ``period`` is not 0 it goes on after its paths as over
+    their last period, up to its last event. ``ahead`` (events,) are known times that it has not
+    reached, infinite for other events; ``due`` are the times at which events with a delay reset
+    states.
     """
 
     paths: list[Path]
@@ -46,10 +48,11 @@ class EventTrajectory:
     stuck: bool = False
     rounds: int = 0
     returned: bool = False
+    period: float = 0.0
 
     @property
     def end(self) -> float:
-        return self.paths[-1].end
+        return self.occurrences[-1].time if self.period else self.paths[-1].end
 
     @property
     def state(self) -> Array:
@@ -116,7 +119,14 @@ class EventTrajectory:
     def __call__(self, times: Array) -> Array:
         """States (n, T), after an event at its time; NaN after the end."""
         path = joined(self.paths)
-        states = path(times)
+        states = path(folded(times, path.end, self.period))
         states[:, times > self.end] = np.nan
         states[:, times == self.end] = self.state[:, None]
         return states
+
+
+def folded(times: Array, ends: float | Array, periods: float | Array) -> Array:
+    """Times, those after the end on the last period before it, where that is not 0."""
+    later = (np.asarray(periods) > 0.0) & (times > ends)
+    rounds = np.ceil((times - ends) / np.where(later, periods, 1.0))
+    return np.where(later, times - rounds * periods, times)

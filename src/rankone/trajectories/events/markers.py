@@ -23,6 +23,7 @@ from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.instants import SAME_INSTANT
 from rankone.trajectories.events.integration import integrate_to_events
+from rankone.trajectories.events.periods import may_repeat, repeated, repeats
 from rankone.trajectories.events.stretches import marker_event
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
@@ -47,24 +48,30 @@ class _Candidate:
     steepness: float
 
 
-def may_pay(scouts: Sequence[Path]) -> bool:
-    """Whether some marker may pay for trajectories of which these are the first ones."""
-    spans = _spans(scouts)
-    return any(_rough_spread(scouts, *span) >= _SCOUTED * OUT_OF_PHASE for span in spans)
+def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
+    """Whether some marker may pay for trajectories of which these are the first ones.
+
+    The horizon is so many times as long as they are.
+    """
+    least = _SCOUTED * OUT_OF_PHASE / further
+    return any(_rough_spread(scouts, *span) >= least for span in _spans(scouts))
 
 
-def chosen_marker(system: System, paths: Sequence[Path], points: Array) -> Marker | None:
+def chosen_marker(
+    system: System, paths: Sequence[Path], points: Array, further: float = 1.0
+) -> Marker | None:
     """The marker for a system, by trajectories at points (m, d); None where none pays.
 
+    The horizon is so many times as long as they are, and times drift apart as they did so far.
     Of the states that all trajectories cross transversally, with a spread that pays, it is the one
     that they cross most steeply. The first trajectories are looked at alone before the others.
     """
     candidates: list[_Candidate] = []
     for state, lower, upper in _spans(paths):
-        if _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
+        if further * _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
             continue
         candidate = _candidate(system, paths, points, state, (lower, upper))
-        if candidate is not None and candidate.spread >= OUT_OF_PHASE:
+        if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
     best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
     return None if best is None else best.marker
@@ -183,17 +190,20 @@ def marked_order(
     points: Array,
     paths: Sequence[Path],
     tolerances: Tolerances,
-) -> tuple[EventOrder, list[EventTrajectory]]:
+) -> tuple[EventOrder, list[EventTrajectory]] | None:
     """The order of a marker, and the trajectories to the last one.
 
-    They go over the horizon along the ``paths``, which are not integrated anew. Other trajectories
-    may meet one more before the end.
+    They go along the ``paths``, which are not integrated anew; None where these are shorter than
+    the horizon, and not all of them repeat. Other trajectories may meet one more before the end.
     """
-    system, horizon = clock.system, clock.horizon
-    replay = _Replay(tuple(paths))
-    begun = integrate_to_events(replay, system, points, horizon, tolerances, system.events)
-    counts = [len(each.occurrences) for each in begun]
-    count = max(counts) + 2
+    system, end = clock.system, clock.horizon[1]
+    replay, edges = _Replay(tuple(paths)), (clock.horizon[0], paths[0].end)
+    begun = integrate_to_events(replay, system, points, edges, tolerances, system.events)
+    if edges[1] < end:
+        if not may_repeat(clock) or not all(repeats(each, tolerances.relative) for each in begun):
+            return None
+        begun = [repeated(each, 0, end) for each in begun]
+    count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + 2
     followed = follow(clock, integrator, points, tolerances, count, begun)
     return EventOrder(((0,),) * count, Ending.EVENT), followed
 

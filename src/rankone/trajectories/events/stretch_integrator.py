@@ -15,9 +15,10 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
-from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
+from rankone.trajectories.events.periods import PERIOD
 from rankone.trajectories.events.sides import check_sides, times_to_check
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
@@ -28,6 +29,7 @@ from rankone.trajectories.integrator import (
 )
 from rankone.trajectories.paths import Path, Paths, joined
 
+_DIGITS = 12  # Decimal digits of pseudo-times that differ
 _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
 
 
@@ -86,11 +88,30 @@ class StretchTrajectories(PseudoTimeTrajectories):
         at = self.borders[:, stretch] + (times - stretch) * lengths
         states = np.empty((n + CLOCK_STATES, len(self.trajectories), times.size))
         states[n], states[n + 1] = at, lengths
-        first = self._first_alike[stretch]
+        read, place = self._distinct(times, stretch)
+        first, at = self._first_alike[stretch[read]], folded(at[:, read], *self._periods)
+        distinct = np.empty((n, len(self.trajectories), read.size))
         for i in np.unique(first):
             here = first == i
-            states[:n, :, here] = self._paths[i](at[:, here])[:n]
+            distinct[:, :, here] = self._paths[i](at[:, here])[:n]
+        states[:n] = distinct if read.size == times.size else distinct[:, :, place]
         return self._with_lifted(times, states)
+
+    def _distinct(
+        self, times: Array, stretch: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Of pseudo-times (T,) those to be read, and for each time the one with the same states.
+
+        Where all trajectories repeat, they are where they were some periods before.
+        """
+        ends, periods = self._periods
+        if not periods.all():
+            return np.arange(times.size), np.arange(times.size)
+        settled = int((self.borders[:, 1:] <= ends).sum(axis=1).max())
+        rounds = np.maximum((stretch - settled) // PERIOD + 1, 0)
+        before = np.round(times - rounds * PERIOD, _DIGITS)
+        _, read, place = np.unique(before, return_index=True, return_inverse=True)
+        return read, place
 
     def of(self, trajectories: slice) -> StretchTrajectories:
         """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
@@ -122,6 +143,12 @@ class StretchTrajectories(PseudoTimeTrajectories):
     def samples(self, count: int) -> list[tuple[float, Array]]:
         s = np.linspace(0.0, self.end, count + 2)[1:]
         return list(zip(s.tolist(), np.moveaxis(self(s), 2, 0), strict=True))
+
+    @cached_property
+    def _periods(self) -> tuple[Array, Array]:
+        """Where the paths of trajectories end (m, 1), and the periods in which they go on."""
+        ends = [[each.paths[-1].end] for each in self.trajectories]
+        return np.array(ends), np.array([[each.period] for each in self.trajectories])
 
     @cached_property
     def _paths(self) -> list[Paths]:

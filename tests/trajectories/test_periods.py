@@ -1,0 +1,84 @@
+"""Periods that repeat, and what looks as if it did."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.events import Ending, EventOrder, Marker
+from rankone.ir.system import Clock
+from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.events.event_order import follow
+from rankone.trajectories.events.periods import is_autonomous, may_repeat, repeats
+from rankone.trajectories.events.stretches import timed_events
+from rankone.trajectories.integrator import Tolerances
+
+END, COUNT = 24.0, 12
+ACCURACY = 1e-8
+PREY = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
+START = {"x": "x0", "y": "5*p"}
+
+
+def system_of(rates=(), start=()):
+    """Prey and predators, perhaps with further states."""
+    box = {"x0": (8, 12), "p": (0.9, 1.1)}
+    return ro.compile(
+        ro.Problem.from_strings({**PREY, **dict(rates)}, {**START, **dict(start)}, box, (0, END))
+    ).system
+
+
+def followed(system, accuracy=ACCURACY):
+    """Trajectories at three points over twelve crossings of x = 5."""
+    timed = timed_events(system, (), (Marker(0, 5.0),))
+    order = EventOrder(((0,),) * COUNT, Ending.EVENT)
+    clock = Clock(timed, order, (0.0, END), (), (Marker(0, 5.0),))
+    points = np.array([[8.0, 0.9], [10.0, 1.0], [12.0, 1.1]])
+    tolerances = Tolerances(accuracy, accuracy * np.ones((system.n_differential, 1)))
+    integrator = span_integrator_for(timed, accuracy=accuracy)
+    return clock, follow(clock, integrator, points, tolerances, COUNT)
+
+
+def test_prey_and_predators_go_round_as_if_they_were_integrated(monkeypatch):
+    system = system_of()
+    _, trajectories = followed(system)
+    assert all(each.period for each in trajectories)
+    assert all(each.paths[-1].end < 0.7 * END for each in trajectories)
+    name = "rankone.trajectories.events.event_order.may_repeat"
+    monkeypatch.setattr(name, lambda clock: False)
+    _, integrated = followed(system, 0.01 * ACCURACY)
+    times = np.linspace(0.0, END, 301)
+    for there, here in zip(integrated, trajectories, strict=True):
+        assert not there.period
+        exact, marks = there(times), np.array([mark.time for mark in there.occurrences[:COUNT]])
+        sizes = np.abs(exact).max(axis=1, keepdims=True)
+        assert (np.abs(here(times) - exact) < 1e-6 * sizes).all()
+        found = np.array([mark.time for mark in here.occurrences[:COUNT]])
+        np.testing.assert_allclose(found, marks, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("rate", "start"),
+    [
+        ("0.3*z", "1e-12*p"),  # grows from nothing
+        ("1e-6*x", "1"),  # drifts slowly
+    ],
+)
+def test_what_changes_slowly_or_is_tiny_does_not_repeat(rate, start):
+    _, trajectories = followed(system_of({"z": rate}, {"z": start}))
+    assert not any(each.period for each in trajectories)
+    assert not any(repeats(each, ACCURACY) for each in trajectories)
+
+
+@pytest.mark.parametrize("rate", ["sin(t)", "exp(-(t - 20)**2)", "Heaviside(t - 20)", "t*0 + x"])
+def test_rates_that_read_the_time_do_not_repeat(rate):
+    system = system_of({"z": rate}, {"z": "0"})
+    assert is_autonomous(system) == (rate == "t*0 + x")
+
+
+def test_events_between_markers_do_not_repeat():
+    clock, _ = followed(system_of())
+    twice = dataclasses.replace(clock.system, events=clock.system.events * 2)
+    assert may_repeat(clock)
+    assert not may_repeat(dataclasses.replace(clock, system=twice))
+    assert not may_repeat(dataclasses.replace(clock, markers=()))
