@@ -10,7 +10,6 @@ has it. Seconds are of the processor.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -19,15 +18,13 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 from tests.benchmarks.petab_problems import Independent  # noqa: E402
-from tests.benchmarks.published_sbml import NAMES  # noqa: E402
+from tests.benchmarks.published_sbml import chosen, of_collection  # noqa: E402
 
 NEAR = 0.1  # Difference of log-likelihoods that counts as the published optimum
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", metavar="NAME", default=NAMES)
+    parser = of_collection(__doc__)
     parser.add_argument("--starts", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -35,9 +32,8 @@ def main() -> None:
         f"{'problem':36}{'parameters':>10}{'published':>14}{'best':>14}{'difference':>12}"
         f"{'independent':>13}{'near it':>9}{'iterations':>12}{'seconds':>9}"
     )
-    for name in arguments.only:
-        for file in sorted(arguments.folder.glob(f"{name}*/{name}*.yaml")):
-            print(_tried(file, arguments.starts, arguments.seed), flush=True)
+    for file in chosen(arguments, "*[0-9].yaml"):
+        print(_tried(file, arguments.starts, arguments.seed), flush=True)
 
 
 def _tried(file: Path, starts: int, seed: int) -> str:

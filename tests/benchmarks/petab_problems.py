@@ -13,7 +13,6 @@ and of one with all derivatives.
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 import time
@@ -27,7 +26,7 @@ from scipy.integrate import solve_ivp
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-from tests.benchmarks.published_sbml import NAMES, Published  # noqa: E402
+from tests.benchmarks.published_sbml import Published, chosen, of_collection  # noqa: E402
 
 RTOL, ATOL = 1e-10, 1e-13
 LONG = 1e7  # Time to a steady state, in the units of the model
@@ -35,14 +34,10 @@ POINTS, DIRECTIONS, STEP = 1, 3, 1e-4
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", metavar="NAME", default=NAMES)
-    arguments = parser.parse_args()
+    arguments = of_collection(__doc__).parse_args()
     print(f"{'problem':36}objective        independent      relative  around    gradient  seconds")
-    for name in arguments.only:
-        for file in sorted(arguments.folder.glob(f"{name}*/{name}*[0-9].yaml")):
-            print(f"{file.stem:36}{_tried(file)}", flush=True)
+    for file in chosen(arguments, "*[0-9].yaml"):
+        print(f"{file.stem:36}{_tried(file)}", flush=True)
 
 
 def _tried(file: Path) -> str:

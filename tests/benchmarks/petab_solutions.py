@@ -9,7 +9,6 @@ processor: of the solutions, and of the fit.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -17,24 +16,21 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-from tests.benchmarks.published_sbml import NAMES  # noqa: E402
+from tests.benchmarks.published_sbml import chosen, of_collection  # noqa: E402
 
 SPREAD = 1.2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", metavar="NAME", default=NAMES)
+    parser = of_collection(__doc__)
     parser.add_argument("--rtol", type=float, default=1e-3)
     arguments = parser.parse_args()
     print(
         f"{'problem':36}{'experiments':>12}{'free':>6}{'error':>9}{'success':>9}"
         f"{'log-likelihood':>16}{'difference':>12}{'seconds':>15}"
     )
-    for name in arguments.only:
-        for file in sorted(arguments.folder.glob(f"{name}*/{name}*.yaml")):
-            print(f"{file.stem:36}{_tried(file, arguments.rtol)}", flush=True)
+    for file in chosen(arguments, "*[0-9].yaml"):
+        print(f"{file.stem:36}{_tried(file, arguments.rtol)}", flush=True)
 
 
 def _tried(file: Path, rtol: float) -> str:

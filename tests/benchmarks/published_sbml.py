@@ -21,6 +21,7 @@ import graphlib
 import itertools
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -65,15 +66,25 @@ _CALLS = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def of_collection(document: str) -> argparse.ArgumentParser:
+    """A parser of the folder of the collection, and of the names that are chosen."""
+    parser = argparse.ArgumentParser(description=document.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", nargs="+", metavar="NAME", default=NAMES)
-    arguments = parser.parse_args()
-    print(f"{'model':36}unknowns  free parameters  rates    said     error    seconds")
+    return parser
+
+
+def chosen(arguments: argparse.Namespace, files: str = "") -> Iterator[Path]:
+    """The folders of the problems that are chosen, or files in them by a pattern."""
     for name in arguments.only:
-        for folder in sorted(arguments.folder.glob(f"{name}*")):
-            print(f"{folder.name:36}{_tried(folder)}", flush=True)
+        yield from sorted(arguments.folder.glob(f"{name}*/{files}"))
+
+
+def main() -> None:
+    arguments = of_collection(__doc__).parse_args()
+    print(f"{'model':36}unknowns  free parameters  rates    said     error    seconds")
+    for folder in chosen(arguments):
+        print(f"{folder.name:36}{_tried(folder)}", flush=True)
 
 
 def _tried(folder: Path) -> str:

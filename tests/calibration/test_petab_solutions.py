@@ -1,5 +1,6 @@
 """Solutions of PEtab problems over boxes: what they say is what trajectories say."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import rankone as ro
 from rankone.calibration.parameters import Prior
 from tests.calibration.conversion import (
+    MODEL,
     OBSERVABLES,
     PARAMETERS,
     rows,
@@ -123,6 +125,20 @@ def test_a_posterior_has_the_mean_of_the_density_by_trajectories(problem, soluti
     density = weights * np.exp(logs - logs.max())
     mean = float(k1 @ density / density.sum())
     assert posterior.mean["k1"] == pytest.approx(mean, rel=1e-3)
+
+
+def test_a_parameter_that_a_condition_makes_vanish_is_left_out(tmp_path):
+    """k1 times a dose of zero: it acts where the condition before has a dose, and only there."""
+    model = MODEL.replace("<plus/><ci>k1</ci>", "<times/><ci>k1</ci>")
+    assert model != MODEL
+    conditions = "conditionId\tdose\nrest\t3\nlow\t0\nhigh\t0\n"
+    files = {"model": model, "conditions": conditions, "observables": NORMAL}
+    problem = ro.read_petab(write(tmp_path, **files))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        names = {each: [*problem.problem(each, BOX).parameters] for each in ("low", "rest -> high")}
+    assert [str(symbol) for symbol in names["low"]] == ["k2"]
+    assert [str(symbol) for symbol in names["rest -> high"]] == ["k1", "k2"]
 
 
 def test_many_conditions_share_a_solution(tmp_path):

@@ -6,6 +6,8 @@
 ``records``             what the tables say: conditions, observables, measurements
 ``conditions``          what conditions make of the numbers of a model
 ``dynamics``            the compiled model, and its slopes in what it takes from outside
+``resting``             steady states of experiments, with derivatives
+``following``           trajectories of experiments, with derivatives
 ``simulation``          states at the times of measurements, with derivatives
 ``outputs``             observables and their noise at the measurements
 ``likelihood``          the objective, its gradient, and pseudo-residuals

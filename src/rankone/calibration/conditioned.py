@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,7 +14,7 @@ from rankone.calibration.records import Assigned, Experiment, Records
 from rankone.frontend.problem import Problem
 from rankone.frontend.steady_start import SteadyState
 from rankone.models.model import Model
-from rankone.support.errors import ProblemError
+from rankone.support.errors import ProblemError, RankoneWarning
 from rankone.support.wording import quote
 
 Interval = tuple[float | str, ...]
@@ -40,24 +41,47 @@ class Free:
             return self.values[assigned]
         return assigned
 
+    def held(self, assigned: Assigned) -> float:
+        """The number alone, that of a free parameter too."""
+        return self.values[assigned] if isinstance(assigned, str) else assigned
+
 
 def problem_for(
     records: Records, settings: Settings, experiment: Experiment, free: Free, end: float
 ) -> Problem:
     """The problem of an experiment, up to a time."""
-    numbers = {
-        name: free.number(assigned)
-        for name, assigned in settings.at[experiment.condition.name].items()
-        if name in records.model.used and name not in free.inputs
-    }
+    acting = _acting(records, settings, experiment, free)
+    numbers: dict[str, Assigned] = {}
+    for name, assigned in settings.at[experiment.condition.name].items():
+        if name in records.model.used and name not in free.inputs:
+            numbers[name] = free.number(assigned) if name in acting else free.held(assigned)
     names = {name: a for name, a in numbers.items() if isinstance(a, str)}
     constants = {name: a for name, a in numbers.items() if isinstance(a, float)}
     model = _renamed(records.model.with_numbers(constants), names)
     used = {a: free.box[a] for a in names.values()}
-    problem = model.problem({**used, **free.inputs}, time=(0.0, end))
-    if experiment.before is not None:
-        problem = _rested(problem, experiment, settings, free, names)
-    return problem
+    box = {**used, **free.inputs}
+    if experiment.before is None:
+        return model.problem(box, time=(0.0, end))
+    with warnings.catch_warnings():  # Some parameters may act before the start alone
+        warnings.simplefilter("ignore", RankoneWarning)
+        problem = model.problem(box, time=(0.0, end))
+    return _rested(problem, experiment, settings, free, names)
+
+
+def _acting(
+    records: Records, settings: Settings, experiment: Experiment, free: Free
+) -> frozenset[str]:
+    """Parameters of the model that rates or initial values depend on in an experiment.
+
+    A factor that is zero in all of its conditions makes others vanish.
+    """
+    model, acting = records.model, frozenset[str]()
+    for condition in filter(None, (experiment.condition, experiment.before)):
+        at = settings.at[condition.name]
+        held = (name for name in at if name in model.used and name not in free.inputs)
+        numbers = {name: free.number(at[name]) for name in held}
+        acting |= model.depends_on({n: a for n, a in numbers.items() if isinstance(a, float)})
+    return acting
 
 
 def _renamed(model: Model, names: Mapping[str, str]) -> Model:

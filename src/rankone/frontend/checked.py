@@ -86,7 +86,7 @@ class CheckedProblem(ProblemContent):
         symbols = self._symbols(residuals, box, time, shorthand)
         declared = [*box, *shorthand.symbols]
         conditions = self._conditions(residuals, symbols)
-        moving = conditions.pop("moving")
+        moving, used = conditions.pop("moving"), conditions.pop("used")
         self._keep(
             equations=equations,
             time=time,
@@ -102,7 +102,10 @@ class CheckedProblem(ProblemContent):
             **conditions,
         )
         if isinstance(self.written["initial"], SteadyState):
-            self._keep(rest=self._under_conditions(self.written["initial"], symbols))
+            rest = self._under_conditions(self.written["initial"], symbols)
+            self._keep(rest=rest)
+            used |= sp.Tuple(*rest.residuals, *rest.initial.values()).free_symbols
+        warn_of_unused(symbols.parameters, used)
         if has_constraints(residuals, symbols.unknowns, time[0]):
             self._reduce(symbols.states)
             return
@@ -194,7 +197,9 @@ class CheckedProblem(ProblemContent):
         return symbols
 
     def _conditions(self, residuals: Sequence[sp.Expr], symbols: Symbols) -> dict[str, Any]:
-        """Initial values, jumps and events, by name; and how many jumps ``moving`` are events."""
+        """Initial values, jumps and events, by name; how many jumps ``moving`` are events, and all
+        symbols ``used``.
+        """
         rest = self.initial if isinstance(self.initial, SteadyState) else None
         free = algebraic_unknowns(residuals) if rest is None else symbols.states
         initial = check_initial(self.initial, symbols, free)
@@ -212,10 +217,8 @@ class CheckedProblem(ProblemContent):
         further = [*initial.values(), *after_jumps, *of_events]
         check_lengths(further, 0)
         check_distinct([*residuals, *further])
-        before = [] if rest is None else rest.conditions.values()
-        before = [expression for expression in before if isinstance(expression, sp.Basic)]
-        warn_of_unused(symbols.parameters, sp.Tuple(*residuals, *further, *before).free_symbols)
         return {
+            "used": sp.Tuple(*residuals, *further).free_symbols,
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
             "events": events,

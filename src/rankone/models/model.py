@@ -119,8 +119,14 @@ class Model:
     @cached_property
     def used(self) -> frozenset[str]:
         """Names of the parameters that rates or initial values depend on."""
+        return self.depends_on({})
+
+    def depends_on(self, constants: Mapping[str, float]) -> frozenset[str]:
+        """The same where some parameters have numbers; a factor of zero makes others vanish."""
+        exact = {sp.Symbol(name): sp.Rational(repr(float(x))) for name, x in constants.items()}
         formulas = [*self.rates.values(), *self.constraints.values(), *self.initial.values()]
-        symbols = {s for e in formulas for s in e.xreplace(self._expanded).free_symbols}
+        expanded = (e.xreplace(self._expanded).xreplace(exact) for e in formulas)
+        symbols = {symbol for e in expanded for symbol in e.free_symbols}
         return frozenset(symbol.name for symbol in symbols & set(self.numbers))
 
     @cached_property
