@@ -392,6 +392,25 @@ def test_a_sliver_is_undecided_in_whichever_stretch_it_falls():
     assert undecided[at["A"] < 1.39].mean() < 0.01  # at the times at which the doses swap
 
 
+@pytest.mark.slow
+def test_an_event_that_was_met_may_be_grazed_again():
+    """The first kick comes everywhere, and a second one in a sliver, before or after the doses."""
+
+    def event(name, when, then):
+        return {"when": when, "direction": "rising", "then": {"y": then}, "name": name}
+
+    kick = event("kick", "2*exp(-8*(z-1/2)**2) + A*exp(-(z-p)**2) - 1.395", "y + 1")
+    doses = event("D", "t-a", "y/2"), event("E", "t-b", "y+0.7")
+    box = {"A": (0.7, 1.4), "p": (2.5, 3.5), "a": (2.7, 3.3), "b": (2.7, 3.3)}
+    problem = text({"z": "1", "y": "-y/3"}, {"z": 0, "y": 1}, box, 5, kick, *doses)
+    solution = ro.solve(problem, RTOL)
+    assert solution.success
+    at = points(solution, 4000, 7)
+    undecided = np.isnan(values(solution, 5.0, at)).any(axis=0)
+    assert undecided[at["A"] > 1.395].all()
+    assert undecided[at["A"] < 1.39].mean() < 0.01
+
+
 def test_an_order_that_holds_in_a_sliver_alone_is_declared():
     """A kick at a level that few oscillations reach, and from which they come back elsewhere."""
     kick = {"when": "x - 1.395", "direction": "rising", "then": {"v": "-v"}, "name": "kick"}

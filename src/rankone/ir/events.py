@@ -99,13 +99,12 @@ class Guard:
 
 @dataclass(frozen=True)
 class Clearance:
-    """By how much trajectories miss an event on a stretch, ``sign`` times what ``when`` of it is.
+    """``sign`` times what ``when`` of an event is, which falls through zero where the event comes.
 
-    It is a function of the parameters and of the time along the stretch.
+    It is a function of the parameters and of the time along each stretch.
     """
 
     event: int
-    stretch: int
     sign: float
 
 

@@ -131,14 +131,17 @@ class Fork:
 class Grazing:
     """An event that a branch does not meet on a stretch, but for a sliver of where it holds.
 
-    There a row of the branch behind its states, a ``guard``, is below zero somewhere along the
-    stretch. It is relative to its ``scale``.
+    There a row of the branch behind its states, a ``guard``, falls through zero somewhere along the
+    stretch. It is relative to its ``scale``. The event may have been met before: it ``begins`` the
+    stretch then, or ``ends`` it.
     """
 
     branch: int
     stretch: int
     guard: int
     scale: float
+    begins: bool = False
+    ends: bool = False
 
 
 @dataclass(frozen=True)

@@ -168,8 +168,8 @@ class _BranchSolve:
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:
                 raise OrderError(
-                    f"the order {self.search.named(branch.order)} of events, which holds in a part "
-                    f"of the box, is not resolved: {outcome.message}",
+                    f"{self.search.named(branch.order)}, which holds in a part of the box, is not "
+                    f"resolved: {outcome.message}",
                     remedy=REMEDY,
                 )
             outcomes.append(outcome)
@@ -225,8 +225,8 @@ class _BranchSolve:
     def _with_grazings(self, parted: _Branches) -> _Branches:
         """The branches with clearances from the events at which grazed orders part from them.
 
-        Trajectories may graze such an event between any two others: there are clearances on all
-        stretches that come before it.
+        Trajectories may graze such an event between any two others, and again after they met it:
+        clearances count on all stretches.
         """
         branches, grazings = [*parted.branches], list[Grazing]()
         for order in parted.grazed:
@@ -236,18 +236,17 @@ class _BranchSolve:
                 raise self.search.unforeseen(order)
             clearance, scale = self.search.clearance(order, step)
             for k, branch in enumerate(branches):
-                missed = {*branch.order.stretches_without(clearance.event)}
-                if steps[k] == step:
-                    missed.add(step - 1)
-                for stretch in sorted(missed):
-                    here = replace(clearance, stretch=stretch)
-                    forced = branches[k].forced
-                    if here in forced.clearances:
-                        continue
-                    guard = len(forced.guards) + len(forced.clearances)
-                    forced = replace(forced, clearances=(*forced.clearances, here))
-                    branches[k] = replace(branches[k], forced=forced)
-                    grazings.append(Grazing(k, stretch, guard, scale))
+                forced = branch.forced
+                if clearance in forced.clearances:
+                    continue
+                guard = len(forced.guards) + len(forced.clearances)
+                forced = replace(forced, clearances=(*forced.clearances, clearance))
+                branches[k] = replace(branch, forced=forced)
+                ends = branch.order.ends_with(clearance.event)
+                grazings += [
+                    Grazing(k, stretch, guard, scale, *sides)
+                    for stretch, sides in enumerate(zip([False, *ends], ends, strict=False))
+                ]
         return replace(parted, branches=branches, grazings=tuple(grazings))
 
     def _with_forks(self, parted: _Branches) -> _Branches:

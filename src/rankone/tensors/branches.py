@@ -50,6 +50,10 @@ class BranchGrazing(Protocol):
     def guard(self) -> int: ...
     @property
     def scale(self) -> float: ...
+    @property
+    def begins(self) -> bool: ...
+    @property
+    def ends(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -150,16 +154,29 @@ class BranchEvaluator(ClockEvaluator):
         return Decision(chosen, ahead[chosen, :, columns].T, clear, undecided, borders)
 
     def _clearance(self, grazing: BranchGrazing, points: Array) -> Array:
-        """The least value of a guard along its stretch at points (d, N), by parabolas."""
+        """How far a guard stays from a fall through zero on its stretch, at points (d, N).
+
+        So far are the turns, by parabolas, before which it is on the same side as after them, and
+        the ends of the stretch. It is below zero where the guard falls through zero.
+        """
         evaluator = self.branches[grazing.branch]
         first = len(evaluator.slabs[0].cores[0]) - 2 - self.guards[grazing.branch]
         times = grazing.stretch + np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
         heights = evaluator.trains.curves(times, points, np.array([first + grazing.guard]))[0]
-        slope = 0.5 * (heights[2:] - heights[:-2])
-        bend = heights[2:] - 2.0 * heights[1:-1] + heights[:-2]
-        turns = (bend > 0.0) & (np.abs(slope) <= bend)
-        lowest = heights[1:-1] - 0.5 * slope**2 / np.where(turns, bend, np.inf)
-        return np.asarray(np.minimum(heights.min(axis=0), lowest.min(axis=0)))
+        ends = np.where([[grazing.begins], [grazing.ends]], np.inf, np.abs(heights[[0, -1]]))
+        if grazing.begins:
+            heights[0] = 0.0
+        if grazing.ends:
+            heights[-1] = 0.0
+        falls = np.where((heights[:-1] > 0.0) & (heights[1:] < 0.0), heights[1:], np.inf)
+        before, here, after = heights[:-2], heights[1:-1], heights[2:]
+        slope, bend = 0.5 * (after - before), after - 2.0 * here + before
+        side = np.sign(here)
+        turns = (np.sign(before) == side) & (np.sign(after) == side)
+        turns &= (side * bend > 0.0) & (np.abs(slope) <= np.abs(bend))
+        lowest = here - 0.5 * slope**2 / np.where(turns, bend, np.inf)
+        nearest = np.where(turns, side * lowest, np.inf)
+        return np.asarray(np.concatenate([ends, falls, nearest]).min(axis=0))
 
     def _guard(self, branch: int, guard: int, points: Array) -> Array:
         """A guard of a branch at points (d, N)."""

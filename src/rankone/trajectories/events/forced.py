@@ -354,17 +354,20 @@ def _nearest_roots(
 ) -> Array:
     """The roots of an event nearest to what is expected, (m,); NaN where there are none.
 
-    Where stretches begin ``at_root`` (m,), that one does not count.
+    Where stretches begin ``at_root`` (m,), that one does not count, and none that is passed in
+    another direction than that of the event.
     """
     shares = np.linspace(0.0, 1.0, _LOOKS)
     elapsed = low[:, None] + (high - low)[:, None] * shares
     heights = flow.heights(event, elapsed)
+    passed = np.diff(heights) * event.direction >= 0.0
     at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
     deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
     heights = _deflated(heights, elapsed, deflated)
     signs = np.sign(heights)
     crossed = signs[:, :-1] * signs[:, 1:] < 0.0
     crossed |= (signs[:, :-1] == 0.0) & (signs[:, 1:] != 0.0)
+    crossed &= passed
     middle = 0.5 * (elapsed[:, :-1] + elapsed[:, 1:])
     distance = np.where(crossed, np.abs(middle - expected[:, None]), np.inf)
     chosen = distance.argmin(axis=1)

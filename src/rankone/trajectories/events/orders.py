@@ -75,10 +75,10 @@ class Order:
         """Whether another order goes on as this one, up to the end of the horizon and further."""
         return not self.terminal and other.steps[: len(self.steps)] == self.steps
 
-    def stretches_without(self, event: int) -> range:
-        """The stretches before the first one that an event ends."""
-        ended = (i for i, each in enumerate(self.met) if event in each)
-        return range(next(ended, len(self.sides)))
+    def ends_with(self, event: int) -> list[bool]:
+        """Whether an event ends each of the stretches."""
+        ends = [event in each for each in self.met]
+        return [*ends, *[False] * (len(self.sides) - len(ends))]
 
     def parts_at(self, other: Order) -> int:
         """The first of the steps that is not the same in another order."""
@@ -169,9 +169,9 @@ class OrderSearch:
         raise end_error(clock, point, trajectory.end, trajectory.stuck)
 
     def named(self, order: Order) -> str:
-        """The events of an order, as messages name them."""
-        names = (quote(self.system.events[met[0]].name) for met in order.met)
-        return ", ".join(names) or "without events"
+        """An order of events, as messages name it."""
+        names = ", ".join(quote(self.system.events[met[0]].name) for met in order.met)
+        return f"the order of events {names}" if names else "the case without events"
 
     def places(self, steps: Sequence[object]) -> NDArray[np.intp]:
         """The positions of the trajectories that begin with some steps."""
@@ -262,12 +262,12 @@ class OrderSearch:
         states = np.stack([each.paths[0].state for each in self.trajectories], axis=1)
         times = np.full(len(self.points), self.horizon[0])
         heights = guard_heights(self.system, k, None, times, states, self.points)
-        return Clearance(k, step - 1, -float(event.direction)), float(np.abs(heights).max()) or 1.0
+        return Clearance(k, -float(event.direction)), float(np.abs(heights).max()) or 1.0
 
     def unforeseen(self, order: Order) -> OrderError:
         """The error for an order that holds in a part of the box and cannot be continued."""
         return OrderError(
-            f"the order {self.named(order)} of events holds in a small part of the box and cannot "
+            f"{self.named(order)} holds in a small part of the box and cannot "
             "be continued from there",
             remedy=REMEDY,
         )
