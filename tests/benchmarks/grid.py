@@ -37,7 +37,7 @@ import rankone as ro  # noqa: E402
 from tests.benchmarks.peer_tools import STACKED, cardinals, chebyshev  # noqa: E402
 from tests.benchmarks.report import TITLES  # noqa: E402
 from tests.problems import MEASURED  # noqa: E402
-from tests.reference.measure import Array, Independent, _trajectories  # noqa: E402
+from tests.reference.measure import Array, Independent, trajectories  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402
 
 SHARES = (0.3, 0.5, 0.7, 0.85)
@@ -142,7 +142,7 @@ class Grid:
 
     def error(self, states: Array) -> float:
         """Largest error of the states, interpolated, in units of each unknown's size."""
-        points, times, exact = _trajectories(self.system)
+        points, times, exact = trajectories(self.system)
         if not np.isfinite(states).all():
             return math.inf
         product = np.ones((points.shape[1], 1))

@@ -40,7 +40,7 @@ from rankone.solvers.cross import engine  # noqa: E402
 from tests.benchmarks.peer_tools import TOOLS, Samples, Surrogate, Tool  # noqa: E402
 from tests.benchmarks.report import TITLES, machine, update  # noqa: E402
 from tests.problems import MEASURED  # noqa: E402
-from tests.reference.measure import Array, Independent, _trajectories  # noqa: E402
+from tests.reference.measure import Array, Independent, trajectories  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402
 
 PROBLEMS = {
@@ -175,7 +175,7 @@ def _peer(tool: Tool, name: str, wanted: float, most: float) -> Row:
 
 def _error(curves: Curves, system: Independent) -> float:
     """The largest error as measured everywhere."""
-    points, times, exact = _trajectories(system)
+    points, times, exact = trajectories(system)
     differences = np.abs(curves(points, times) - exact)
     return float((differences.max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))).max())
 
