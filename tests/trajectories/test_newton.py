@@ -12,6 +12,7 @@ import scipy.sparse
 import rankone as ro
 from rankone.ir.jacobian import PatternJacobian
 from rankone.ir.system import System
+from rankone.trajectories import spectra
 from rankone.trajectories.integrator import Tolerances, jacobians
 from rankone.trajectories.spectra import (
     decays_faster,
@@ -160,3 +161,14 @@ def test_what_swings_does_not_grow():
     spring = scipy.sparse.diags([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], [-1, 0, 1])
     damped = scipy.sparse.bmat([[None, scipy.sparse.eye(n)], [-spring, -0.2 * spring]])
     assert abs(growth_rate(scipy.sparse.csr_array(damped))) < 1e-2
+
+
+def test_diffusion_and_decay_along_a_chain_need_no_eigenvalue(monkeypatch):
+    n = 300
+    diffusion = scipy.sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n, n), format="csr")
+    chain = scipy.sparse.csr_array(scipy.sparse.diags([2.0, -1.0], [-1, 0], shape=(n, n)))
+    assert growth_rate(chain, harmless=0.5) == pytest.approx(-1.0, abs=0.1)  # of some circle > 0.5
+    monkeypatch.setattr(spectra, "eigs", None)
+    monkeypatch.setattr(np.linalg, "eigvals", None)
+    assert growth_rate(scipy.sparse.csr_array(diffusion), harmless=0.0) <= 0.0
+    assert growth_rate(chain, harmless=1.0) == 1.0

@@ -159,7 +159,7 @@ class _Probe:
         with np.errstate(all="ignore"):
             self.rates = system.rhs(time, states, self.parameters)
         first = first_jacobian(system, points, time, states)
-        self.growth = 0.0 if first is None else growth_rate(first) * horizon
+        self.growth = 0.0 if first is None else growth_rate(first, MOST_GROWTH / horizon) * horizon
         self.rows, self.columns, sizes = _sizes_of_entries(system, points, time, states)
         decay = np.zeros_like(states)
         own = self.rows == self.columns

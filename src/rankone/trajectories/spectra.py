@@ -3,11 +3,12 @@
 Of many states one eigenvalue is computed, at an end of the spectrum and to a few per cent, by
 Arnoldi's method (ARPACK; Lehoucq, Sorensen & Yang, 1998). Where that does not converge, all of them
 are computed, or of very many states the bound of Gershgorin's circles stands in, which is never too
-small.
+small. Along chains and in diffusion that bound says already that nothing grows.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -30,10 +31,16 @@ _MOST_DENSE = 600  # States up to which all eigenvalues are computed where one d
 _MOST_EXAMINED = 3  # Sparse matrices of a stack whose fastest decay is computed
 
 
-def growth_rate(matrix: Matrix) -> float:
-    """The fastest rate at which small states grow, by the Jacobian (n, n)."""
+def growth_rate(matrix: Matrix, harmless: float = -math.inf) -> float:
+    """The fastest rate at which small states grow, by the Jacobian (n, n).
+
+    Or a bound of it, by Gershgorin's circles, where that is no more than a ``harmless`` rate.
+    """
     if isinstance(matrix, np.ndarray):
         return float(np.linalg.eigvals(matrix).real.max())
+    bound = min(_circles(matrix), _circles(matrix.T))
+    if bound <= harmless:
+        return bound
     charge(_MOST_RESTARTS * _SPARSE_COST * (matrix.nnz + matrix.shape[0]))
     try:
         start = np.random.default_rng(20149).random(matrix.shape[0])
@@ -44,8 +51,13 @@ def growth_rate(matrix: Matrix) -> float:
         if matrix.shape[0] <= _MOST_DENSE:  # of what swings, the bound says that it grows
             charge(eigenvalues(matrix.shape[0]))
             return float(np.linalg.eigvals(matrix.toarray()).real.max())
-        diagonal = matrix.diagonal()
-        return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())
+        return bound
+
+
+def _circles(matrix: scipy.sparse.csr_array) -> float:
+    """A rate that no eigenvalue exceeds, by the rows of a matrix."""
+    diagonal = matrix.diagonal()
+    return float((diagonal + abs(matrix).sum(axis=1) - np.abs(diagonal)).max())
 
 
 def logarithmic_norm(matrix: Matrix, sizes: Array) -> float:
@@ -99,7 +111,7 @@ def decays_faster(system: System, points: Array, time: float, states: Array, rat
     largest = np.argsort(-bounds, kind="stable")[:_MOST_EXAMINED]
     for k in largest[bounds[largest] > rate].tolist():
         own = -entries[:, k], (pattern.rows, pattern.columns)
-        if growth_rate(scipy.sparse.csr_array(own, shape=(n, n))) > rate:
+        if growth_rate(scipy.sparse.csr_array(own, shape=(n, n)), rate) > rate:
             return True
     return False
 

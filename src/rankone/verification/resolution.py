@@ -205,7 +205,7 @@ class Resolution:
         for time, states in samples:
             block = first_jacobian(self.system, self.points, time, states)
             if block is not None:
-                growth = max(growth, growth_rate(block))
+                growth = max(growth, growth_rate(block, MOST_GROWTH / (dense.end - start)))
         if growth * (dense.end - start) <= MOST_GROWTH:
             return np.full((len(self.size), 1), np.inf)
         begun = dense(np.array([start + _BEGUN / growth]))
