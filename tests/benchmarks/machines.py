@@ -46,6 +46,11 @@ def double_well(horizon: float, rtol: float) -> tuple[ro.Problem, list[Any], flo
 # Those of glibc, which its workers lose since dask asks for another limit of trimming: arrays of
 # more than 128 kB would be mapped anew each time, which costs a fifth of the processor time
 ALLOCATION = {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "134217728"}
+# What its workers look at all the time, a profile and the ticks of their event loop
+LESS_WATCHED = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+}
 SHORT, LONG = (4.0, 1e-6), (12.0, 1e-7)
 """Horizon and tolerance of solves that are killed, and of those that are timed."""
 
@@ -97,6 +102,7 @@ def speed() -> None:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
+    os.environ.update(LESS_WATCHED)  # read when distributed is imported
     timed(None)  # imports, and what is kept between solves
     alone = timed(None)
     print(f"here: {alone[1]:.2f} s, {alone[2]:.2f} s of processor time", flush=True)

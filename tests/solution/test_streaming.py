@@ -33,6 +33,27 @@ def test_blocks_cover_all_points_once(solution, points, monkeypatch):
     assert np.abs(table - solution(t, k=k, a=a)).max() < 1e-14
 
 
+def test_values_beyond_the_memory_of_the_machine_are_refused_beforehand(solution):
+    k, a = np.broadcast_to(1.0, (10**7, 1)), np.broadcast_to(1.5, 10**7)
+    for evaluate in (solution, solution["u"]):
+        with pytest.raises(ro.EvaluationError, match=r"take 800 TB.*blocks"):
+            evaluate(1.0, k=k, a=a)
+    with pytest.raises(ro.EvaluationError, match=r"take 800 TB.*blocks"):
+        solution.grid(1.0, k=k[:, 0], a=a)
+
+
+def test_grids_are_evaluated_in_parts(solution, monkeypatch):
+    axes = np.linspace(0, 2, 7), np.array([0.7]), np.linspace(1, 2, 40)
+    reversed_axes = np.linspace(0, 2, 7), np.linspace(0.5, 5, 30), np.linspace(1, 2, 4)
+    for t, k, a in (axes, reversed_axes, (axes[0], axes[1], np.array([1.5]))):
+        whole = solution.grid(t, k=k, a=a)
+        with monkeypatch.context() as patch:
+            patch.setattr("rankone.tensors.evaluator._HELD", 100)
+            parts = solution.grid(t, k=k, a=a)
+        assert parts.shape == whole.shape
+        assert np.abs(parts - whole).max() < 1e-14
+
+
 def test_single_points_and_nothing(solution):
     [(index, values)] = solution.blocks(1.0, k=1.0, a=1.5)
     assert index == ()

@@ -26,7 +26,7 @@ from rankone.solution.streaming import Index, in_blocks
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
-from rankone.support.memory import checked_memory
+from rankone.support.memory import checked_memory, in_words, physical_memory
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
@@ -174,6 +174,12 @@ class SolutionCore:
         point = self._coordinates.numbers(gathered)
         if point is not None:
             return evaluator.one(point, rows)
+        shapes = [value.shape for value in gathered if isinstance(value, np.ndarray)]
+        try:
+            shape = np.broadcast_shapes(*shapes)
+        except ValueError:
+            shape = ()  # the coordinates say which do not fit
+        self._foresee(math.prod(shape), rows)
         with _memory():
             arrays = self._coordinates.arrays(gathered)
             if all(array.ndim == 0 for array in arrays):
@@ -183,9 +189,20 @@ class SolutionCore:
 
     def _evaluate_grid(self, gathered: list[Any], rows: Rows) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
+        self._foresee(math.prod(map(np.size, gathered)), rows)
         with _memory():
             on_grid = self._evaluator.grid(self._coordinates.axes(gathered), rows)
         return on_grid[:, 0] if self.metadata.timeless else on_grid
+
+    def _foresee(self, points: int, rows: Rows) -> None:
+        """Raise an EvaluationError if the machine has less memory than the values take."""
+        states = rows.stop - rows.start if isinstance(rows, slice) else rows.size
+        needed, there = 8.0 * states * points, physical_memory()
+        if needed > there:
+            raise EvaluationError(
+                f"all values take {in_words(needed)}, and this machine has {in_words(there)}",
+                remedy="evaluate block after block: solution.blocks(...)",
+            )
 
     @cached_property
     def _evaluator(self) -> Evaluator:

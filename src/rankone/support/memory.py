@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 from typing import Any
 
@@ -27,6 +29,14 @@ def checked_memory(name: str, amount: Any) -> float:
             )
         amount = float(match[1]) * (_UNITS | _BINARY)[match[2].lower()]
     return float(checked_number(name, amount, _LEAST, kind=float))
+
+
+def physical_memory() -> float:
+    """Bytes of memory that this machine has; infinite where it does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return math.inf
 
 
 def in_words(count: float) -> str:

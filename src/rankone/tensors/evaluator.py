@@ -29,6 +29,7 @@ Rows = slice | NDArray[np.intp]
 
 # Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product
 _BUFFER = 1 << 19
+_HELD = 1 << 21  # Numbers of products on a tensor grid that are held at once
 _POINTS = 1024  # Points taken at once at most
 _TIMES = 256  # Times taken at once at least, where one product serves many
 
@@ -210,8 +211,8 @@ class _Train:
             for core, basis in zip(cores, bases, strict=True)
         )
         self.time = self.dimensions[0]
-        largest = max(dimension.degree * dimension.right for dimension in self.dimensions)
-        self.chunk = min(max(_BUFFER // largest, 64), _POINTS)
+        self.widest = max(dimension.degree * dimension.right for dimension in self.dimensions)
+        self.chunk = min(max(_BUFFER // self.widest, 64), _POINTS)
         self.degree = max(dimension.degree for dimension in self.dimensions)
 
     def over_parameters(self, points: Array) -> Array:
@@ -258,6 +259,20 @@ def _chunks(positions: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]
     """Positions (N,) in parts of bounded size."""
     for begin in range(0, positions.size, size):
         yield positions[begin : begin + size]
+
+
+def _parts(axes: Sequence[Array], most: int) -> Iterator[tuple[slice, Sequence[Array]]]:
+    """Parts of a tensor grid of about so many points, and where they are when it is flattened."""
+    sizes = [axis.size for axis in axes]
+    several = next((k for k, size in enumerate(sizes) if size > 1), 0)
+    if math.prod(sizes) <= most:
+        yield slice(None), axes
+        return
+    after = math.prod(sizes[several + 1 :])
+    step = max(most // after, 1)
+    for begin in range(0, sizes[several], step):
+        part = [*axes[:several], axes[several][begin : begin + step], *axes[several + 1 :]]
+        yield slice(begin * after, (begin + step) * after), part
 
 
 class TrainEvaluator:
@@ -319,9 +334,9 @@ class TrainEvaluator:
         sizes = [axis.size for axis in axes]
 
         def contractions(train: _Train) -> Iterator[tuple[slice, Array]]:
-            yield slice(None), train.over_grid(axes[1:])
+            for columns, part in _parts(axes[1:], max(_HELD // train.widest, 1)):
+                yield columns, train.over_grid(part)
 
-        sizes = [axis.size for axis in axes]
         states = self._at_all(axes[0], math.prod(sizes[1:]), contractions, rows)
         return states.reshape(len(states), *sizes)
 
