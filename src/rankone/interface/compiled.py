@@ -21,17 +21,12 @@ and in the log ``rankone``.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
-
-from threadpoolctl import ThreadpoolController
 
 from rankone.agreement.comparison import LOST_SHARE
 from rankone.agreement.problems import DisagreementError, check_problem
@@ -65,6 +60,7 @@ from rankone.support.errors import (
 )
 from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress, timed
+from rankone.support.threads import one_thread
 from rankone.support.wording import quote
 from rankone.symbolic import (
     check_moved,
@@ -480,37 +476,3 @@ def solve_problem(
     """
     with preparing(options.get("max_seconds")):
         return compile_problem(problem).solve(rtol, *arguments, **options)
-
-
-class _OneThread(AbstractContextManager[None]):
-    """Keeps BLAS on one thread as long as any thread of this process is inside."""
-
-    def __init__(self) -> None:
-        self._lock, self._inside = threading.Lock(), 0
-        self._limit: AbstractContextManager[object] = nullcontext()
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if not self._inside:
-                self._limit = _thread_pools().limit(limits=1, user_api="blas")
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if not self._inside:
-                self._limit.__exit__(None, None, None)
-
-
-_ONE_THREAD = _OneThread()
-
-
-def one_thread() -> AbstractContextManager[None]:
-    """BLAS on one thread: small products run fastest so, and two busy pools slow each other."""
-    return _ONE_THREAD
-
-
-@cache
-def _thread_pools() -> ThreadpoolController:
-    """The BLAS pools of this process; looking for them takes milliseconds."""
-    return ThreadpoolController()

@@ -10,7 +10,7 @@ import sympy as sp
 
 from rankone.expressions.notation import plain_text
 from rankone.frontend.problem import Problem
-from rankone.interface.compiled import CompiledProblem, compile_problem, one_thread
+from rankone.interface.compiled import CompiledProblem, compile_problem
 from rankone.interface.solution import Solution
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Outcome
@@ -22,6 +22,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import ConvergenceError, ProblemError, check_kind
 from rankone.support.options import checked_number
+from rankone.support.threads import one_thread
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 from rankone.tensors.slab import at_one_time
