@@ -8,13 +8,13 @@ import pytest
 import rankone as ro
 from rankone.ir.events import Ending, EventOrder, Marker
 from rankone.ir.system import Clock
-from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.choice import integrator_for, span_integrator_for
 from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.periods import is_autonomous, may_repeat, repeats
-from rankone.trajectories.events.stretches import timed_events
+from rankone.trajectories.events.stretches import in_stretches, timed_events
 from rankone.trajectories.integrator import Tolerances
 
-END, COUNT = 24.0, 12
+END, COUNT = 24.0, 16
 ACCURACY = 1e-8
 PREY = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
 START = {"x": "x0", "y": "5*p"}
@@ -29,7 +29,7 @@ def system_of(rates=(), start=()):
 
 
 def followed(system, accuracy=ACCURACY):
-    """Trajectories at three points over twelve crossings of x = 5."""
+    """Trajectories at three points over sixteen crossings of x = 5."""
     timed = timed_events(system, (), (Marker(0, 5.0),))
     order = EventOrder(((0,),) * COUNT, Ending.EVENT)
     clock = Clock(timed, order, (0.0, END), (), (Marker(0, 5.0),))
@@ -55,6 +55,24 @@ def test_prey_and_predators_go_round_as_if_they_were_integrated(monkeypatch):
         assert (np.abs(here(times) - exact) < 1e-6 * sizes).all()
         found = np.array([mark.time for mark in here.occurrences[:COUNT]])
         np.testing.assert_allclose(found, marks, atol=1e-7)
+
+
+def test_states_over_stretches_are_in_the_order_of_their_times():
+    """Those of later periods, and of times that do not ascend."""
+    system = system_of()
+    clock, _ = followed(system)
+    stretched, points = in_stretches(clock), np.array([[8.0, 0.9], [12.0, 1.1]])
+    tolerances = Tolerances(ACCURACY, ACCURACY * np.ones((stretched.n_differential, 1)))
+    dense = integrator_for(stretched, accuracy=ACCURACY).run(
+        stretched, points, stretched.horizon, tolerances
+    )
+    assert all(each.period for each in dense.trajectories)
+    for times in (np.array([0.9, 0.1, 2.5, 1.3]), np.array([9.9, 0.1, 1.7, 7.9, 5.7, 8.3])):
+        together = dense(times)
+        for k, time in enumerate(times):
+            np.testing.assert_allclose(together[:, :, k], dense(time[None])[:, :, 0], rtol=1e-9)
+        for m, each in enumerate(dense.trajectories):
+            np.testing.assert_allclose(together[:2, m], each(together[2, m]), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

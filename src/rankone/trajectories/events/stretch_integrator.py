@@ -94,7 +94,7 @@ class StretchTrajectories(PseudoTimeTrajectories):
         for i in np.unique(first):
             here = first == i
             distinct[:, :, here] = self._paths[i](at[:, here])[:n]
-        states[:n] = distinct if read.size == times.size else distinct[:, :, place]
+        states[:n] = distinct[:, :, place]
         return self._with_lifted(times, states)
 
     def _distinct(
