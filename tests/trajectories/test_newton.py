@@ -27,6 +27,7 @@ from rankone.trajectories.stacks.elimination import (
 )
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.stacks.newton import (
+    COFACTOR_STATES,
     DenseJacobians,
     SparseJacobians,
     entries_at,
@@ -78,6 +79,19 @@ def test_sparse_solutions_are_those_of_inverses(system, stack, shift) -> None:
         assert matrices.solve(right).reshape(N, 3) == pytest.approx(expected, rel=1e-9)
         some = matrices.solve_some(np.array([2, 0]), right.reshape(N, 3)[:, [2, 0]])
         assert some == pytest.approx(expected[:, [2, 0]], rel=1e-9)
+
+
+@pytest.mark.parametrize("shift", [2.5, 1.5 + 2.0j])
+@pytest.mark.parametrize("n", range(1, COFACTOR_STATES + 1))
+def test_inverses_of_few_states_are_those_of_numpy(n, shift) -> None:
+    generator = np.random.default_rng(n)
+    blocks = generator.normal(size=(40, n, n)) * np.geomspace(1e-3, 1e6, 40)[:, None, None]
+    matrices = DenseJacobians(blocks).newton(shift)
+    right = generator.normal(size=(n, 40))
+    expected = np.linalg.solve(shift * np.eye(n) - blocks, right.T[:, :, None])[:, :, 0].T
+    assert np.allclose(matrices.solve(right.ravel()).reshape(n, 40), expected, rtol=1e-10, atol=0.0)
+    some = matrices.solve_some(np.array([7, 2]), right[:, [7, 2]])
+    assert np.allclose(some, expected[:, [7, 2]], rtol=1e-10, atol=0.0)
 
 
 def test_chains_are_bands_and_nets_are_not() -> None:

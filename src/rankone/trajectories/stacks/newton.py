@@ -21,6 +21,8 @@ from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
 from rankone.trajectories.integrator import finite_blocks, jacobians
 from rankone.trajectories.stacks.elimination import Elimination, Solver, elimination_of
 
+COFACTOR_STATES = 3
+"""States up to which inverses are made of cofactors."""
 SPARSE_STATES = 64
 """States from which on sparse factors pay."""
 _MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
@@ -107,6 +109,11 @@ class DenseJacobians:
 
     def newton(self, shift: complex) -> NewtonMatrices:
         size = self.blocks.shape[-1]
+        if size <= COFACTOR_STATES:
+            charge(inverse(size, isinstance(shift, float)) * len(self.blocks))
+            blocks = np.ascontiguousarray(self.blocks.transpose(1, 2, 0))
+            matrices = np.asarray(shift * np.eye(size)[:, :, None] - blocks)
+            return SmallInverses(by_cofactors(matrices))
         cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
         reserve(_STEP_MATRICES * self.blocks.size * np.dtype(type(shift)).itemsize)
         inverses = np.empty(self.blocks.shape, dtype=type(shift))
@@ -132,6 +139,34 @@ class Inverses:
 
     def solve_some(self, columns: NDArray[np.intp], right: Array) -> Array:
         return np.asarray(np.matmul(self.inverses[columns], right.T[:, :, None])[:, :, 0].T)
+
+
+@dataclass(frozen=True)
+class SmallInverses:
+    """Dense inverses (n, n, m) of so few states that arithmetic over all trajectories is faster."""
+
+    inverses: Array
+
+    def solve(self, right: Array) -> Array:
+        n, _, m = self.inverses.shape
+        charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
+        return np.asarray((self.inverses * right.reshape(n, m)).sum(axis=1).ravel())
+
+    def solve_some(self, columns: NDArray[np.intp], right: Array) -> Array:
+        return np.asarray((self.inverses[:, :, columns] * right).sum(axis=1))
+
+
+def by_cofactors(matrices: Array) -> Array:
+    """Inverses of matrices (n, n, m) of up to three rows."""
+    (n, _, m), size = matrices.shape, COFACTOR_STATES
+    wide = np.zeros((size + 2, size + 2, m), dtype=matrices.dtype)  # the first two come again
+    wide[range(n, size), range(n, size)] = 1.0
+    wide[:n, :n] = matrices
+    wide[size:, :size] = wide[:2, :size]
+    wide[:, size:] = wide[:, :2]
+    cofactors = wide[1:-1, 1:-1] * wide[2:, 2:] - wide[2:, 1:-1] * wide[1:-1, 2:]
+    determinants = (wide[:size, 0] * cofactors[:, 0]).sum(axis=0)
+    return np.asarray(cofactors[:n, :n].swapaxes(0, 1) / determinants)
 
 
 @dataclass(frozen=True)
