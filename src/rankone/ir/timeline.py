@@ -133,7 +133,7 @@ class Grazing:
 
     There a row of the branch behind its states, a ``guard``, falls through zero somewhere along the
     stretch. It is relative to its ``scale``. The event may have been met before: it ``begins`` the
-    stretch then, or ``ends`` it.
+    stretch then, or ``ends`` it. Before its ``first`` time the row is above zero all along.
     """
 
     branch: int
@@ -142,6 +142,7 @@ class Grazing:
     scale: float
     begins: bool = False
     ends: bool = False
+    first: bool = False
 
 
 @dataclass(frozen=True)

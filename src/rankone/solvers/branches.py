@@ -244,7 +244,7 @@ class _BranchSolve:
                 branches[k] = replace(branch, forced=forced)
                 ends = branch.order.ends_with(clearance.event)
                 grazings += [
-                    Grazing(k, stretch, guard, scale, *sides)
+                    Grazing(k, stretch, guard, scale, *sides, first=not any(ends[:stretch]))
                     for stretch, sides in enumerate(zip([False, *ends], ends, strict=False))
                 ]
         return replace(parted, branches=branches, grazings=tuple(grazings))

@@ -54,6 +54,8 @@ class BranchGrazing(Protocol):
     def begins(self) -> bool: ...
     @property
     def ends(self) -> bool: ...
+    @property
+    def first(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,8 @@ class BranchEvaluator(ClockEvaluator):
             heights[0] = 0.0
         if grazing.ends:
             heights[-1] = 0.0
+        if grazing.first and not grazing.ends:
+            ends[0] = heights.min(axis=0)
         falls = np.where((heights[:-1] > 0.0) & (heights[1:] < 0.0), heights[1:], np.inf)
         before, here, after = heights[:-2], heights[1:-1], heights[2:]
         slope, bend = 0.5 * (after - before), after - 2.0 * here + before
