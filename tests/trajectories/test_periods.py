@@ -16,6 +16,7 @@ from rankone.trajectories.integrator import Tolerances
 
 END, COUNT = 24.0, 16
 ACCURACY = 1e-8
+POINTS = np.array([[8.0, 0.9], [10.0, 1.0], [12.0, 1.1]])
 PREY = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
 START = {"x": "x0", "y": "5*p"}
 
@@ -28,25 +29,28 @@ def system_of(rates=(), start=()):
     ).system
 
 
-def followed(system, accuracy=ACCURACY):
+def followed(system, accuracy=ACCURACY, periodic=True):
     """Trajectories at three points over sixteen crossings of x = 5."""
     timed = timed_events(system, (), (Marker(0, 5.0),))
     order = EventOrder(((0,),) * COUNT, Ending.EVENT)
-    clock = Clock(timed, order, (0.0, END), (), (Marker(0, 5.0),))
-    points = np.array([[8.0, 0.9], [10.0, 1.0], [12.0, 1.1]])
+    clock = Clock(timed, order, (0.0, END), (), (Marker(0, 5.0),), periodic=periodic)
     tolerances = Tolerances(accuracy, accuracy * np.ones((system.n_differential, 1)))
     integrator = span_integrator_for(timed, accuracy=accuracy)
-    return clock, follow(clock, integrator, points, tolerances, COUNT)
+    return clock, follow(clock, integrator, POINTS, tolerances, COUNT)
 
 
-def test_prey_and_predators_go_round_as_if_they_were_integrated(monkeypatch):
+def goes_on(clock, trajectories):
+    integrator = span_integrator_for(clock.system, accuracy=ACCURACY)
+    return may_repeat(clock, integrator, POINTS, trajectories, ACCURACY)
+
+
+def test_prey_and_predators_go_round_as_if_they_were_integrated():
     system = system_of()
     _, trajectories = followed(system)
     assert all(each.period for each in trajectories)
     assert all(each.paths[-1].end < 0.7 * END for each in trajectories)
-    name = "rankone.trajectories.events.event_order.may_repeat"
-    monkeypatch.setattr(name, lambda clock: False)
-    _, integrated = followed(system, 0.01 * ACCURACY)
+    clock, integrated = followed(system, 0.01 * ACCURACY, periodic=False)
+    assert goes_on(clock, integrated)
     times = np.linspace(0.0, END, 301)
     for there, here in zip(integrated, trajectories, strict=True):
         assert not there.period
@@ -95,8 +99,17 @@ def test_rates_that_read_the_time_do_not_repeat(rate):
 
 
 def test_events_between_markers_do_not_repeat():
-    clock, _ = followed(system_of())
+    clock, trajectories = followed(system_of())
     twice = dataclasses.replace(clock.system, events=clock.system.events * 2)
-    assert may_repeat(clock)
-    assert not may_repeat(dataclasses.replace(clock, system=twice))
-    assert not may_repeat(dataclasses.replace(clock, markers=()))
+    assert goes_on(clock, trajectories)
+    assert not goes_on(dataclasses.replace(clock, system=twice), trajectories)
+    assert not goes_on(dataclasses.replace(clock, markers=()), trajectories)
+
+
+def test_what_grows_unseen_next_to_a_state_that_rests_does_not_repeat():
+    """u leaves the unstable state 1 after 30 periods, and differs from it by 1e-12 before."""
+    system = system_of({"u": "0.3*u*(u - 1)"}, {"u": "1 - 1e-12"})
+    clock, trajectories = followed(system)
+    assert all(repeats(each, ACCURACY) for each in trajectories)
+    clock = dataclasses.replace(clock, horizon=(0.0, 10.0 * END))
+    assert not goes_on(clock, trajectories)

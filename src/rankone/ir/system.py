@@ -229,7 +229,8 @@ class Clock:
 
     Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``last_marks`` tells about
     when trajectories at points (m, d) pass the last event, where nothing interrupts them. Where the
-    order is ``forced``, trajectories follow it also where others would come first.
+    order is ``forced``, trajectories follow it also where others would come first. Where they are
+    ``periodic``, those that have come back go on as over their last period.
     """
 
     system: System
@@ -239,6 +240,7 @@ class Clock:
     markers: tuple[Marker, ...] = ()
     last_marks: OfPoints | None = None
     forced: ForcedOrder | None = None
+    periodic: bool = False
 
     @property
     def n_guards(self) -> int:

@@ -19,8 +19,8 @@ from rankone.trajectories.events.markers import (
     SCOUTS,
     LastMarks,
     chosen_marker,
-    marked_order,
     may_pay,
+    with_order,
 )
 from rankone.trajectories.events.periods import is_autonomous
 from rankone.trajectories.events.stretches import timed_events
@@ -140,14 +140,14 @@ def _by_paths(
     timed = timed_events(system, (), (marker,))
     chosen = span_integrator_for(timed, request.integrator, accuracy=tolerances.relative)
     clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), (marker,))
-    marked = marked_order(chosen, clock, points, paths, tolerances)
+    marked = with_order(chosen, clock, points, paths, tolerances)
     if marked is None:
         return None
-    order, trajectories = marked
-    count = len(order.instants)
+    clock, trajectories = marked
+    count = len(clock.order.instants)
     last = np.array([each.occurrences[count - 1].time for each in trajectories])
     gap = float(last.max() - domain.horizon[0]) / count
     last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
-    clock = replace(clock, order=order, last_marks=last_marks)
+    clock = replace(clock, last_marks=last_marks)
     stretched, there = over_stretches(clock, request)
     return SolveStart(there, ReferenceSet.of(stretched, there), clock)

@@ -15,7 +15,7 @@ from rankone.support.wording import quote
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
-from rankone.trajectories.events.periods import begin_with_periods, may_repeat
+from rankone.trajectories.events.periods import begin_with_periods
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
 _FAR = 4.0  # Horizons beyond the horizon up to which events are waited for
@@ -116,7 +116,7 @@ def follow(
         edges = edges[:2]
     events = clock.system.events
     first_ends = None
-    if may_repeat(clock):
+    if clock.periodic:
         begun = begin_with_periods(clock, integrator, points, tolerances, count, begun)
     elif clock.last_marks and not begun:
         first_ends = np.maximum(clock.last_marks(points), end)

@@ -9,7 +9,7 @@ shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -184,28 +184,34 @@ def _monomials(shares: Array) -> Array:
     return np.asarray(with_one[:, pairs[0]] * with_one[:, pairs[1]])
 
 
-def marked_order(
+def with_order(
     integrator: SpanIntegrator,
     clock: Clock,
     points: Array,
     paths: Sequence[Path],
     tolerances: Tolerances,
-) -> tuple[EventOrder, list[EventTrajectory]] | None:
-    """The order of a marker, and the trajectories to the last one.
+) -> tuple[Clock, list[EventTrajectory]] | None:
+    """The clock with the order of its marker, and the trajectories to the last one.
 
     They go along the ``paths``, which are not integrated anew; None where these are shorter than
-    the horizon, and not all of them repeat. Other trajectories may meet one more before the end.
+    the horizon and not all of them repeat, or not all of them pass as many markers. Other
+    trajectories may meet one more before the end.
     """
     system, end = clock.system, clock.horizon[1]
     replay, edges = _Replay(tuple(paths)), (clock.horizon[0], paths[0].end)
     begun = integrate_to_events(replay, system, points, edges, tolerances, system.events)
+    accuracy = tolerances.relative
+    periodic = may_repeat(clock, integrator, points, begun, accuracy)
+    clock = replace(clock, periodic=periodic)
     if edges[1] < end:
-        if not may_repeat(clock) or not all(repeats(each, tolerances.relative) for each in begun):
+        if not periodic or not all(repeats(each, accuracy) for each in begun):
             return None
         begun = [repeated(each, 0, end) for each in begun]
     count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + 2
     followed = follow(clock, integrator, points, tolerances, count, begun)
-    return EventOrder(((0,),) * count, Ending.EVENT), followed
+    if min(len(each.occurrences) for each in followed) < count:
+        return None
+    return replace(clock, order=EventOrder(((0,),) * count, Ending.EVENT)), followed
 
 
 @dataclass(frozen=True)

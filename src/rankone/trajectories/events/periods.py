@@ -3,7 +3,8 @@
 A trajectory repeats once it has crossed its marker three times in a row in states, and after
 times, that agree with those one period before. It is integrated no further then: it goes on as over
 its last period. This takes no account of what happens at known times, so that the rates must
-leave the time out.
+leave the time out, and none of what grows unseen, so that periods must not magnify small changes of
+the states: Floquet multipliers tell (Guckenheimer & Holmes, Nonlinear Oscillations, 1983, 1.5).
 """
 
 from __future__ import annotations
@@ -16,21 +17,69 @@ import numpy as np
 
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
-from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
-from rankone.trajectories.integrator import SpanIntegrator, Tolerances
-from rankone.trajectories.paths import joined
+from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
+from rankone.trajectories.paths import Path, joined
 
 PERIOD = 2
 """Crossings of a marker in a period: rising and falling."""
 _AGREEING = 3  # Crossings in a row that agree with those one period before
 _FIRST, _MORE = 6, 1.5  # Crossings before they are compared first, and factor to the next time
+# Multipliers are those of a few trajectories, so many in all with the changed ones, over a period,
+# by relative changes of the states and at a relative tolerance
+_CHANGED, _FEWEST = 64, 2
+_CHANGE, _CHANGE_RTOL = 1e-4, 1e-9
+_MOST_GROWTH = 30.0  # Factor by which changes may grow over the periods that are left out
 
 
-def may_repeat(clock: Clock) -> bool:
-    """Whether nothing but the states decides how trajectories go on between markers."""
+def may_repeat(
+    clock: Clock,
+    integrator: SpanIntegrator,
+    points: Array,
+    trajectories: Sequence[EventTrajectory],
+    accuracy: float,
+) -> bool:
+    """Whether trajectories that repeat go on so to the end of the horizon.
+
+    Nothing but the states may decide how they go on, and some at points (m, d), which repeat to a
+    relative accuracy, tell that these are stable as soon as they do.
+    """
     system = clock.system
-    return bool(clock.markers) and len(system.events) == 1 and is_autonomous(system)
+    if not clock.markers or len(system.events) != 1 or not is_autonomous(system):
+        return False
+    count = max(_CHANGED // (system.n_differential + 1), _FEWEST)
+    places = {round(place) for place in np.linspace(0, len(trajectories) - 1, count).tolist()}
+    repeating = [
+        (k, first)
+        for k in sorted(places)
+        if (first := _first_repeated(trajectories[k], accuracy)) is not None
+    ]
+    return bool(repeating) and all(
+        _growth(clock, integrator, points[k], trajectories[k].occurrences[: first + 1])
+        < _MOST_GROWTH
+        for k, first in repeating
+    )
+
+
+def _growth(
+    clock: Clock, integrator: SpanIntegrator, point: Array, marks: Sequence[Occurrence]
+) -> float:
+    """By what small changes of the states grow from the last mark to the end of the horizon."""
+    period = marks[-1].time - marks[-1 - PERIOD].time
+    state = marks[-1].before
+    sizes = np.maximum(np.abs(state), np.finfo(float).tiny)
+    changed = state[:, None] + np.column_stack([np.zeros(sizes.size), np.diag(_CHANGE * sizes)])
+    spans = Spans(np.zeros(sizes.size + 1), changed, np.full(sizes.size + 1, period))
+    tolerances = Tolerances(_CHANGE_RTOL, _CHANGE_RTOL * _CHANGE * sizes[:, None])
+    points = np.repeat(point[None], sizes.size + 1, axis=0)
+    paths = integrator.paths(clock.system, points, spans, tolerances)
+    if any(path.end < period for path in paths):
+        return math.inf
+    ends = np.stack([path.state for path in paths], axis=1)
+    over_period = (ends[:, 1:] - ends[:, :1]) / (_CHANGE * sizes[:, None])
+    largest = float(np.abs(np.linalg.eigvals(over_period)).max())
+    return float(max(largest, 1.0) ** ((clock.horizon[1] - marks[-1].time) / period))
 
 
 def is_autonomous(system: System) -> bool:
@@ -98,18 +147,30 @@ def repeats(trajectory: EventTrajectory, accuracy: float) -> bool:
     """
     if trajectory.period:
         return True
-    last = trajectory.occurrences[-_AGREEING - PERIOD :]
-    if len(last) < _AGREEING + PERIOD:
+    marks = trajectory.occurrences[-_AGREEING - PERIOD :]
+    return _agree(joined(trajectory.paths), marks, accuracy)
+
+
+def _first_repeated(trajectory: EventTrajectory, accuracy: float) -> int | None:
+    """The place of the first crossing at which a trajectory repeats."""
+    path, marks = joined(trajectory.paths), trajectory.occurrences
+    last = range(_AGREEING + PERIOD - 1, len(marks))
+    alike = (k for k in last if _agree(path, marks[k + 1 - _AGREEING - PERIOD : k + 1], accuracy))
+    return next(alike, None)
+
+
+def _agree(path: Path, marks: Sequence[Occurrence], accuracy: float) -> bool:
+    """Whether crossings in a row agree, those of two periods."""
+    if len(marks) < _AGREEING + PERIOD:
         return False
-    times = np.array([each.time for each in last])
+    times = np.array([each.time for each in marks])
     periods = times[PERIOD:] - times[:-PERIOD]
     if np.ptp(periods) > accuracy * periods[-1]:
         return False
-    states = np.array([each.before for each in last])
+    states = np.array([each.before for each in marks])
     changes = np.abs(states[PERIOD:] - states[:-PERIOD]).max(axis=0)
-    path = joined(trajectory.paths)
-    first = np.searchsorted(path.breaks, times[-1 - PERIOD], side="right") - 1
-    sizes = np.abs(path.nodal[first:]).max(axis=(0, 1))
+    first, last = np.searchsorted(path.breaks, times[[-1 - PERIOD, -1]], side="right") - 1
+    sizes = np.abs(path.nodal[first : last + 1]).max(axis=(0, 1))
     return bool((changes <= accuracy * sizes).all())
 
 
