@@ -8,8 +8,8 @@ import sympy as sp
 
 import rankone as ro
 from rankone.ir.request import Domain, SolveRequest, check_factors
-from rankone.solvers.engine import solve_with
 from rankone.solvers.registry import ENGINES
+from rankone.solvers.selection import solve_with
 from tests.problems import EXAMPLES, REFERENCE
 
 DOMAIN = Domain((0.0, 6.0), ((8.0, 12.0), (4.0, 6.0)))

@@ -20,7 +20,8 @@ from rankone.ir.request import SOLVE_ARGUMENTS, SolveRequest
 from rankone.ir.system import System
 from rankone.solution.core import SolutionCore, raise_blow_up
 from rankone.solution.timeline import EventTimes
-from rankone.solvers.engine import Engine, solve_with
+from rankone.solvers.engine import Engine
+from rankone.solvers.selection import solve_with
 from rankone.storage.npz import read, target
 from rankone.support.arrays import Array
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of

@@ -47,8 +47,9 @@ from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
-from rankone.solvers.engine import Engine, solve_with
+from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
+from rankone.solvers.selection import solve_with
 from rankone.support.budget import preparing
 from rankone.support.errors import (
     ConvergenceError,

@@ -16,8 +16,8 @@ from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import MeasuredError, Note, Status, SteadyBranch
-from rankone.solvers.engine import solve_with
 from rankone.solvers.registry import ENGINES
+from rankone.solvers.selection import solve_with
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import ConvergenceError, ProblemError, check_kind

@@ -2,7 +2,8 @@
 
 =================  =================================================================================
 ``registry``       the engines by name, and which ones a method tries
-``engine``         the interface of engines; a solve that tries one engine after another
+``engine``         the interface of engines, and the ways in which one solves
+``selection``      a solve that tries one engine after another
 ``attempts``       reference, march, check, tighten, until the measured error fits
 ``narrowing``      which parameters to narrow where that does not happen, and to what
 ``march``          one pass over the horizon, slab after slab

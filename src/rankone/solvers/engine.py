@@ -1,4 +1,4 @@
-"""The interface of engines, and a solve that tries one engine after another."""
+"""The interface of engines, and the ways in which one solves: as written, in order, in branches."""
 
 from __future__ import annotations
 
@@ -6,36 +6,25 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from rankone.ir.measures import moved_measures
-from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.request import Domain, SolveRequest, check_factors
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
-from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
+from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import SolveStart, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
+from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.events.event_order import MoreEventsError, OrderError, TrajectoryEndError
 from rankone.trajectories.workers import Workers, open_workers
-from rankone.verification.measure import ReferenceSet, drift
+from rankone.verification.measure import ReferenceSet
 
-# Statuses after which no other engine is tried
-_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
-# Most operations of train if cross follows: a system that suits train needs fewer
-_TRAIN_OPERATIONS = 2e9
-_TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
-# Share of the budget for cross if train follows: most systems need no second engine
-_CROSS_SHARE = 0.7
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches
 _KINKS_SHARE, _HELD_SHARE = 0.05, 0.6
@@ -43,7 +32,6 @@ _LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretc
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
 _MOST_MORE_EVENTS = 2
-_AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
 @dataclass(frozen=True)
@@ -143,9 +131,9 @@ class Engine:
                 outcome = self._solve(stretched, request_there, report)
                 return replace(
                     outcome,
-                    slabs=_without_last(outcome.slabs, stretched),
-                    timings=_sums(outcome.timings, stages.timings),
-                    work=_sums(outcome.work, stages.work),
+                    slabs=without_last(outcome.slabs, stretched),
+                    timings=sums(outcome.timings, stages.timings),
+                    work=sums(outcome.work, stages.work),
                     timeline=Timeline.of(clock),
                 )
             except OutOfBudgetError as out:
@@ -212,116 +200,18 @@ def _is_better(one: Outcome, other: Outcome) -> bool:
     return one.measured.error < other.measured.error
 
 
-def solve_with(
-    engines: Sequence[Engine],
-    system: System,
-    request: SolveRequest,
-    metadata: SolutionMetadata,
-    report: Report = quiet,
-    truth: System | None = None,
-) -> tuple[Outcome, SolutionMetadata]:
-    """Solve with one engine after another until the error is within the tolerance.
-
-    ``truth`` is the system as it was before functions of its states were lifted: the solution is
-    measured against its trajectories. The metadata are those of the problem, with what was asked of
-    this solve. An OptionError if a known factor is not finite somewhere on the domain.
-    """
-    domain, limits = request.domain, request.limits
-    check_factors(system, domain)
-    system.jumps.warn_of_last(*domain.horizon)
-    held = limited(limits.operations, limits.seconds, limits.memory)
-    with held, np.errstate(all="ignore"):  # is checked
-        outcome, method = _best_outcome(engines, system, request, report)
-        outcome = _without_lifted(outcome, system, request, truth)
-    box, horizon, rtol = domain.box, domain.horizon, request.rtol
-    intervals = dict(zip(metadata.parameters, box, strict=True))
-    distributions = metadata.distributions
-    if box != metadata.box or request.measures:
-        distributions = moved_measures(distributions, intervals, dict(request.measures))
-    asked = replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
-    return outcome, replace(asked, distributions=distributions)
-
-
-def _best_outcome(
-    engines: Sequence[Engine], system: System, request: SolveRequest, report: Report
-) -> tuple[Outcome, str]:
-    """The best outcome, and the name of its engine."""
-    end = request.domain.horizon[1]
-
-    def badness(attempt: tuple[Outcome, str]) -> tuple[bool, bool, float]:
-        """Sort final outcomes first, then those that reach the end, then the most accurate."""
-        outcome, _ = attempt
-        whole = bool(outcome.slabs) and outcome.slabs[-1].end >= end
-        return outcome.status not in _FINAL, not whole, outcome.error
-
-    outcomes: list[tuple[Outcome, str]] = []
-    for engine in engines:
-        if outcomes and min(work_left(), seconds_left()) <= 0.0:
-            break
-        with limited(*_share(engine, last=engine is engines[-1])):
-            outcome = engine.solve(system, request, report)
-        outcomes.append((outcome, engine.name))
-        if outcome.status in _FINAL:
-            break
-    best, method = min(outcomes, key=badness)
-    if len(outcomes) == 1:
-        return best, method
-    timings = _sums(*(o.timings for o, _ in outcomes))
-    work = _sums(*(o.work for o, _ in outcomes))
-    others = tuple((name, o.verdict) for o, name in outcomes if o is not best)
-    notes = (*best.notes, OtherEngines(method, others))
-    return replace(best, timings=timings, work=work, notes=notes), method
-
-
 def _part(share: float) -> tuple[float, float]:
     """A share of the operations and seconds that are left."""
     return share * work_left(), share * seconds_left()
 
 
-def _sums(*by_stage: Mapping[str, float]) -> dict[str, float]:
+def sums(*by_stage: Mapping[str, float]) -> dict[str, float]:
     """Seconds or operations by stage, in all."""
     return {stage: sum(each[stage] for each in by_stage) for stage in by_stage[0]}
 
 
-def _share(engine: Engine, last: bool) -> tuple[float, float]:
-    """Operations and seconds for an engine: train before cross gets a short attempt."""
-    work, seconds = work_left(), seconds_left()
-    if last:
-        return work, seconds
-    if engine.name == "train":
-        return min(_TRAIN_OPERATIONS, _TRAIN_SHARE * work), _TRAIN_SHARE * seconds
-    return _CROSS_SHARE * work, _CROSS_SHARE * seconds
-
-
-def _without_last(slabs: Sequence[SlabTrain], system: System) -> tuple[SlabTrain, ...]:
+def without_last(slabs: Sequence[SlabTrain], system: System) -> tuple[SlabTrain, ...]:
     """The slabs without the lifted states of a system, which are the last ones."""
     if not system.n_lifted:
         return tuple(slabs)
     return tuple(slab.with_first(slab.cores[0][: len(system.unknowns)]) for slab in slabs)
-
-
-def _without_lifted(
-    outcome: Outcome, system: System, request: SolveRequest, truth: System | None
-) -> Outcome:
-    """The outcome without lifted states, measured against the system as it was written."""
-    if not system.n_lifted or not outcome.slabs:
-        return outcome
-    with unlimited():
-        drifted = drift(system, request.domain, outcome.slabs)
-    slabs = _without_last(outcome.slabs, system)
-    measured = outcome.measured and replace(outcome.measured, drift=drifted)
-    outcome = replace(outcome, slabs=slabs, measured=measured)
-    if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:
-        return outcome
-    if outcome.status is not Status.CONVERGED:
-        return replace(outcome, notes=(*outcome.notes, _AS_WRITTEN))
-    try:
-        measured = ReferenceSet.of(truth, request).measured(outcome.slabs)
-    except OutOfBudgetError as out:
-        return replace(outcome, status=Status.of_limit(out), cause=None, notes=())
-    assert measured is not None
-    measured, error = replace(measured, drift=drifted), measured.error
-    if error <= request.rtol:
-        return replace(outcome, measured=measured, notes=(MeasuredError(error, request.rtol),))
-    notes = (MeasuredError(error, request.rtol, drift=drifted), _AS_WRITTEN)
-    return replace(outcome, measured=measured, status=Status.TOLERANCE, notes=notes)
