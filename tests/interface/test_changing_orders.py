@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -11,9 +12,16 @@ from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 
 import rankone as ro
+from rankone.ir.events import SystemEvent
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.timeline import BranchedTimeline
+from rankone.solution.branches import branch_evaluator
+from rankone.solvers.branches import order_search
+from rankone.solvers.stretches import timed_system
 from rankone.statistics import timeline_statistics
 from rankone.statistics.line_averages import Accuracy
+from rankone.verification.branches import points_with_other_events
+from rankone.verification.coverage import Coverage
 
 RTOL = 1e-4
 END = 6.0
@@ -452,3 +460,28 @@ def test_an_end_that_comes_before_or_after_a_dose():
     assert np.isnan(solution(2.0, a=2.5, k=0.8)[0])
     later = np.exp(-0.4 * 4.0) + np.exp(-0.4 * 1.5)
     assert solution(4.0, a=2.5, k=0.4)[0] == pytest.approx(later, rel=2.0 * RTOL)
+
+
+def test_points_at_which_a_branch_passes_an_event_that_its_order_lacks():
+    """An event that is added afterwards: where x falls through a level after the dose."""
+    compiled, solution = ro.compile(WASHED), washed()
+    domain = Domain.of(compiled.system)
+    timed, _ = timed_system(compiled.system, domain)
+    request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
+    orders = [*order_search(timed, request).groups()]
+    evaluator = branch_evaluator(solution.outcome.slabs, solution.outcome.timeline)
+
+    def suspicious(*levels):
+        further = [
+            SystemEvent(lambda t, u, p, level=level: u[0] - level, direction=-1, terminal=True)
+            for level in levels
+        ]
+        system = replace(timed, events=(*timed.events, *further))
+        return points_with_other_events(evaluator, system, orders, Coverage.of_domain(domain))
+
+    assert not len(suspicious())
+    assert not len(suspicious(2.0))
+    others = suspicious(1.55)
+    assert len(others)
+    for a, b, k in others:
+        assert exact(np.array([a]), a, b, k)[0] > 1.55

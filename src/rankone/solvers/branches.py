@@ -37,6 +37,7 @@ from rankone.verification.branches import (
     BranchErrors,
     branch_errors,
     points_near_changes,
+    points_with_other_events,
     undecided_share,
 )
 from rankone.verification.coverage import Coverage
@@ -183,7 +184,7 @@ class _BranchSolve:
             tuple(timelines), guards, parted.forks, _WIDTH * rtol, tolerances, 0.0, parted.grazings
         )
         orders = [*(branch.order for branch in branches), *parted.grazed]
-        return self._checked(outcomes, branched, orders)
+        return self._checked(outcomes, branched, orders, len(branches))
 
     def _branches(self) -> _Branches:
         """The orders, without those that a longer one goes on from or that are only grazed."""
@@ -288,9 +289,16 @@ class _BranchSolve:
         return bool(apart <= _SAME_TIME * self.request.rtol * self.search.length)
 
     def _checked(
-        self, outcomes: Sequence[Outcome], timeline: BranchedTimeline, orders: Sequence[Order]
+        self,
+        outcomes: Sequence[Outcome],
+        timeline: BranchedTimeline,
+        orders: Sequence[Order],
+        count: int,
     ) -> tuple[Outcome, Array]:
-        """The outcome of all branches, measured; and points (m, d) at which other orders hold."""
+        """The outcome of all branches, measured; and points (m, d) at which other orders hold.
+
+        The first of the orders, so many by ``count``, are those of the branches.
+        """
         slabs = one_after_the_other(outcomes, timeline)
         joined = Outcome(
             slabs,
@@ -305,7 +313,7 @@ class _BranchSolve:
         if not self.request.check.points:
             return joined, nothing
         evaluator = branch_evaluator(slabs, timeline)
-        points, corners = self._check_points(evaluator)
+        points, corners = self._check_points(evaluator, orders[:count])
         checked = with_points(replace(self.search, points=nothing, trajectories=[]), points)
         rtol = self.request.rtol
         errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
@@ -324,8 +332,13 @@ class _BranchSolve:
         """Whether corners count."""
         return covers_corners(self.request)
 
-    def _check_points(self, evaluator: BranchEvaluator) -> tuple[Array, int]:
-        """The centre, corners, interior points and those next to changes (m, d); the corners."""
+    def _check_points(
+        self, evaluator: BranchEvaluator, orders: Sequence[Order]
+    ) -> tuple[Array, int]:
+        """The centre, corners, interior points and suspicious ones (m, d); the number of corners.
+
+        Suspicious are those next to changes, and where a branch passes events that its order lacks.
+        """
         domain, count = self.request.domain, self.request.check.points
         few = len(domain.box) <= FEW_PARAMETERS
         points = check_points(
@@ -334,8 +347,10 @@ class _BranchSolve:
             every_corner=few or self._whole_box,
             scales=domain.coordinates,
         )
-        near = points_near_changes(evaluator, Coverage.of_domain(domain))
-        return np.concatenate([points, near]), len(points) - 1 - count
+        coverage = Coverage.of_domain(domain)
+        near = points_near_changes(evaluator, coverage)
+        others = points_with_other_events(evaluator, self.search.system, orders, coverage)
+        return np.concatenate([points, near, others]), len(points) - 1 - count
 
 
 def _judged(

@@ -12,11 +12,14 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array, spread
 from rankone.tensors.branches import BranchEvaluator
 from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.orders import Order
 from rankone.verification.clock import compared_times
 from rankone.verification.coverage import Coverage
 
 _CANDIDATES = 4096  # Points among which those near to where orders change are chosen
 _NEAR = 48  # How many of them
+_SURPRISING = 6  # Points with other events than their branch that are looked at, at most
+_LOOKS = 17  # Times along a stretch at which other events are looked for
 _SHARE_POINTS = 2**14  # Points that tell the share of the box that is undecided
 _SHARE_TIMES = 17  # Times at which it is looked for
 _AT_ONCE = 1024  # Points at which branches are evaluated together
@@ -104,6 +107,54 @@ def points_near_changes(evaluator: BranchEvaluator, coverage: Coverage) -> Array
     least = np.concatenate([_margins(evaluator, block) for block in _blocks(points)])
     order = np.argsort(least, kind="stable")
     return np.asarray(points[order[:_NEAR]])
+
+
+def points_with_other_events(
+    evaluator: BranchEvaluator, system: System, orders: Sequence[Order], coverage: Coverage
+) -> Array:
+    """Points (m, d) at which the branch that holds passes an event that is not in its order."""
+    d = len(coverage.box)
+    points = coverage.points(spread(_CANDIDATES, d, np.random.default_rng(20147)))
+    passes = np.zeros(len(points), dtype=bool)
+    for places in np.array_split(np.arange(len(points)), len(_blocks(points))):
+        decision = evaluator.decided(np.ascontiguousarray(points[places].T))
+        for k in np.unique(decision.chosen).tolist():
+            here = places[(decision.chosen == k) & ~decision.undecided]
+            if here.size:
+                passes[here] = _passes_others(evaluator, system, k, orders[k], points[here])
+    found = points[passes]
+    return np.asarray(found[:: max(len(found) // _SURPRISING, 1)][:_SURPRISING])
+
+
+def _passes_others(
+    evaluator: BranchEvaluator, system: System, branch: int, order: Order, points: Array
+) -> NDArray[np.bool_]:
+    """Whether a branch passes events that do not end its stretches, at points (m, d)."""
+    columns = np.ascontiguousarray(points.T)
+    at_all = np.repeat(columns, _LOOKS, axis=1)
+    shares = np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
+    n, end = system.n_differential - system.n_sides, evaluator.horizon[1]
+    passes = np.zeros(len(points), dtype=bool)
+    for stretch, sides in enumerate(order.sides):
+        values = evaluator.branches[branch].trains.curves(stretch + shares, columns, slice(None))
+        clock = values[-2].T
+        states = np.swapaxes(values[:n], 1, 2).reshape(n, -1)
+        on_sides = np.repeat(np.array(sides, dtype=float)[:, None], clock.size, axis=1)
+        states = np.concatenate([states, on_sides])
+        running = (clock[:, 1:] <= end) & (np.diff(clock) > 0.0)
+        for k, event in enumerate(system.events):
+            if not event.interrupts:
+                continue
+            with np.errstate(all="ignore"):
+                heights = event.when(clock.ravel(), states, at_all)
+            sign = np.sign(np.broadcast_to(heights, clock.size).reshape(clock.shape))
+            passed = (sign[:, :-1] * sign[:, 1:] < 0.0) & running
+            passed &= event.direction * np.diff(sign) >= 0.0
+            ends = order.ends_with(k)
+            passed[:, 0] &= not (stretch and ends[stretch - 1])
+            passed[:, -1] &= not ends[stretch]
+            passes |= passed.any(axis=1)
+    return passes
 
 
 def undecided_share(evaluator: BranchEvaluator, coverage: Coverage) -> float:
