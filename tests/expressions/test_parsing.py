@@ -126,6 +126,7 @@ def test_numbers_are_welcome():
         ("1j*k", "is not understood"),
         ("1e999*k", "the number 1e999 is too large"),
         ("k; k", "is not a formula"),
+        ("-k*x # decay\n + k", "begins no comment.*remedy: leave comments out"),
     ],
 )
 def test_bad_formulas(text, message):

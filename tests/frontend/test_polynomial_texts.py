@@ -105,6 +105,7 @@ def test_other_texts_are_read_as_expressions(rate):
         ("x/0", "division by zero"),
         ("k*x +", "is not a formula"),
         ("2x", "is not a formula"),
+        ("k*x # + k", "is not a formula"),
         ("x + sin", "has no argument"),
         ("x + 1e999", "too large"),
         ("x < 1", "not understood"),
@@ -113,6 +114,11 @@ def test_other_texts_are_read_as_expressions(rate):
 def test_what_is_wrong_is_said_as_for_few_states(rate, message):
     with pytest.raises(ro.ProblemError, match=message):
         problem_of({"x": rate, "y": "-y"})
+
+
+def test_a_coefficient_beyond_all_floats_is_named():
+    with pytest.raises(ro.ProblemError, match="is not a finite real number"):
+        ro.compile(problem_of({"x": "1e308*1e308*x", "y": "-y"}))
 
 
 @pytest.mark.parametrize(

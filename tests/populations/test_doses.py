@@ -101,6 +101,7 @@ WRONG = [
     (changed(0, t=np.nan), {}, "subject `0`: the dose has no time"),
     (changed(0, amt="five"), {}, "row 1 of the table: `amt` is 'five', not a number"),
     (changed(slice(0, 8), amt=np.nan), {}, "subject `0` has data and no dose"),
+    (changed(slice(4, 8), condition="b"), {}, "subject `0` is under several conditions"),
     (changed(0, evid=1), {}, "row 4 of the table: evid is 0, and `amt` is"),
     (changed(1, evid=1), {}, "row 1 of the table: evid is 0, and `amt` is 5"),
     (changed(1, evid=4), {}, "row 2 of the table: evid is 4"),

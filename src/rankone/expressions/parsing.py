@@ -124,7 +124,12 @@ def parse_expression(
 
 
 def syntax_trees(text: str) -> list[tuple[str, ast.expr]]:
-    """A formula as pieces of text that add up to it, each with its syntax tree."""
+    """A formula as pieces of text that add up to it, each with its syntax tree.
+
+    Python would leave out what follows a ``#``, which no formula has.
+    """
+    if "#" in text:
+        raise SyntaxError("`#` begins no comment in a formula")
     one_line = " ".join(text.split()).replace("^", "**")
     # with lambda and other keywords as ordinary names
     names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
@@ -133,6 +138,8 @@ def syntax_trees(text: str) -> list[tuple[str, ast.expr]]:
 
 def _remedy(text: str) -> str:
     """What to do about a text that is no formula."""
+    if "#" in text:
+        return "leave comments out"
     if re.search(r"(?<![<>=!])=(?!=)", text):
         return "give what stands on the right of `=` alone"
     if re.search(r"(?<![\w.])\d+\.?\d*[^\W\d_]", re.sub(r"\d[eE][-+]?\d", "0", text)):

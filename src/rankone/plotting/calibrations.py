@@ -35,7 +35,8 @@ def plot_calibration(
 
     There is a panel for each observable, with a colour for each experiment: measurements with error
     bars of one standard deviation of the noise, predictions, and the band in which these are known
-    with 95 %. Then there are the residuals of all of them, in standard deviations, and the starts
+    with 95 %. Then there are the residuals of all of them, in standard deviations, with the names
+    of the experiments, and the starts
     in the order of their ends, by how far these are below the best log-likelihood: starts that
     found the same optimum make a step.
 
@@ -119,10 +120,15 @@ def _draw_measurements(
 def _draw_residuals(
     panel: Axes, comparisons: Sequence[Comparison], experiments: Sequence[str]
 ) -> None:
-    """All residuals by time."""
-    for each in comparisons:
-        colour = _colour(each.experiment, experiments)
-        panel.plot(_drawn(each.times), each.standardised, "o", ms=3, color=colour)
+    """All residuals by time, and which colour is which experiment."""
+    for experiment in experiments:
+        own = [each for each in comparisons if each.experiment == experiment]
+        times = np.concatenate([_drawn(each.times) for each in own])
+        residuals = np.concatenate([each.standardised for each in own])
+        colour = _colour(experiment, experiments)
+        panel.plot(times, residuals, "o", ms=3, color=colour, label=experiment)
+    if len(experiments) > 1:
+        panel.legend()
     panel.axhline(0.0, lw=0.8, color=style.PALETTE[6])
     panel.set(title="residuals", xlabel="time", ylabel="standard deviations")
 

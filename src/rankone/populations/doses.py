@@ -87,8 +87,16 @@ class DosesBySubject:
     doses: Mapping[str, Sequence[Dose]]
 
     def of_records(self, solution: SolutionCore, owners: Sequence[str]) -> Doses:
-        """The doses of records, from the names of their subjects."""
-        for owner in owners:
+        """The doses of records, from the names of their subjects, which have one record each."""
+        for k, owner in enumerate(owners):
+            if owner in owners[:k]:
+                raise OptionError(
+                    f"subject {quote(owner)} is under several conditions, and `doses` does not say "
+                    "under which of them its doses are",
+                    term=owner,
+                    remedy="give the conditions subjects of their own, or the dose as a parameter "
+                    "with a column of its own",
+                )
             if owner not in self.doses:
                 raise OptionError(
                     f"subject {quote(owner)} has data and no dose",

@@ -88,7 +88,8 @@ def _check_deviations(subjects: Subjects, layout: Layout, cost: Array, squares: 
         raise OptionError(
             f"the data of subject {quote(subjects.names[impossible[0]])} are far from all curves "
             "in the box: the standard deviation of a datum is zero, or an event ends the solution",
-            remedy='choose noise="combined", or leave out data where the prediction is zero',
+            remedy="leave out data where the prediction is zero, as before the first dose, or "
+            'choose noise="combined"',
         )
 
 

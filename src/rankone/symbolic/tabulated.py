@@ -77,7 +77,8 @@ def _fraction(number: sp.Expr) -> Fraction | float:
 
 
 def _is_ordinary(number: Fraction | float) -> bool:
-    return number == 0 or 1.0 / _LARGEST < abs(float(number)) < _LARGEST
+    inside = -_LARGEST < number < _LARGEST
+    return number == 0 or (inside and abs(float(number)) > 1.0 / _LARGEST)
 
 
 def _numbered(

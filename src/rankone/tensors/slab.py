@@ -121,9 +121,10 @@ class SlabTrain:
         return self.with_first(slopes @ self.cores[0])
 
     def shares_parameters(self, other: SlabTrain) -> bool:
-        """Whether all but the first core are the very cores of another slab."""
+        """Whether all but the first core are those of another slab, or equal to them."""
         pairs = zip(self.cores[1:], other.cores[1:], strict=True)
-        return self.bases == other.bases and all(one is two for one, two in pairs)
+        same = all(one is two or np.array_equal(one, two) for one, two in pairs)
+        return same and self.bases == other.bases
 
     def _time_modes(self, times: Array) -> Array:
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
@@ -131,12 +132,10 @@ class SlabTrain:
 
 
 def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
-    """Runs of consecutive slabs that share the cores of their parameters, or hold equal ones."""
+    """Runs of consecutive slabs that share the cores of their parameters."""
     run = [slabs[0]]
     for slab in slabs[1:]:
-        pairs = zip(slab.cores[1:], run[0].cores[1:], strict=True)
-        same = all(a is b or np.array_equal(a, b) for a, b in pairs)
-        if slab.bases != run[0].bases or not same:
+        if not slab.shares_parameters(run[0]):
             yield run
             run = []
         run.append(slab)

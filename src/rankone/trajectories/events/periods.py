@@ -30,6 +30,7 @@ _FIRST, _MORE = 6, 1.5  # Crossings before they are compared first, and factor t
 # by relative changes of the states and at a relative tolerance
 _CHANGED, _FEWEST = 64, 2
 _CHANGE, _CHANGE_RTOL = 1e-4, 1e-9
+_ROUNDING = 1e-14  # Change of a state that rests, over its size
 _MOST_GROWTH = 30.0  # Factor by which changes may grow over the periods that are left out
 
 
@@ -143,7 +144,7 @@ def begin_with_periods(
 def repeats(trajectory: EventTrajectory, accuracy: float) -> bool:
     """Whether the last crossings agree, to a relative accuracy, with those one period before.
 
-    Each state is compared with its own size over the last period, however small it is.
+    Each state is compared with its own swing over the last period, however small it is.
     """
     if trajectory.period:
         return True
@@ -170,8 +171,9 @@ def _agree(path: Path, marks: Sequence[Occurrence], accuracy: float) -> bool:
     states = np.array([each.before for each in marks])
     changes = np.abs(states[PERIOD:] - states[:-PERIOD]).max(axis=0)
     first, last = np.searchsorted(path.breaks, times[[-1 - PERIOD, -1]], side="right") - 1
-    sizes = np.abs(path.nodal[first : last + 1]).max(axis=(0, 1))
-    return bool((changes <= accuracy * sizes).all())
+    nodal = path.nodal[first : last + 1]
+    swings = np.ptp(nodal, axis=(0, 1))
+    return bool((changes <= accuracy * swings + _ROUNDING * np.abs(nodal).max(axis=(0, 1))).all())
 
 
 def repeated(trajectory: EventTrajectory, count: int, end: float) -> EventTrajectory:
