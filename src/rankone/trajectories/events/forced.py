@@ -355,12 +355,13 @@ def _nearest_roots(
     """The roots of an event nearest to what is expected, (m,); NaN where there are none.
 
     Where stretches begin ``at_root`` (m,), that one does not count, and none that is passed in
-    another direction than that of the event.
+    another direction than that of the event. Where rates switch, either direction counts: a slip
+    that goes on where it would stick turns back.
     """
     shares = np.linspace(0.0, 1.0, _LOOKS)
     elapsed = low[:, None] + (high - low)[:, None] * shares
     heights = flow.heights(event, elapsed)
-    passed = np.diff(heights) * event.direction >= 0.0
+    passed = event.switch | (np.diff(heights) * event.direction >= 0.0)
     at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
     deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
     heights = _deflated(heights, elapsed, deflated)
