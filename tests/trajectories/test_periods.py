@@ -93,7 +93,13 @@ def test_what_changes_slowly_or_is_tiny_does_not_repeat(rate, start):
     assert not any(repeats(each, ACCURACY) for each in trajectories)
 
 
-@pytest.mark.parametrize("rate", ["sin(t)", "exp(-(t - 20)**2)", "Heaviside(t - 20)", "t*0 + x"])
+@pytest.mark.parametrize(
+    "rate",
+    [
+        *("sin(t)", "exp(-(t - 20)**2)", "Heaviside(t - 20)"),
+        *("Piecewise((1, t*x > 300), (0, True))", "t*0 + x"),
+    ],
+)
 def test_rates_that_read_the_time_do_not_repeat(rate):
     system = system_of({"z": rate}, {"z": "0"})
     assert is_autonomous(system) == (rate == "t*0 + x")
@@ -114,3 +120,18 @@ def test_next_to_an_unstable_state_that_rests_nothing_repeats():
     assert all(repeats(each, ACCURACY) for each in trajectories)
     clock = dataclasses.replace(clock, horizon=(0.0, 10.0 * END))
     assert not goes_on(clock, trajectories)
+
+
+@pytest.mark.slow
+def test_the_check_sees_what_goes_on_wrongly(monkeypatch):
+    """u leaves an unstable state late: without the conditions on periods it would not be seen."""
+    for name in ("_ROUNDING", "_MOST_GROWTH"):
+        monkeypatch.setattr(f"rankone.trajectories.events.periods.{name}", np.inf)
+    rates = {**PREY, "u": "0.9*u*(u - 1)"}
+    start = {**START, "u": "1 - 1e-9"}
+    box = {"x0": (8, 12), "p": (0.9, 1.1)}
+    problem = ro.Problem.from_strings(rates, start, box, (0, 30))
+    solution = ro.solve(problem, 1e-3, method="cross", effort="low")
+    assert solution.outcome.timeline is not None
+    assert not solution.success
+    assert solution.error > 0.1

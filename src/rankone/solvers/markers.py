@@ -150,4 +150,6 @@ def _by_paths(
     last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
     clock = replace(clock, last_marks=last_marks)
     stretched, there = over_stretches(clock, request)
-    return SolveStart(there, ReferenceSet.of(stretched, there), clock)
+    whole, _ = over_stretches(replace(clock, periodic=False), request)
+    reference_set = ReferenceSet.of(whole, there)  # integrated to the end, whatever repeats
+    return SolveStart(there, replace(reference_set, system=stretched), clock)

@@ -86,15 +86,17 @@ def _growth(
 def is_autonomous(system: System) -> bool:
     """Whether the rates leave the time out: then they are finite also where it is not a number.
 
-    Functions of the user may do as they like with it. Rates that switch at known times have cuts.
+    So are the surfaces on which they switch. Functions of the user may do as they like with the
+    time. Rates that switch at known times have cuts.
     """
     features = system.features
     if features.cuts[0] or features.n_moving_cuts or system.user_functions:
         return False
     p = np.array(system.box, dtype=float).reshape(-1, 2).mean(axis=1, keepdims=True)
     with np.errstate(all="ignore"):
-        rates = system.rhs(math.nan, system.initial(p), p)
-    return bool(np.isfinite(rates).all())
+        at = math.nan, system.initial(p), p
+        values = [*system.rhs(*at), *features.state_surfaces(*at)]
+    return all(bool(np.isfinite(each).all()) for each in values)
 
 
 def begin_with_periods(
