@@ -122,8 +122,8 @@ def points_with_other_events(
             here = places[(decision.chosen == k) & ~decision.undecided]
             if here.size:
                 passes[here] = _passes_others(evaluator, system, k, orders[k], points[here])
-    found = points[passes]
-    return np.asarray(found[:: max(len(found) // _SURPRISING, 1)][:_SURPRISING])
+    passing = points[passes]
+    return np.asarray(passing[:: max(len(passing) // _SURPRISING, 1)][:_SURPRISING])
 
 
 def _passes_others(
