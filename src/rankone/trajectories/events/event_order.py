@@ -15,10 +15,9 @@ from rankone.support.wording import quote
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
-from rankone.trajectories.events.periods import begin_with_periods
+from rankone.trajectories.events.periods import FAR, begin_in_step
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
-_FAR = 4.0  # Horizons beyond the horizon up to which events are waited for
 _SPARE = 0.05  # Length of a last stretch beyond what all known trajectories need, over that
 SAME_INSTANT = 1e-11
 """Part of the horizon within which events are at one instant."""
@@ -111,13 +110,13 @@ def follow(
     def enough(trajectory: EventTrajectory, edge: float) -> bool:
         return edge > end and len(instants_of(trajectory, length)) >= count
 
-    edges = [start, end, end + _FAR * length]
+    edges = [start, end, end + FAR * length]
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
     events = clock.system.events
     first_ends = None
-    if clock.periodic:
-        begun = begin_with_periods(clock, integrator, points, tolerances, count, begun)
+    if clock.markers:
+        begun = begin_in_step(clock, integrator, points, tolerances, count, begun)
     elif clock.last_marks and not begun:
         first_ends = np.maximum(clock.last_marks(points), end)
     followed = integrate_to_events(

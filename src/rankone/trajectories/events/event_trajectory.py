@@ -10,6 +10,8 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.trajectories.paths import Path, joined
 
+PERIOD = 2
+"""Crossings of a marker in a period: rising and falling."""
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
@@ -72,10 +74,20 @@ class EventTrajectory:
         edge, stretch = min(edge, self.ahead.min(initial=math.inf)), self.stretch
         passed = self.end - float(self.paths[0].breaks[0])
         if stretch == math.inf and self.occurrences and passed > 0.0:  # marks alone so far
-            gap = passed / len(self.occurrences)
-            stretch = gap * max(count - len(self.occurrences) + _MARGIN, 1.0)
+            stretch = self._until_passed(max(count - len(self.occurrences), 1))
         far = edge - self.end > _STRETCH * stretch
         return self.end + stretch if far else edge
+
+    def _until_passed(self, count: int) -> float:
+        """About how long it takes to pass so many further marks: as over the last period."""
+        marks = np.array([each.time for each in self.occurrences[-1 - PERIOD :]])
+        if marks.size <= PERIOD:
+            gap = (self.end - float(self.paths[0].breaks[0])) / marks.size
+            return gap * (count + _MARGIN)
+        period, further = float(marks[-1] - marks[0]), np.arange(count + 1)
+        ahead = marks[1:][further % PERIOD] + (further // PERIOD + 1) * period - self.end
+        until = float(ahead[-2] + _MARGIN * (ahead[-1] - ahead[-2]))
+        return max(until, _MARGIN * period)
 
     @property
     def fired(self) -> frozenset[int]:

@@ -201,10 +201,13 @@ def with_order(
     replay, edges = _Replay(tuple(paths)), (clock.horizon[0], paths[0].end)
     begun = integrate_to_events(replay, system, points, edges, tolerances, system.events)
     accuracy = tolerances.relative
+    short = edges[1] < end
+    if short and not all(repeats(each, accuracy) for each in begun):
+        return None
     periodic = may_repeat(clock, integrator, points, begun, accuracy)
     clock = replace(clock, periodic=periodic)
-    if edges[1] < end:
-        if not periodic or not all(repeats(each, accuracy) for each in begun):
+    if short:
+        if not periodic:
             return None
         begun = [repeated(each, 0, end) for each in begun]
     count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + 2

@@ -17,13 +17,13 @@ import numpy as np
 
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
-from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
+from rankone.trajectories.events.event_trajectory import PERIOD, EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import Path, joined
 
-PERIOD = 2
-"""Crossings of a marker in a period: rising and falling."""
+FAR = 4.0
+"""Horizons beyond the horizon up to which events are waited for."""
 _AGREEING = 3  # Crossings in a row that agree with those one period before
 _FIRST, _MORE = 6, 1.5  # Crossings before they are compared first, and factor to the next time
 # Multipliers are those of a few trajectories, so many in all with the changed ones, over a period,
@@ -56,31 +56,36 @@ def may_repeat(
         for k in sorted(places)
         if (first := _first_repeated(trajectories[k], accuracy)) is not None
     ]
-    return bool(repeating) and all(
-        _growth(clock, integrator, points[k], trajectories[k].occurrences[: first + 1])
-        < _MOST_GROWTH
-        for k, first in repeating
-    )
+    if not repeating:
+        return False
+    marks = [trajectories[k].occurrences[: first + 1] for k, first in repeating]
+    growth = _growth(clock, integrator, points[[k for k, _ in repeating]], marks)
+    return bool((growth < _MOST_GROWTH).all())
 
 
 def _growth(
-    clock: Clock, integrator: SpanIntegrator, point: Array, marks: Sequence[Occurrence]
-) -> float:
-    """By what small changes of the states grow from the last mark to the end of the horizon."""
-    period = marks[-1].time - marks[-1 - PERIOD].time
-    state = marks[-1].before
-    sizes = np.maximum(np.abs(state), np.finfo(float).tiny)
-    changed = state[:, None] + np.column_stack([np.zeros(sizes.size), np.diag(_CHANGE * sizes)])
-    spans = Spans(np.zeros(sizes.size + 1), changed, np.full(sizes.size + 1, period))
-    tolerances = Tolerances(_CHANGE_RTOL, _CHANGE_RTOL * _CHANGE * sizes[:, None])
-    points = np.repeat(point[None], sizes.size + 1, axis=0)
-    paths = integrator.paths(clock.system, points, spans, tolerances)
-    if any(path.end < period for path in paths):
-        return math.inf
-    ends = np.stack([path.state for path in paths], axis=1)
-    over_period = (ends[:, 1:] - ends[:, :1]) / (_CHANGE * sizes[:, None])
-    largest = float(np.abs(np.linalg.eigvals(over_period)).max())
-    return float(max(largest, 1.0) ** ((clock.horizon[1] - marks[-1].time) / period))
+    clock: Clock, integrator: SpanIntegrator, points: Array, marks: Sequence[Sequence[Occurrence]]
+) -> Array:
+    """By what small changes of trajectories grow from their last marks to the horizon's end: (m,).
+
+    Of each of m trajectories, each of n states is changed on its own; all are one stack.
+    """
+    last = np.array([each[-1].time for each in marks])
+    periods = last - np.array([each[-1 - PERIOD].time for each in marks])
+    states = np.stack([each[-1].before for each in marks])  # (m, n)
+    sizes = np.maximum(np.abs(states), np.finfo(float).tiny)
+    m, n = states.shape
+    changes = np.concatenate([np.zeros((1, n)), _CHANGE * np.eye(n)])
+    changed = (states[:, None] + changes * sizes[:, None]).reshape(-1, n).T
+    spans = Spans(np.zeros(m * (n + 1)), changed, np.repeat(periods, n + 1))
+    tolerances = Tolerances(_CHANGE_RTOL, _CHANGE_RTOL * _CHANGE * sizes.min(axis=0)[:, None])
+    paths = integrator.paths(clock.system, np.repeat(points, n + 1, axis=0), spans, tolerances)
+    if any(path.end < end for path, end in zip(paths, spans.ends, strict=True)):
+        return np.full(m, math.inf)
+    ends = np.stack([path.state for path in paths]).reshape(m, n + 1, n)
+    over_period = (ends[:, 1:] - ends[:, :1]) / (_CHANGE * sizes[:, None])  # (m, changed, n)
+    largest = np.abs(np.linalg.eigvals(over_period)).max(axis=1)
+    return np.asarray(np.maximum(largest, 1.0) ** ((clock.horizon[1] - last) / periods))
 
 
 def is_autonomous(system: System) -> bool:
@@ -99,7 +104,7 @@ def is_autonomous(system: System) -> bool:
     return all(bool(np.isfinite(each).all()) for each in values)
 
 
-def begin_with_periods(
+def begin_in_step(
     clock: Clock,
     integrator: SpanIntegrator,
     points: Array,
@@ -107,40 +112,46 @@ def begin_with_periods(
     count: int,
     begun: Sequence[EventTrajectory] = (),
 ) -> list[EventTrajectory]:
-    """Trajectories at points (m, d) until they repeat, or to the end of the horizon.
+    """Trajectories at points (m, d), from some crossings of their marker to further ones.
 
-    Those that repeat go on to the end and to a ``count`` of crossings. They may have ``begun``.
+    So they stay in phase, and a stack takes few common steps. They go on to the end of the horizon,
+    or until they repeat if the ``clock`` is periodic: then they go on to the end as they did, and
+    to a ``count`` of crossings. They may have ``begun``.
     """
     (start, end), events = clock.horizon, clock.system.events
-    some, stage = [*begun], _FIRST
+    far, some, stage = end + FAR * clock.length, [*begun], _FIRST
     first_ends = None
     if not some:
         last = clock.last_marks(points) if clock.last_marks else np.full(len(points), end)
         first_ends = start + min((_FIRST + 0.5) / max(count, 1), 1.0) * (last - start)
 
+    def settled(trajectory: EventTrajectory) -> bool:
+        return clock.periodic and repeats(trajectory, tolerances.relative)
+
+    def has_passed(trajectory: EventTrajectory) -> bool:
+        return len(trajectory.occurrences) >= count and trajectory.end >= end
+
     def enough(trajectory: EventTrajectory, _edge: float) -> bool:
-        return len(trajectory.occurrences) >= stage or repeats(trajectory, tolerances.relative)
+        some_passed = count > len(trajectory.occurrences) >= stage
+        return some_passed or has_passed(trajectory) or settled(trajectory)
 
     while True:
         some = integrate_to_events(
             integrator,
             clock.system,
             points,
-            clock.horizon,
+            (start, far),
             tolerances,
             events,
             enough,
             some,
             first_ends,
-            stage,
+            min(stage, count),
         )
-        going = [each for each in some if each.end < end and not each.ends]
-        if all(repeats(each, tolerances.relative) for each in going):
+        if all(has_passed(each) or settled(each) or each.end >= far or each.ends for each in some):
             break
-        stage, first_ends = math.ceil(_MORE * stage), None
-    return [
-        repeated(each, count, end) if repeats(each, tolerances.relative) else each for each in some
-    ]
+        stage, first_ends = PERIOD * math.ceil(_MORE * stage / PERIOD), None
+    return [repeated(each, count, end) if settled(each) else each for each in some]
 
 
 def repeats(trajectory: EventTrajectory, accuracy: float) -> bool:

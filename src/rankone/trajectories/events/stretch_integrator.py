@@ -15,10 +15,9 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
-from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
+from rankone.trajectories.events.event_trajectory import PERIOD, EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
-from rankone.trajectories.events.periods import PERIOD
 from rankone.trajectories.events.sides import check_sides, times_to_check
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
