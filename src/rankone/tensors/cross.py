@@ -22,7 +22,7 @@ from rankone.discretization import Basis1D
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr, svd
-from rankone.tensors.train import Integers, Train, row_space
+from rankone.tensors.train import GRAM_RESOLUTION, Integers, Train, row_space
 
 # Grids up to this many nodes are sampled completely: adapting would save nothing
 FULL_GRID_NODES = 1600
@@ -41,7 +41,6 @@ _BLOCK_COPIES = 5.0  # Copies of the columns of a bond: sampled, weighted, joine
 _TABLE_COPIES = 3.0  # Copies of all samples: before and after some are added, and these
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
-_GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
 # Square of the norm of a remainder, over that of the column, that Pythagoras' theorem resolves
 _PYTHAGOREAN = 1e-13
 _LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
@@ -331,7 +330,7 @@ def _span(columns: Array, tolerance: float) -> Array:
         wide = columns.shape[1] > columns.shape[0]
         squares, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
-        threshold = max(tolerance, _GRAM_RESOLUTION * weights[0])
+        threshold = max(tolerance, GRAM_RESOLUTION * weights[0])
         rank = max(int(np.count_nonzero(weights > threshold)), 1)
         directions = vectors[:, :rank]
         if not wide:

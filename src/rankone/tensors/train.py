@@ -6,7 +6,7 @@ U[..., i_1, ..., i_d] = C_0[..., :] C_1[:, i_1, :] ... C_d[:, i_d, :]
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -29,6 +29,8 @@ _RANDOM_COST = 3.0  # Operations of a random number in single precision
 _SINGLE_PRECISION = 1e-5
 # Norm of a remainder, over that of the matrix, below which Pythagoras' theorem does not give it
 _PYTHAGOREAN = 2e-7
+# Singular values, over the largest, that a Gram matrix tells from rounding
+GRAM_RESOLUTION = 1e-6
 # Rows whose new direction is smaller than this, relative to the largest, are rounding
 _NEGLIGIBLE_ROW = 1e-13
 # The same for directions that only widen a frame: they need not be kept to the last digit
@@ -238,14 +240,40 @@ def row_space(matrix: Array, tolerance: float, max_rank: int, expected: int) -> 
     of its projection on the span of random combinations of its rows.
     """
     basis, reduced, missed = _projected(matrix, 0.5 * tolerance, expected + _RANDOM_DIRECTIONS)
-    if len(reduced) > 2 * reduced.shape[1]:
-        charge(qr(*reduced.shape))
-        reduced = np.asarray(np.linalg.qr(reduced, mode="r"))
-    _, weights, right = _svd(reduced)
+    weights, right_of = _right_vectors(reduced, tolerance)
     tails = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1] + missed**2)
     rank = min(max(int(np.count_nonzero(tails > tolerance)), 1), max_rank, weights.size)
-    right = right[:rank]
+    right = right_of(rank)
     return weights[:rank], right if basis is None else right @ basis.T
+
+
+def _right_vectors(matrix: Array, tolerance: float) -> tuple[Array, Callable[[int], Array]]:
+    """Singular values (k,) of a matrix (m, n), and a function of r for right vectors (r, n).
+
+    They come from eigenvectors of the smaller Gram matrix, at a fraction of the cost, if the
+    tolerance stands out of its rounding errors. Those of a wide matrix then are made orthonormal.
+    """
+    m, n = matrix.shape
+    if tolerance <= GRAM_RESOLUTION * float(np.linalg.norm(matrix)):
+        if m > 2 * n:
+            charge(qr(m, n))
+            matrix = np.asarray(np.linalg.qr(matrix, mode="r"))
+        _, weights, right = _svd(matrix)
+        return weights, lambda rank: right[:rank]
+    wide = n > m
+    smaller, larger = sorted(matrix.shape)
+    charge(product(smaller, larger, smaller) + svd(smaller, smaller))
+    squares, vectors = np.linalg.eigh(matrix @ matrix.T if wide else matrix.T @ matrix)
+    weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
+
+    def right_of(rank: int) -> Array:
+        if not wide:
+            return np.asarray(vectors[:, :rank].T)
+        charge(2.0 * product(n, m, rank) + qr(n, rank))
+        scaled = vectors[:, :rank] / np.maximum(weights[:rank], 1e-300)
+        return np.asarray(np.linalg.qr(matrix.T @ scaled)[0].T)
+
+    return weights, right_of
 
 
 def _projected(matrix: Array, tolerance: float, width: int) -> tuple[Array | None, Array, float]:

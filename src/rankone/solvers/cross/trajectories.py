@@ -89,7 +89,8 @@ class Trajectories:
 
     def _coefficients(self, columns: Array) -> Array:
         """Coefficients of columns (n T, m), for which the basis grows: shape (rank, m)."""
-        highest_modes = self.grid.highest_modes(self._in_sizes(columns))
+        in_units = columns.reshape(self.units.size, -1, columns.shape[1])
+        highest_modes = self.grid.highest_modes(in_units) * self.scale
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
         lost = max(min(self.tightness, 1.0) * self.allowed_error, constants.TIGHTEST_TOLERANCE)
@@ -202,9 +203,8 @@ class Trajectories:
             for (_, taken), chunk in zip(sampled, chunks, strict=True):
                 self.choice.record(taken, len(chunk), work * len(chunk))
             pairs = zip(sampled, chunks, strict=True)
-            if rows is not None:
-                return np.concatenate([self._observed(x, chunk) for (x, _), chunk in pairs], 1)
-            return np.concatenate([columns for columns, _ in sampled], axis=1)
+            columns = [x if rows is None else self._observed(x, chunk) for (x, _), chunk in pairs]
+            return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
         finally:
             self.work += work_done() - before
 

@@ -223,7 +223,7 @@ class _DenseRecord:
         self.largest = self.early = np.zeros(self.shape)
 
     def add(self, solver: Stepper) -> None:
-        piece = solver.dense_output()
+        piece = solver.dense_output().kept()
         steps_left = (self.horizon[1] - solver.t) / solver.step_size
         hold(piece, piece.nbytes, steps_left * piece.nbytes if self.parts > EARLY_STEPS else 0.0)
         self.times.append(solver.t)

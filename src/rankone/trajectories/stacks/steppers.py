@@ -48,6 +48,10 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
         super().__init__(t_old, t)
         self.h, self.y_old, self.rows = t - t_old, y_old, rows
 
+    def kept(self) -> Piece:
+        """The piece with rows of its own, which the next step does not overwrite."""
+        return self
+
     @property
     def nbytes(self) -> int:
         """Bytes of its arrays."""

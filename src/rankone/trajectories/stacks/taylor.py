@@ -81,9 +81,9 @@ class TaylorSeries:
     """The rates of m trajectories as polynomials in n states, for their Taylor coefficients.
 
     Variables are the states, then their ``products``, level by level. The rates are ``constant``
-    (n, m) and ``sums`` (n, terms) of the ``factors`` (terms, m) times the ``variables`` (terms,);
-    where no factor depends on the parameters, ``sums`` (n, variables) has them and takes all
-    variables. Of many states ``sums`` is a sparse matrix.
+    (n, m) and ``sums`` (n, flows) of the ``factors`` (flows, m) times the ``variables`` (flows,):
+    a flow may appear in several rates, as that of a reaction does. Where no factor depends on the
+    parameters, ``sums`` (n, variables) takes all variables. Of many states it is a sparse matrix.
     """
 
     constant: Array
@@ -98,31 +98,30 @@ class TaylorSeries:
         n, m = system.n_differential, parameters.shape[1]
         rows = [system.parameter_factors(j, p) for j, p in enumerate(parameters)]
         constant = np.zeros((n, m))
-        monomials, factors, targets = list[tuple[int, ...]](), list[Array](), list[int]()
+        entries, targets, columns = list[float](), list[int](), list[int]()
+        flows = dict[tuple[tuple[int, ...], tuple[int, ...]], int]()
         for coefficient, state, (_, *indices), states in system.terms:
-            factor = np.full(m, coefficient)
-            for row, index in zip(rows, indices, strict=True):
-                factor = factor * row[index] if index else factor
-            if states:
-                monomials.append(tuple(sorted(states)))
-                factors.append(factor)
-                targets.append(state)
-            else:
-                constant[state] += factor
-        places, products = _variables(n, monomials)
-        variables = np.array([places[monomial] for monomial in monomials], dtype=np.intp)
-        varying = any(any(indices) for _, _, (_, *indices), states in system.terms if states)
-        if varying:
-            entries, columns = np.ones(variables.size), np.arange(variables.size)
+            if not states:
+                constant[state] += coefficient * _factor(rows, indices, m)
+                continue
+            flow = tuple(sorted(states)), tuple(indices)
+            entries.append(coefficient)
+            targets.append(state)
+            columns.append(flows.setdefault(flow, len(flows)))
+        places, products = _variables(n, [monomial for monomial, _ in flows])
+        variables = np.array([places[monomial] for monomial, _ in flows], dtype=np.intp)
+        factors = None
+        if any(any(indices) for _, indices in flows):
+            factors = np.array([_factor(rows, indices, m) for _, indices in flows])
         else:
-            entries, columns = np.array([factor[0] for factor in factors]), variables
-        shape = n, variables.size if varying else len(places)
+            columns = variables[columns].tolist()
+        shape = n, len(places) if factors is None else len(flows)
         sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
         if n < SPARSE_STATES:
-            np.add.at(sums, (np.array(targets, dtype=np.intp), columns), entries)
+            np.add.at(sums, (targets, columns), entries)
         else:
             sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
-        return cls(constant, sums, products, variables, np.array(factors) if varying else None)
+        return cls(constant, sums, products, variables, factors)
 
     @property
     def size(self) -> int:
@@ -131,7 +130,7 @@ class TaylorSeries:
 
     def coefficients(self, states: Array, h: float, order: int) -> Array:
         """Taylor coefficients of the states (n, m), times powers of ``h``: (order + 1, n, m)."""
-        return Recursion(self, order)(states, h)
+        return Recursion(self, order)(states, h).reshape(-1, *states.shape)
 
     def agrees(self, states: Array, rates: Array) -> bool:
         """Whether rates (n, m) at states are those of the series, but for rounding."""
@@ -162,6 +161,7 @@ class Recursion:
         n, m = series.constant.shape
         self.series, self.order = series, order
         self.powers = powers = np.empty((order + 1, series.size, m))
+        self._of_states = powers.reshape(order + 1, -1)[:, : n * m]
         self._states = [each[:n] for each in powers]
         levels = [(each, *np.empty((2, order, each.left.size, m))) for each in series.products]
         self._convolutions = [
@@ -173,7 +173,7 @@ class Recursion:
         ]
 
     def __call__(self, states: Array, h: float) -> Array:
-        """Coefficients from states (n, m), times powers of ``h``: (order + 1, n, m).
+        """Coefficients from states (n, m), times powers of ``h``: (order + 1, n m).
 
         The next call overwrites them.
         """
@@ -195,7 +195,15 @@ class Recursion:
             slopes *= h / (k + 1)
             if not k:
                 self._states[1] += h * series.constant
-        return powers[:, : len(states)]
+        return self._of_states
+
+
+def _factor(rows: Sequence[Array], indices: Sequence[int], m: int) -> Array:
+    """The product of the factors of all parameters with their indices, (m,)."""
+    factor = np.ones(m)
+    for row, index in zip(rows, indices, strict=True):
+        factor = factor * row[index] if index else factor
+    return factor
 
 
 def _variables(
@@ -240,6 +248,10 @@ class TaylorPiece(Piece):
         super().__init__(t_old, t, y_old, rows)
         self.h, self.order, self.allowed = unit, len(rows), allowed
 
+    def kept(self) -> TaylorPiece:
+        self.rows = self.rows.copy()
+        return self
+
     @cached_property
     def parts(self) -> int:  # type: ignore[override]
         missed = interpolation_errors((self.t - self.t_old) / self.h, self.rows)
@@ -249,8 +261,9 @@ class TaylorPiece(Piece):
         return int(max(_LEAST_PARTS, math.ceil(enough)))
 
     def weights(self, shares: Array) -> Array:
-        factors = np.broadcast_to(shares, (self.order, shares.size))
-        return np.multiply.accumulate(factors, axis=0).T
+        powers = np.empty((self.order, shares.size))
+        powers[:] = shares
+        return np.multiply.accumulate(powers, axis=0, out=powers).T
 
 
 def interpolation_errors(share: float, rows: Array) -> Array:
@@ -337,7 +350,10 @@ class StackedTaylor(Stepper, _TaylorSolver):
         return False, self.TOO_SMALL_STEP
 
     def _powers(self, shortest: float) -> Array:
-        """Coefficients in powers of a trial step, of which all are finite: (order + 1, n m)."""
+        """Coefficients in powers of a trial step, of which all are finite: (order + 1, n m).
+
+        The next step overwrites them.
+        """
         states = self.y.reshape(self.trajectory_states, -1)
         for _ in range(_FIRST_TRIALS):
             charge(self.cost)
@@ -345,7 +361,7 @@ class StackedTaylor(Stepper, _TaylorSolver):
             if np.isfinite(powers[-_LAST_COEFFICIENTS:]).all() or self.unit < shortest:
                 break
             self.unit *= _FIRST_SHARE
-        return powers.copy().reshape(self.order + 1, -1)
+        return powers
 
     def _longest(self, powers: Array) -> float:
         """The longest step whose last terms are within the tolerance, for the worst state."""
@@ -371,5 +387,5 @@ class StackedTaylor(Stepper, _TaylorSolver):
         """The last step as a function of time."""
         slopes = np.abs(self.powers[1]) * ((self.t - self.t_old) / self.unit)
         sizes = np.maximum(np.maximum(np.abs(self.y_old), np.abs(self.y)), slopes)
-        step = self.t_old, self.t, self.powers[0], self.powers[1:]
+        step = self.t_old, self.t, self.y_old, self.powers[1:]
         return TaylorPiece(*step, self.unit, self.atol + self.rtol * sizes)
