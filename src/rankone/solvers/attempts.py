@@ -60,6 +60,9 @@ PAYING_FACTOR = 1.5
 """Factor by which a recent attempt must have lowered the error to go on in any case."""
 RECENT_ATTEMPTS = 3
 """Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
+LEAST_COST_RATIO = 0.7
+"""Work of an attempt over that of the one before it, at least: each is finer. What a first
+calibration and further points of the reference cost may be less."""
 # Endings after which a narrower box may help
 _NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
 _MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it
@@ -334,6 +337,7 @@ def _attempts(
     best: Attempt | None = None
     progress, met = Progress(), None
     for index in itertools.count():
+        marched = stages.work["march"]
         with stages.of("march"):
             try:
                 result = marcher.march(index, report)
@@ -371,6 +375,9 @@ def _attempts(
         if done or (most is not None and index + 1 >= most):
             break
         if not marcher.refine(attempt, progress):
+            break
+        if LEAST_COST_RATIO * (stages.work["march"] - marched) > work_left():
+            met = Status.WORK_LIMIT  # the next attempt would not come to its end
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)

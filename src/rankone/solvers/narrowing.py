@@ -75,7 +75,7 @@ def spectra_of(slabs: Sequence[SlabTrain], sizes: Array) -> list[Array]:
             continue
         cores = [slab.cores[0] / sizes[: len(slab.cores[0]), None, None] for slab in run]
         first = np.concatenate([core.reshape(-1, core.shape[2]) for core in cores])
-        norms = Train((first, *run[0].cores[1:])).right_orthonormal().mode_norms()
+        norms = Train((first, *run[0].cores[1:])).right_orthonormal(0.0).mode_norms()
         largest = [np.maximum(a, b) for a, b in zip(largest, norms, strict=True)]
     return largest
 

@@ -18,7 +18,7 @@ from rankone.discretization.scales import Scale
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.support.arrays import Array, bisected, corners, spread
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, sharing
 from rankone.verification.coverage import Coverage
 from rankone.verification.search import Climb, climbed
 
@@ -258,14 +258,18 @@ def candidate_points(
         return None
     generator = np.random.default_rng((20140, number))
     points = [_inside_elements(looked_at[-1].bases, generator)]
-    for i in {round(i) for i in np.linspace(0, len(looked_at) - 1, _MOST_SLABS)}:
-        coverage = Coverage.of_bases(looked_at[i].bases)
+    indices = sorted({round(i) for i in np.linspace(0, len(looked_at) - 1, _MOST_SLABS)})
+    for run in sharing([looked_at[i] for i in indices]):
+        coverage = Coverage.of_bases(run[0].bases)
         candidates = coverage.points(generator.random((_STEEP_CANDIDATES, len(coverage.box))))
-        change = _steepness(looked_at[i], candidates, sizes) ** (2.0 if steep else 1.0)
-        if np.count_nonzero(change) >= _STEEP_POINTS and np.isfinite(change).all():
-            weights = change / change.sum()
-            drawn = generator.choice(len(candidates), _STEEP_POINTS, replace=False, p=weights)
-            points.append(candidates[drawn])
+        taken = np.zeros(len(candidates), dtype=bool)
+        for steepness in _steepness(run, candidates, sizes):
+            change = np.where(taken, 0.0, steepness ** (2.0 if steep else 1.0))
+            if np.count_nonzero(change) >= _STEEP_POINTS and np.isfinite(change).all():
+                weights = change / change.sum()
+                drawn = generator.choice(len(candidates), _STEEP_POINTS, replace=False, p=weights)
+                points.append(candidates[drawn])
+                taken[drawn] = True
     candidates = np.concatenate(points)
     return candidates if len(candidates) else None
 
@@ -300,20 +304,26 @@ def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
     """A point (d,) of the box at which the end of a slab depends steeply on some parameter."""
     unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, len(slab.bases)))
     points = Coverage.of_bases(slab.bases).points(unit)
-    return np.asarray(points[np.argmax(_steepness(slab, points, sizes))])
+    return np.asarray(points[np.argmax(_steepness([slab], points, sizes)[0])])
 
 
 def _bounds(bases: Sequence[Basis1D]) -> tuple[Array, Array]:
     return np.array([b.lower for b in bases]), np.array([b.upper for b in bases])
 
 
-def _steepness(slab: SlabTrain, points: Array, sizes: Array) -> Array:
-    """Largest change of a state at the end of a slab over a small step across the box, (m,)."""
-    lower, upper = _bounds(slab.bases)
+def _steepness(slabs: Sequence[SlabTrain], points: Array, sizes: Array) -> list[Array]:
+    """Largest change of a state at the end of each slab over a small step across the box, (m,).
+
+    The slabs share the cores of their parameters.
+    """
+    lower, upper = _bounds(slabs[0].bases)
     generator = np.random.default_rng(20140)
-    step = Coverage.of_bases(slab.bases).steps(points, _SHIFT) * generator.choice(
+    step = Coverage.of_bases(slabs[0].bases).steps(points, _SHIFT) * generator.choice(
         [-1.0, 1.0], points.shape
     )
-    times = np.full(len(points), slab.end)
-    one, two = (slab(times, np.clip(points + s, lower, upper).T) for s in (step, -step))
-    return np.asarray((np.abs(one - two) / sizes[:, None]).max(axis=0))
+    beside = np.concatenate([np.clip(points + s, lower, upper) for s in (step, -step)])
+    columns, changes = slabs[0].over_parameters(beside.T), list[Array]()
+    for slab in slabs:
+        one, two = np.split(slab.on_grid(np.array([slab.end]), columns)[:, :, 0], 2, axis=1)
+        changes.append((np.abs(one - two) / sizes[:, None]).max(axis=0))
+    return changes

@@ -12,12 +12,23 @@ import scipy.integrate
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.trajectories.defects import Interpolant
-from rankone.trajectories.stacks.steppers import Piece, Stepper
+from rankone.trajectories.defects import DefectControl, Interpolant
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.stacks.kinks import (
+    DividedInterpolant,
+    DividedSteps,
+    Kinks,
+    crossed_once,
+    divided_steps,
+    nested,
+)
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 
 _NESTED_ROWS = 7  # Rows of a step
 _SAFETY = 0.9  # Part of the step that the estimate of the error allows
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
+# Error, in tolerances, from which a step is divided at a kink: below, kinks are not its reason
+_DIVIDED_ERROR = 0.2
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 
 
@@ -32,13 +43,45 @@ class NestedPiece(Piece):
         return factors.cumprod(axis=1)
 
 
+class DividedPiece(NestedPiece):
+    """A step of DOP853 that some trajectories divide at a kink."""
+
+    def __init__(self, piece: NestedPiece, divided: DividedInterpolant) -> None:
+        super().__init__(piece.t_old, piece.t, piece.y_old, piece.rows)
+        self.divided = divided
+
+    def at(self, times: Array, out: Array | None = None) -> Array:
+        states = super().at(times, out)
+        columns, shares = self.divided.columns, (times - self.t_old) / self.h
+        places = np.tile(np.arange(columns.size), times.size)
+        there, _ = self.divided(places, np.repeat(shares, columns.size), slopes=False)
+        n = len(there)
+        each = there.reshape(n, times.size, columns.size).swapaxes(0, 1)
+        states.reshape(times.size, n, -1)[:, :, columns] = each
+        return states
+
+
 class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     """Steps that suit every trajectory: the error is the largest of all, not their mean."""
 
     t: float
     y: Array
     _dense: NestedPiece | None = None
+    _divided: DividedSteps | None = None
     _weights = np.stack([scipy.integrate.DOP853.E5, scipy.integrate.DOP853.E3])
+
+    def __init__(
+        self,
+        rates: Rates,
+        start: float,
+        states: Array,
+        end: float,
+        tolerances: Tolerances,
+        control: DefectControl | None = None,
+        kinks: Kinks | None = None,
+    ) -> None:
+        self.kinks = kinks
+        super().__init__(rates, start, states, end, tolerances, control)
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step whose error is within the tolerance, shorter than the last one if it must be."""
@@ -48,12 +91,19 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
             end = min(t + h, self.t_bound)
             h = end - t
             y_new, f_new = self._stages(h)
-            error = h * self._error(self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol)
+            scale = self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol
+            errors = h * self._errors(scale)
+            divided = None if self.kinks is None else self._divided_steps(h, y_new, errors)
+            if divided is not None:
+                y_new, f_new = divided.into(y_new, f_new)
+                errors[divided.columns] = divided.errors
+            error = float(errors.max())
             factor = _SAFETY * error**self.error_exponent if error else _MOST_FACTOR
             if error < 1.0:
                 self.h_abs = h * min(factor, 1.0 if refused else _MOST_FACTOR)
                 self.h_previous, self.y_old = h, y
                 self.t, self.y, self.f = end, y_new, f_new
+                self._divided = divided
                 return True, None
             h *= max(_LEAST_FACTOR, factor)  # the least one where the error is not a number
             refused = True
@@ -72,12 +122,39 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
         f_new = slopes[-1] = rates(t + h, y_new)
         return y_new, f_new
 
-    def _error(self, scale: Array) -> float:
-        """The error of a step over its length, in units of ``scale``: the largest of all."""
+    def _errors(self, scale: Array) -> Array:
+        """The errors of a step over its length, in units of ``scale``, of each trajectory (m,)."""
         errors = np.square(self._weights @ self.K / scale)
         fifth, third = errors.reshape(2, self.trajectory_states, -1).sum(axis=1)
         below = np.sqrt((fifth + 0.01 * third) * self.trajectory_states)
-        return float(np.max(fifth / np.where(below > 0.0, below, 1.0)))
+        return np.asarray(fifth / np.where(below > 0.0, below, 1.0))
+
+    def _divided_steps(self, h: float, y_new: Array, errors: Array) -> DividedSteps | None:
+        """The steps of trajectories whose errors a kink makes large, divided there.
+
+        None where others are as large, or the kinks were not found.
+        """
+        rough = np.flatnonzero(~(errors <= _DIVIDED_ERROR))
+        if not rough.size or self.kinks is None:
+            return None
+        shape = self.trajectory_states, -1
+        heights, step = self.kinks.heights(rough), np.full(rough.size, self.t)
+        old, new = self.y.reshape(shape), y_new.reshape(shape)
+        last = heights(step + h, new[:, rough])
+        crossed, which = crossed_once(heights(step, old[:, rough]), last)
+        columns = rough[crossed]
+        others = np.delete(errors, columns)
+        if not columns.size or not np.all(others < 1.0):
+            return None
+        heights, each = self.kinks.heights(columns), np.arange(columns.size)
+        return divided_steps(
+            columns,
+            self.fun.of(columns),
+            lambda times, states: heights(times, states)[which, each],
+            (self.t, h, old[:, columns], self.f.reshape(shape)[:, columns]),
+            last[which, crossed],
+            (self.rtol, self.atol.reshape(shape)[:, columns]),
+        )
 
     def dense_output(self) -> NestedPiece:
         """The last step as a function of time, made once for each step."""
@@ -94,7 +171,9 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
             np.subtract(h * slopes[0], rows[0], out=rows[1])
             rows[2] = 2.0 * rows[0] - h * (self.f + slopes[0])
             np.dot(h * self.D, slopes, out=rows[3:])
-            self._dense = NestedPiece(self.t_old, self.t, before, rows)
+            piece = NestedPiece(self.t_old, self.t, before, rows)
+            divided = None if self._divided is None else self._divided.interpolant()
+            self._dense = piece if divided is None else DividedPiece(piece, divided)
         return self._dense
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # a nested polynomial
@@ -103,15 +182,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
         start = dense.y_old.reshape(n, -1)[:, columns]
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
-            y, left = np.zeros_like(start), 1.0 - shares
-            slope = np.zeros_like(start) if slopes else y
-            for i, coefficient in enumerate(coefficients[::-1]):
-                y += coefficient
-                if slopes:
-                    slope *= left if i % 2 else shares
-                    slope += -y if i % 2 else y
-                y *= left if i % 2 else shares
-            y += start
-            return y, slope
+            return nested(coefficients, start, shares, slopes)
 
-        return evaluate
+        divided = dense.divided if isinstance(dense, DividedPiece) else None
+        return evaluate if divided is None else divided.into(evaluate, columns)

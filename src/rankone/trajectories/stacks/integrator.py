@@ -14,6 +14,7 @@ from operator import itemgetter
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization.radau import inset
 from rankone.ir.features import OfStates
@@ -35,6 +36,7 @@ from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.spectra import decays_faster
 from rankone.trajectories.stacks.explicit import StackedDOP853
 from rankone.trajectories.stacks.implicit import StackedRadau
+from rankone.trajectories.stacks.kinks import Kinks
 from rankone.trajectories.stacks.newton import implicit_step_cost, jacobians_for, stages_for
 from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 from rankone.trajectories.stacks.taylor import (
@@ -212,7 +214,12 @@ class StackedTrajectories:
 
 
 class _DenseRecord:
-    """Keeps all steps over a horizon with their dense output."""
+    """Keeps all steps over a horizon with their dense output.
+
+    It takes no steps that are divided at kinks: paths have one polynomial in each.
+    """
+
+    takes_kinks = False
 
     def __init__(self, horizon: tuple[float, float], shape: tuple[int, int]) -> None:
         self.horizon, self.shape = horizon, shape
@@ -249,6 +256,8 @@ class _DenseRecord:
 
 class _SampleRecord:
     """Keeps the states at given times."""
+
+    takes_kinks = True
 
     def __init__(self, times: Array, shape: tuple[int, int]) -> None:
         self.times, self.states = times, np.empty((times.size, *shape))
@@ -294,6 +303,16 @@ class _SegmentRates:
         rates = self.rhs(times, columns.reshape(-1, k * m), points)
         return rates.reshape(-1, k, m).swapaxes(0, 1).reshape(k, -1)
 
+    def of(self, columns: NDArray[np.intp]) -> Callable[[Array, Array], Array]:
+        """Rates (n, c) of some trajectories, at times (c,) and states (n, c)."""
+        p = self.parameters[:, columns]
+
+        def rates(times: Array, states: Array) -> Array:
+            charge(self.cost(columns.size) + _STAGE_COST(states.size))
+            return self.rhs(np.clip(times, self.first, self.last), states, p)
+
+        return rates
+
 
 @dataclass(frozen=True)
 class _Stack:
@@ -321,7 +340,10 @@ class _Stack:
         avoided = np.inf
         with np.errstate(all="ignore"):
             if not self.options.stiff:
-                explicit = partial(StackedDOP853, tolerances=self.tolerances, control=control)
+                kinks = Kinks.of(self.system, self.parameters) if record.takes_kinks else None
+                explicit = partial(
+                    StackedDOP853, tolerances=self.tolerances, control=control, kinks=kinks
+                )
                 if (series := self._series()) is not None:
                     explicit = partial(StackedTaylor, tolerances=self.tolerances, series=series)
                 state, avoided = self._steps(explicit, record, self._explicit_steps_left)

@@ -9,6 +9,7 @@ trajectories cross state surfaces, and at random places.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +34,9 @@ class Rates(Protocol):
 
     def at(self, times: Array, states: Array) -> Array:
         """Rates (k, n m) at times (k,) and stacked states (k, n m)."""
+
+    def of(self, columns: NDArray[np.intp]) -> Callable[[Array, Array], Array]:
+        """Rates (n, c) of some trajectories, at times (c,) and states (n, c)."""
 
 
 class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
