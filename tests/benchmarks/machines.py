@@ -8,11 +8,13 @@ worker, or half of all, the main process with dask's scheduler included, whichev
 ``... kill 20`` kills worker and main process 20 times at random moments, and starts the same
 command again until it ends: the bits have to be the same, and no finished file may change.
 
-``... memory`` compares peaks, beyond what the process had before, with ``max_memory``.
+``... memory`` compares peaks of solves and calls, beyond what the process had before, with
+``max_memory``.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import random
@@ -22,6 +24,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -99,9 +103,6 @@ def report(name: str, executor: Any, alone: tuple[str, float, float]) -> None:
 
 def speed() -> None:
     """Compare with and without workers."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     os.environ.update(LESS_WATCHED)  # read when distributed is imported
     timed(None)  # imports, and what is kept between solves
     alone = timed(None)
@@ -209,6 +210,17 @@ def peak() -> float:
     return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
+def memory_of(what: str) -> float:
+    """Bytes of this process: those it has, ``VmRSS``, or most since :func:`forget_peak`."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024.0 * next(float(line.split()[1]) for line in lines if line.startswith(what))
+
+
+def forget_peak() -> None:
+    """Let Linux begin anew to look for the peak."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
 def stream(count: int, limit: str) -> None:
     """Evaluate so many points in blocks, and print the peak beyond what the process had."""
     solution = ro.solve(*double_well(1.0, 1e-3)[::2])
@@ -222,16 +234,81 @@ def stream(count: int, limit: str) -> None:
     print(f"{total:.3g} points in {seconds:.1f} s: peak {share:.2f} x {limit}", flush=True)
 
 
-def chain(states: int, limit: str | None, method: str = "auto") -> None:
-    """Solve a chain of compartments with a limit, and print how it ends and the peak."""
-    rates = {f"x{i}": f"k*x{i - 1} - (k + c)*x{i}" for i in range(1, states)}
+def bouncing() -> Any:
+    """A ball that bounces, as often as its drop says."""
     problem = ro.Problem.from_strings(
+        {"h": "v", "v": "-g"},
+        {"h": "h0", "v": "0"},
+        {"g": (9.0, 10.0), "h0": (0.9, 1.1)},
+        (0, 2.5),
+        events=[{"when": "h", "direction": "falling", "then": {"h": "0", "v": "-0.8*v"}}],
+    )
+    return ro.solve(problem, 1e-4)
+
+
+def wells() -> Any:
+    """The double well, whole."""
+    return ro.solve(*double_well(1.0, 1e-3)[::2])
+
+
+def pieces() -> Any:
+    """The double well, joined of pieces."""
+    return ro.solve_many(*double_well(1.0, 1e-3)).join()
+
+
+def many_states() -> Any:
+    """A chain of 300 states."""
+    return ro.solve(chain_of(300), 1e-3)
+
+
+def evaluated(of: str, how: str, numbers: int, limit: str) -> None:
+    """Evaluate so many numbers by one call within a limit, and print the peak beyond before.
+
+    ``of`` names the solution, and ``how`` the call: of paired points, of curves of 100 times, of a
+    grid, or of the gradient.
+    """
+    solve = {f.__name__: f for f in (wells, bouncing, pieces, many_states)}[of]
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor:  # keeps what the solve needed
+        solution = executor.submit(solve).result()
+    names, box = list(solution.parameters), list(solution.parameters.values())
+    each = len(solution.unknowns) * (len(names) if how == "gradient" else 1)
+    points, times = numbers // each, np.linspace(*solution.time, 100)
+    rng, call = np.random.default_rng(0), solution.grid
+    if how == "grid":
+        side = int((points / 100) ** (1 / len(names)))
+        at = {name: np.linspace(*ends, side) for name, ends in solution.parameters.items()}
+    else:
+        shape = (points // 100,) if how == "curves" else (points,)
+        at = {name: rng.uniform(*ends, shape) for name, ends in zip(names, box, strict=True)}
+        times = times[:, None] if how == "curves" else rng.uniform(*solution.time, shape)
+        call = solution.gradient if how == "gradient" else solution
+    gc.collect()
+    forget_peak()
+    before, began = memory_of("VmRSS"), time.process_time()
+    values = call(times, at, max_memory=limit or None)
+    grown = memory_of("VmHWM") - before
+    allowed = f", {grown / checked_memory('limit', limit):.2f} x {limit}" if limit else ""
+    print(
+        f"{how} of {of}, {values.size:.3g} numbers in {time.process_time() - began:.1f} s: "
+        f"{in_words(grown)}, {grown / values.nbytes:.2f} x the values{allowed}",
+        flush=True,
+    )
+
+
+def chain_of(states: int) -> ro.Problem:
+    """A chain of compartments."""
+    rates = {f"x{i}": f"k*x{i - 1} - (k + c)*x{i}" for i in range(1, states)}
+    return ro.Problem.from_strings(
         {"x0": "-k*x0", **rates},
         {f"x{i}": "1" if i == 0 else "0" for i in range(states)},
         {"k": (7, 14), "c": (1, 2)},
         (0, 2),
     )
-    compiled, before = ro.compile(problem), peak()
+
+
+def chain(states: int, limit: str | None, method: str = "auto") -> None:
+    """Solve a chain of compartments with a limit, and print how it ends and the peak."""
+    compiled, before = ro.compile(chain_of(states)), peak()
     solution = compiled.solve(1e-3, method=method, max_memory=limit)
     grown = peak() - before
     text = "" if limit is None else f", {grown / checked_memory('limit', limit):.2f} x {limit}"
@@ -242,6 +319,9 @@ def chain(states: int, limit: str | None, method: str = "auto") -> None:
 def memory() -> None:
     """Compare peaks with limits, each in a process of its own."""
     calls = [["stream", "1e7", "100MB"], ["stream", "1e8", "500MB"]]
+    for of in (wells, bouncing, pieces, many_states):
+        for how in ("points", "curves", "grid", "gradient"):
+            calls += [["evaluated", of.__name__, how, "1e7", limit] for limit in ("", "100MB")]
     calls += [["chain", n, limit] for n in ("50", "300") for limit in ("", "50MB", "100MB", "1GB")]
     calls += [["chain", n, limit, "train"] for n in ("20", "150") for limit in ("50MB", "100MB")]
     for call in calls:
@@ -255,6 +335,8 @@ if __name__ == "__main__":
         kill(int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
     elif sys.argv[1:2] == ["stream"]:
         stream(int(float(sys.argv[2])), sys.argv[3])
+    elif sys.argv[1:2] == ["evaluated"]:
+        evaluated(sys.argv[2], sys.argv[3], int(float(sys.argv[4])), sys.argv[5])
     elif sys.argv[1:2] == ["chain"]:
         chain(int(sys.argv[2]), sys.argv[3] or None, *sys.argv[4:])
     elif sys.argv[1:2] == ["memory"]:

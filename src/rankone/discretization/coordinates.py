@@ -172,6 +172,17 @@ class Coordinates:
             numbers.append(float(value))
         return numbers
 
+    def as_arrays(self, gathered: Sequence[object]) -> list[Array]:
+        """Each value as an array; those that are arrays are not copied, and not checked yet."""
+        return [
+            self._real(name, value)
+            if not isinstance(value, np.ndarray) or value.dtype.kind == "O"
+            else value
+            if isinstance(value, np.ma.MaskedArray)
+            else np.asarray(value)
+            for name, value in zip(self.names, gathered, strict=True)
+        ]
+
     def arrays(self, gathered: Sequence[object]) -> list[Array]:
         """Each value as an array of numbers inside its interval.
 
@@ -228,7 +239,7 @@ class Coordinates:
 
     def broadcast(self, arrays: Sequence[Array]) -> tuple[Array, tuple[int, ...]]:
         """Broadcast together: paired points (coordinates, N) and the shape they stand for."""
-        shape = self._common_shape(arrays)
+        shape = self.common_shape(arrays)
         points = np.empty((len(arrays), *shape))
         for row, array in enumerate(arrays):
             points[row] = array
@@ -236,7 +247,7 @@ class Coordinates:
 
     def curves(self, arrays: Sequence[Array]) -> Curves:
         """Broadcast together, but the parameters apart from times that vary alone."""
-        shape = self._common_shape(arrays)
+        shape = self.common_shape(arrays)
         time, *parameters = (
             array.reshape((1,) * (len(shape) - array.ndim) + array.shape) for array in arrays
         )
@@ -259,7 +270,8 @@ class Coordinates:
             tuple(order),
         )
 
-    def _common_shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
+    def common_shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
+        """The shape to which arrays of all coordinates broadcast, or an EvaluationError."""
         try:
             return np.broadcast_shapes(*(array.shape for array in arrays))
         except ValueError:

@@ -320,7 +320,9 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             return Solution(*derivative(self, coordinate))
         return Solution(*derived(self.outcome, self.metadata, coordinate))
 
-    def gradient(self, *at: object, **named: object) -> Array:
+    def gradient(
+        self, *at: object, max_memory: str | float | None = None, **named: object
+    ) -> Array:
         """Derivatives of all unknowns with respect to all parameters, at times and values.
 
         Arguments and errors are those of a call.
@@ -330,24 +332,30 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         ndarray (unknowns, parameters, *broadcast shape of the values)
         """
         gathered = self._coordinates.gather(at, named)
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        each = len(self.unknowns), len(self.metadata.parameters)
+        return self._within(max_memory, gathered, each, self._gradient_of_block)
+
+    def _gradient_of_block(self, arrays: Sequence[Array]) -> Array:
+        """The gradient at arrays that fit into the memory."""
         if isinstance(self._evaluator, PieceEvaluator):
-            return self._gradient_in_pieces(self._evaluator.tiling, gathered)
+            return self._gradient_in_pieces(self._evaluator.tiling, arrays)
         if isinstance(self._evaluator, TimelineEvaluator | BranchEvaluator):
-            arrays = np.broadcast_arrays(*self._coordinates.arrays(gathered))
-            times, *points = (array.ravel() for array in arrays)
+            together = np.broadcast_arrays(*self._coordinates.arrays(arrays))
+            times, *points = (array.ravel() for array in together)
             free, stacked = range(len(points)), np.array(points).reshape(-1, times.size)
             _, moved = self._evaluator.linearised(times[None], stacked, self._unknowns, free)
             moved = np.moveaxis(moved[:, 0], 2, 1)
-            return np.asarray(moved.reshape(*moved.shape[:2], *arrays[0].shape))
-        slopes = [slope._evaluate(gathered, slope._unknowns) for slope in self._slopes]
+            return np.asarray(moved.reshape(*moved.shape[:2], *together[0].shape))
+        slopes = [slope._evaluate_block(arrays, slope._unknowns) for slope in self._slopes]
         if not slopes:
-            unknowns = self._evaluate(gathered, self._unknowns)
+            unknowns = self._evaluate_block(arrays, self._unknowns)
             return np.zeros((len(unknowns), 0, *unknowns.shape[1:]))
         return np.stack(slopes, axis=1)
 
-    def _gradient_in_pieces(self, tiling: Tiling, gathered: Sequence[Any]) -> Array:
+    def _gradient_in_pieces(self, tiling: Tiling, arrays: Sequence[Array]) -> Array:
         """The gradient at each point of the piece that holds it."""
-        points, shape = self._coordinates.broadcast(self._coordinates.arrays(gathered))
+        points, shape = self._coordinates.broadcast(self._coordinates.arrays(arrays))
         moved = np.empty((len(self.unknowns), len(points) - 1, points.shape[1]))
         names = (() if self.metadata.timeless else (self.metadata.time,), self.metadata.parameters)
         asked = points[1:] if self.metadata.timeless else points

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NoReturn
@@ -22,11 +22,11 @@ from rankone.ir.outcome import Outcome, SafeInterval
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import Status, SwitchingTerm
 from rankone.solution.branches import branch_evaluator
-from rankone.solution.streaming import Index, in_blocks
+from rankone.solution.streaming import Index, bytes_of, foreseen, in_blocks, no_memory, whole
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
-from rankone.support.memory import checked_memory, in_words, physical_memory
+from rankone.support.memory import checked_memory
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
@@ -78,13 +78,17 @@ class SolutionCore:
 
     # --- evaluation ----------------------------------------------------------------------------
 
-    def __call__(self, *at: object, **named: object) -> Array:
+    def __call__(
+        self, *at: object, max_memory: str | float | None = None, **named: object
+    ) -> Array:
         """Evaluate all unknowns.
 
         Parameters
         ----------
         *at
             Times, then a mapping from symbols or names to values; or either of the two alone.
+        max_memory : float or str, optional
+            Bytes that the call may take, its values included, or a text such as ``"2GB"``.
         **named
             Values by name.
 
@@ -96,11 +100,11 @@ class SolutionCore:
         ------
         EvaluationError
             If a coordinate is missing, unknown, given twice, not a real number, or outside
-            the box or the horizon.
+            the box or the horizon; or if the values do not fit into the memory.
         """
-        return self._evaluate(self._coordinates.gather(at, named), self._unknowns)
+        return self._evaluate(self._coordinates.gather(at, named), self._unknowns, max_memory)
 
-    def grid(self, *at: object, **named: object) -> Array:
+    def grid(self, *at: object, max_memory: str | float | None = None, **named: object) -> Array:
         """Evaluate all unknowns for every combination of values, one axis per coordinate.
 
         Arguments and errors are those of a call; each value is a number or one-dimensional.
@@ -110,7 +114,8 @@ class SolutionCore:
         ndarray (unknowns, times, values of parameter 1, values of parameter 2, ...)
             Without times if nothing depends on time.
         """
-        return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
+        gathered = self._coordinates.gather(at, named)
+        return self._evaluate_grid(gathered, self._unknowns, max_memory)
 
     def blocks(
         self, *at: object, max_memory: str | float = "256MB", **named: object
@@ -143,11 +148,8 @@ class SolutionCore:
         """
         most = checked_memory("max_memory", max_memory)
         gathered = self._coordinates.gather(at, named)
-        arrays = [np.asarray(argument) for argument in gathered]
-
-        def evaluate(part: list[Array]) -> Array:
-            return self._evaluate(part, self._unknowns)
-
+        arrays = self._coordinates.as_arrays(gathered)
+        evaluate = partial(self._evaluate_block, rows=self._unknowns)
         yield from in_blocks(arrays, len(self.unknowns), most, evaluate)
 
     def __getitem__(self, state: object) -> UnknownView:
@@ -168,41 +170,51 @@ class SolutionCore:
     def __iter__(self) -> NoReturn:
         raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
 
-    def _evaluate(self, gathered: list[Any], rows: Rows) -> Array:
+    def _evaluate(
+        self, gathered: list[Any], rows: Rows, max_memory: str | float | None = None
+    ) -> Array:
         """Values of some states, (rows, *broadcast shape)."""
         evaluator = self._evaluator
         point = self._coordinates.numbers(gathered)
         if point is not None:
             return evaluator.one(point, rows)
-        shapes = [value.shape for value in gathered if isinstance(value, np.ndarray)]
-        try:
-            shape = np.broadcast_shapes(*shapes)
-        except ValueError:
-            shape = ()  # the coordinates say which do not fit
-        self._foresee(math.prod(shape), rows)
-        with _memory():
-            arrays = self._coordinates.arrays(gathered)
-            if all(array.ndim == 0 for array in arrays):
-                return evaluator.one([float(array) for array in arrays], rows)
-            curves = self._coordinates.curves(arrays)
-            return curves.shaped(evaluator.curves(curves.times, curves.points, rows))
+        evaluate = partial(self._evaluate_block, rows=rows)
+        return self._within(max_memory, gathered, (_count(rows),), evaluate)
 
-    def _evaluate_grid(self, gathered: list[Any], rows: Rows) -> Array:
+    def _within(
+        self,
+        max_memory: str | float | None,
+        gathered: Sequence[Any],
+        leading: tuple[int, ...],
+        evaluate: Callable[[Sequence[Array]], Array],
+    ) -> Array:
+        """Values (*leading, *broadcast shape) of what evaluates arrays that fit into the memory."""
+        arrays = self._coordinates.as_arrays(gathered)
+        shape = self._coordinates.common_shape(arrays)
+        if 0 in shape:
+            self._coordinates.arrays(arrays)  # raises for values outside
+            return np.empty((*leading, *shape))
+        with _memory():
+            return whole(arrays, shape, leading, max_memory, evaluate)
+
+    def _evaluate_block(self, gathered: Sequence[Array], rows: Rows) -> Array:
+        """Values of some states at arrays that fit into the memory, (rows, *broadcast shape)."""
+        arrays = self._coordinates.arrays(gathered)
+        if all(array.ndim == 0 for array in arrays):
+            return self._evaluator.one([float(array) for array in arrays], rows)
+        curves = self._coordinates.curves(arrays)
+        return curves.shaped(self._evaluator.curves(curves.times, curves.points, rows))
+
+    def _evaluate_grid(
+        self, gathered: list[Any], rows: Rows, max_memory: str | float | None = None
+    ) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
-        self._foresee(math.prod(map(np.size, gathered)), rows)
+        axes, states = self._coordinates.axes(gathered), _count(rows)
+        sizes = [axis.size for axis in axes]
+        foreseen(8.0 * states * math.prod(sizes), bytes_of(1, len(axes), states), max_memory)
         with _memory():
-            on_grid = self._evaluator.grid(self._coordinates.axes(gathered), rows)
-        return on_grid[:, 0] if self.metadata.timeless else on_grid
-
-    def _foresee(self, points: int, rows: Rows) -> None:
-        """Raise an EvaluationError if the machine has less memory than the values take."""
-        states = rows.stop - rows.start if isinstance(rows, slice) else rows.size
-        needed, there = 8.0 * states * points, physical_memory()
-        if needed > there:
-            raise EvaluationError(
-                f"all values take {in_words(needed)}, and this machine has {in_words(there)}",
-                remedy="evaluate block after block: solution.blocks(...)",
-            )
+            values = np.empty((states, *sizes)) if 0 in sizes else self._evaluator.grid(axes, rows)
+        return values[:, 0] if self.metadata.timeless else values
 
     @cached_property
     def _evaluator(self) -> Evaluator:
@@ -326,16 +338,16 @@ class UnknownView:
         """Position among the states."""
         return self.solution.states.index(self.name)
 
-    def __call__(self, *at: object, **named: object) -> Any:
+    def __call__(self, *at: object, max_memory: str | float | None = None, **named: object) -> Any:
         """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
         gathered = self.solution._coordinates.gather(at, named)
-        return self.solution._evaluate(gathered, _rows([self.row]))[0]
+        return self.solution._evaluate(gathered, _rows([self.row]), max_memory)[0]
 
-    def grid(self, *at: object, **named: object) -> Array:
+    def grid(self, *at: object, max_memory: str | float | None = None, **named: object) -> Array:
         """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
         gathered = self.solution._coordinates.gather(at, named)
-        on_grid: Array = self.solution._evaluate_grid(gathered, _rows([self.row]))[0]
-        return on_grid
+        values: Array = self.solution._evaluate_grid(gathered, _rows([self.row]), max_memory)[0]
+        return values
 
     @property
     def error(self) -> float:
@@ -397,10 +409,7 @@ def _memory() -> Iterator[None]:
     try:
         yield
     except MemoryError as error:
-        raise EvaluationError(
-            f"there is no memory for all values: {error}",
-            remedy="evaluate block after block: solution.blocks(...)",
-        ) from None
+        raise no_memory(error) from None
 
 
 def raise_blow_up(
@@ -454,6 +463,11 @@ def raise_blow_up(
         part=solve_smaller_box if safe else None,
         remedy=f"{remedy}; {attached}",
     )
+
+
+def _count(rows: Rows) -> int:
+    """How many states there are by position."""
+    return rows.stop - rows.start if isinstance(rows, slice) else rows.size
 
 
 def _rows(positions: Sequence[int]) -> Rows:

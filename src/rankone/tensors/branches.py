@@ -194,10 +194,28 @@ class BranchEvaluator(ClockEvaluator):
         _warn_of(doubtful)
         return states
 
+    @property
+    def numbers_each(self) -> int:
+        borders = sum(branch.numbers_each for branch in self.branches)
+        return borders + len(self.forks) + _LOOKS * len(self.grazings)
+
+    def count(self, rows: Rows) -> int:
+        return self.branches[0].count(rows)
+
     def with_doubts(
         self, times: Array, points: Array, rows: Rows
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Curves, and where it is undecided which branch holds (T, N)."""
+        shape = len(times), points.shape[1]
+        states, doubtful = np.empty((self.count(rows), *shape)), np.zeros(shape, bool)
+        for part, at, here in self.parts(times, points):
+            states[part], doubtful[part[1:]] = self._with_doubts(at, here, rows)
+        return states, doubtful
+
+    def _with_doubts(
+        self, times: Array, points: Array, rows: Rows
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Curves and doubts, all at once."""
         times = np.broadcast_to(times, (len(times), points.shape[1]))
 
         def states(k: int, here: NDArray[np.intp]) -> Array:

@@ -30,6 +30,7 @@ Rows = slice | NDArray[np.intp]
 # Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product
 _BUFFER = 1 << 19
 _HELD = 1 << 21  # Numbers of products on a tensor grid that are held at once
+_VALUES = 1 << 20  # Numbers of values that are held at once beside all of them
 _POINTS = 1024  # Points taken at once at most
 _TIMES = 256  # Times taken at once at least, where one product serves many
 
@@ -261,18 +262,18 @@ def _chunks(positions: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]
         yield positions[begin : begin + size]
 
 
-def _parts(axes: Sequence[Array], most: int) -> Iterator[tuple[slice, Sequence[Array]]]:
-    """Parts of a tensor grid of about so many points, and where they are when it is flattened."""
+def _parts(axes: Sequence[Array], most: int) -> Iterator[tuple[int, Sequence[Array]]]:
+    """Parts of a tensor grid of about so many points, and where they begin in it, flattened."""
     sizes = [axis.size for axis in axes]
     several = next((k for k, size in enumerate(sizes) if size > 1), 0)
     if math.prod(sizes) <= most:
-        yield slice(None), axes
+        yield 0, axes
         return
     after = math.prod(sizes[several + 1 :])
     step = max(most // after, 1)
     for begin in range(0, sizes[several], step):
         part = [*axes[:several], axes[several][begin : begin + step], *axes[several + 1 :]]
-        yield slice(begin * after, (begin + step) * after), part
+        yield begin * after, part
 
 
 class TrainEvaluator:
@@ -294,7 +295,7 @@ class TrainEvaluator:
 
     def many(self, points: Array, rows: Rows) -> Array:
         """Evaluate at paired points (1 + d, N), in chunks of bounded memory: shape (rows, N)."""
-        states = np.empty((self._count(rows), points.shape[1]))
+        states = np.empty((self.count(rows), points.shape[1]))
         # points in the order of the slabs: those of a chunk have few slabs
         for train, owned in self._owned(points[0], self._slab_breaks):
             for here in _chunks(owned, train.chunk):
@@ -312,18 +313,18 @@ class TrainEvaluator:
         several, count = len(times), points.shape[1]
         if times.shape[1] == 1:
 
-            def contractions(train: _Train) -> Iterator[tuple[slice, Array]]:
+            def contractions(train: _Train) -> Iterator[tuple[int, Array]]:
                 for begin in range(0, count, train.chunk):
-                    here = slice(begin, begin + train.chunk)
-                    yield here, train.over_parameters(points[:, here])
+                    yield begin, train.over_parameters(points[:, begin : begin + train.chunk])
 
             return self._at_all(times[:, 0], count, contractions, rows)
         if several == 1:
             return self.many(np.concatenate([times, points]), rows)[:, None]
         paired = times.T.ravel()
-        states = np.empty((self._count(rows), paired.size))
+        states = np.empty((self.count(rows), paired.size))
         for train, owned in self._owned(paired, self._breaks):
-            for here in _chunks(owned, train.chunk):
+            most = _VALUES // (len(states) * train.time.degree)
+            for here in _chunks(owned, max(min(train.chunk, most), 1)):
                 columns, back = np.unique(here // several, return_inverse=True)
                 contraction = train.over_parameters(points.take(columns, 1))
                 states[:, here] = train.time.spread(paired[here], contraction, back, rows)
@@ -333,9 +334,9 @@ class TrainEvaluator:
         """Evaluate on a tensor grid of 1 + d axes in any order: (rows, *sizes of the axes)."""
         sizes = [axis.size for axis in axes]
 
-        def contractions(train: _Train) -> Iterator[tuple[slice, Array]]:
-            for columns, part in _parts(axes[1:], max(_HELD // train.widest, 1)):
-                yield columns, train.over_grid(part)
+        def contractions(train: _Train) -> Iterator[tuple[int, Array]]:
+            for begin, part in _parts(axes[1:], max(_HELD // train.widest, 1)):
+                yield begin, train.over_grid(part)
 
         states = self._at_all(axes[0], math.prod(sizes[1:]), contractions, rows)
         return states.reshape(len(states), *sizes)
@@ -344,18 +345,23 @@ class TrainEvaluator:
         self,
         times: Array,
         count: int,
-        contractions: Callable[[_Train], Iterable[tuple[slice, Array]]],
+        contractions: Callable[[_Train], Iterable[tuple[int, Array]]],
         rows: Rows,
     ) -> Array:
         """States (rows, T, N) at all times (T,) for N products of the cores of the parameters.
 
-        ``contractions`` yields for a train slices of the N columns with the products there.
+        ``contractions`` yields for a train the products at parts of the N columns, and where each
+        part begins.
         """
-        states = np.empty((self._count(rows), times.size, count))
+        states = np.empty((self.count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):
-            for columns, contraction in contractions(train):
+            for begin, contraction in contractions(train):
                 for here in _chunks(owned, max(_BUFFER // max(contraction.shape), _TIMES)):
-                    states[:, here, columns] = train.time.outer(times[here], contraction, rows)
+                    width = max(_VALUES // (len(states) * here.size), 1)
+                    for first in range(0, contraction.shape[1], width):
+                        part = contraction[:, first : first + width]
+                        columns = slice(begin + first, begin + first + part.shape[1])
+                        states[:, here, columns] = train.time.outer(times[here], part, rows)
         return states
 
     def _owned(self, times: Array, breaks: Array) -> Iterator[tuple[_Train, NDArray[np.intp]]]:
@@ -374,5 +380,6 @@ class TrainEvaluator:
                 yield train, order[begin:end]
             begin = end
 
-    def _count(self, rows: Rows) -> int:
+    def count(self, rows: Rows) -> int:
+        """How many states some rows are."""
         return len(self.trains[0].time.matrices[0][rows])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +16,7 @@ from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.tiling import Tiling
 from rankone.tensors.timeline import TimelineEvaluator
 
+_VALUES = 1 << 22  # Numbers of one piece that are held at once beside all of them
 PieceOf = TrainEvaluator | TimelineEvaluator | BranchEvaluator
 """The evaluator of one piece."""
 
@@ -34,30 +36,30 @@ class PieceEvaluator(ClockEvaluator):
         owner = self.tiling.owners_at(np.array(point[1:], dtype=float)[:, None])
         return self.pieces[int(owner[0])].one(point, rows)
 
+    @property
+    def numbers_each(self) -> int:
+        pieces = (piece for piece in self.pieces if not isinstance(piece, TrainEvaluator))
+        return max((piece.numbers_each for piece in pieces), default=0)
+
+    def count(self, rows: Rows) -> int:
+        return self.pieces[0].count(rows)
+
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
-        shared = times.shape[1] == 1
-        states = np.empty((0, len(times), points.shape[1]))
-        if not points.shape[1]:
-            return self.pieces[0].curves(times, points, rows)
-        for position, here in self.tiling.groups(points):
-            at = times if shared else times[:, here]
-            own = self.pieces[position].curves(at, points[:, here], rows)
-            if not len(states):
-                states = np.empty((len(own), len(times), points.shape[1]))
-            states[:, :, here] = own
+        states = np.empty((self.count(rows), len(times), points.shape[1]))
+        for part, when, at in self.parts(times, points):
+            for position, here in self.tiling.groups(at):
+                own_times = when if when.shape[1] == 1 else when[:, here]
+                own = self.pieces[position].curves(own_times, at[:, here], rows)
+                states[part][:, :, here] = own
         return states
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
-        states = np.empty((0, *(axis.size for axis in axes)))
+        states = np.empty((self.count(rows), *(axis.size for axis in axes)))
+        every = np.arange(len(states)), np.arange(axes[0].size)
         for position, here in self.tiling.on_axes(axes[1:]):
-            own_axes = [axes[0], *(axis[k] for axis, k in zip(axes[1:], here, strict=True))]
-            own = self.pieces[position].grid(own_axes, rows)
-            if not len(states):
-                states = np.empty((len(own), *states.shape[1:]))
-            every = np.arange(len(own)), np.arange(axes[0].size)
-            states[np.ix_(*every, *here)] = own
-        if not len(states):  # an axis without values
-            return self.pieces[0].grid(axes, rows)
+            for part in _parts(here, len(states) * axes[0].size):
+                own_axes = [axes[0], *(axis[k] for axis, k in zip(axes[1:], part, strict=True))]
+                states[np.ix_(*every, *part)] = self.pieces[position].grid(own_axes, rows)
         return states
 
     def deciders(self, points: Array) -> Array:
@@ -98,3 +100,20 @@ class PieceEvaluator(ClockEvaluator):
         """How many functions decide in each piece."""
         start = np.array([line[:1] for line in self.tiling.edges]).reshape(-1, 1)
         return [len(self._own(k, start)) for k in range(len(self.pieces))]
+
+
+def _parts(
+    places: tuple[NDArray[np.intp], ...], numbers: int
+) -> Iterator[tuple[NDArray[np.intp], ...]]:
+    """Places on the axes of a grid in parts, cut along its longest axis.
+
+    A point has so many numbers; those of a part are few unless the other axes have many points.
+    """
+    sizes = [place.size for place in places]
+    if not sizes:
+        yield ()
+        return
+    longest = int(np.argmax(sizes))
+    count = min(math.ceil(numbers * math.prod(sizes) / _VALUES), sizes[longest])
+    for cut in np.array_split(places[longest], max(count, 1)):
+        yield (*places[:longest], cut, *places[longest + 1 :])

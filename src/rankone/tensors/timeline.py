@@ -14,6 +14,7 @@ from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
 
 _ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
+_PRODUCTS = 1 << 21  # Numbers of values with derivatives, and of their products, at once
 
 
 class TimelineEvaluator(ClockEvaluator):
@@ -56,7 +57,21 @@ class TimelineEvaluator(ClockEvaluator):
                 times[border] += slopes[j] * points[j]
         return times
 
+    @property
+    def numbers_each(self) -> int:
+        return len(self._begins) + 1
+
+    def count(self, rows: Rows) -> int:
+        return self.trains.count(rows)
+
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        states = np.empty((self.count(rows), len(times), points.shape[1]))
+        for part, at, here in self.parts(times, points):
+            states[part] = self._curves(at, here, rows)
+        return states
+
+    def _curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        """The curves, all at once."""
         times = np.broadcast_to(times, (len(times), points.shape[1]))
         borders = self.borders_as_solved(points)
         pseudo, outside = self._pseudo_times(times, borders)
@@ -86,6 +101,17 @@ class TimelineEvaluator(ClockEvaluator):
         They are with respect to some parameters at positions ``free``, ascending, at fixed clock
         time: events move with the parameters, and with them the pseudo-time.
         """
+        width = 1 + len(free)
+        table = np.empty((self.count(rows), *times.shape, width))
+        ranks = sum(slab.cores[0].shape[2] for slab in self.slabs)
+        columns = max(_PRODUCTS // (width * (ranks + table[..., :1, 0].size)), 1)
+        for begin in range(0, points.shape[1], columns):
+            here = slice(begin, begin + columns)
+            table[:, :, here] = self._linearised(times[:, here], points[:, here], rows, free)
+        return table[..., 0], table[..., 1:]
+
+    def _linearised(self, times: Array, points: Array, rows: Rows, free: Sequence[int]) -> Array:
+        """States and their derivatives (rows, T, N, 1 + k), all at once."""
         count, width = points.shape[1], 1 + len(free)
         products: list[Array] = []
         for i, slab in enumerate(self.slabs):
@@ -119,7 +145,7 @@ class TimelineEvaluator(ClockEvaluator):
             changes[..., 1:] += slopes[..., None] * moved[here]
             states[:, here] = changes
         states[:, outside] = math.nan
-        return states[..., 0], states[..., 1:]
+        return states
 
     def _borders_with_slopes(
         self, products: Sequence[Array], points: Array, free: Sequence[int]
