@@ -65,3 +65,17 @@ def test_markers_that_nothing_crosses_are_named():
     with pytest.warns(ro.RankoneWarning, match="no trajectory crosses zero in `x - 5`"):
         solution = ro.solve(decay, 1e-4, markers=["x - 5", "x - 0.5"])
     assert solution.success
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ramp", "most", "rank", "markers"), [(0, 6, 20, 2), (0.01, 5, 35, 1)])
+def test_a_relaxation_oscillator_is_solved_with_few_ranks(ramp, most, rank, markers):
+    rates = {"x": "v", "v": "m*(1 - x**2)*v - x", "m": f"{ramp}*a"}
+    box = {"a": (3, most), "b": (1, 2)}
+    made = ro.Problem.from_strings(rates, {"x": "b", "v": 0, "m": "a"}, box, (0, 60))
+    solution = ro.solve(made, 1e-4)
+    assert solution.success
+    assert solution.rank <= rank
+    assert len(solution.timeline.events) == markers
+    errors = against_trajectories(solution, made, np.linspace(0, 60, 801))
+    assert (errors < 3e-4).all()

@@ -17,6 +17,18 @@ RISING, FALLING, BOTH = 1, -1, 0
 OfTrajectory: TypeAlias = Callable[[Array, Array, Array], Array]
 
 
+CROSSINGS = 2
+"""Crossings of a marker in a period of an oscillator: rising and falling."""
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A state that crosses a level, in both directions, where stretches end."""
+
+    state: int
+    level: float
+
+
 @dataclass(frozen=True)
 class SystemEvent:
     """A root of ``when``, rising (1), falling (-1) or both (0).
@@ -29,7 +41,7 @@ class SystemEvent:
     unless they may be ``overlapping``. Of several at one instant the one of the highest
     ``priority`` is first. It is ``timed`` if it is no event of the user; rates switch
     at a ``switch``, which resets sides of surfaces alone; it ``starts`` or ``cancels`` the event at
-    that position, whose times trajectories tell one by one.
+    that position, whose times trajectories tell one by one. It may be that of a ``marker``.
     """
 
     when: OfTrajectory
@@ -47,6 +59,7 @@ class SystemEvent:
     starts: int | None = None
     cancels: int | None = None
     coefficients: tuple[float, ...] | None = None
+    marker: Marker | None = None
 
     @property
     def interrupts(self) -> bool:
@@ -73,14 +86,6 @@ def overlap(name: str, place: str) -> ProblemError:
 
 OfPoints: TypeAlias = Callable[[Array], Array]
 """Maps points (m, d) to numbers (m,)."""
-
-
-@dataclass(frozen=True)
-class Marker:
-    """A state that crosses a level, in both directions, where stretches end."""
-
-    state: int
-    level: float
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,15 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 import numpy as np
 
 from rankone.ir.constraints import Constraints
-from rankone.ir.events import EventOrder, ForcedOrder, Marker, OfPoints, OfTrajectory, SystemEvent
+from rankone.ir.events import (
+    CROSSINGS,
+    EventOrder,
+    ForcedOrder,
+    Marker,
+    OfPoints,
+    OfTrajectory,
+    SystemEvent,
+)
 from rankone.ir.features import (
     GAP_REMEDY,
     Features,
@@ -241,6 +249,11 @@ class Clock:
     last_marks: OfPoints | None = None
     forced: ForcedOrder | None = None
     periodic: bool = False
+
+    @property
+    def marks_per_period(self) -> int:
+        """How many marks an oscillator passes in a period."""
+        return CROSSINGS * len(self.markers)
 
     @property
     def n_guards(self) -> int:

@@ -15,10 +15,11 @@ from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.markers import (
     SCOUTS,
     LastMarks,
-    chosen_marker,
+    chosen_markers,
     may_pay,
     with_order,
 )
@@ -113,7 +114,12 @@ def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
             return None
         paths = [joined(each) for each in zip(paths, further, strict=True)] if paths else [*further]
         time, states = float(ends[0]), np.stack([path.state for path in paths], axis=1)
-        found = _by_paths(system, request, points, paths, tolerances)
+        try:
+            found = _by_paths(system, request, points, paths, tolerances)
+        except OrderError:  # perhaps they do not go on as they began
+            if share == _PILOT_SHARES[-1]:
+                raise
+            continue
         if found is not None:
             return found
     return None
@@ -134,12 +140,12 @@ def _by_paths(
     further = (domain.horizon[1] - domain.horizon[0]) / (paths[0].end - domain.horizon[0])
     if not may_pay(paths[SCOUTS], further):
         return None
-    marker = chosen_marker(system, paths, points, further)
-    if marker is None:
+    markers = chosen_markers(system, paths, points, further)
+    if not markers:
         return None
-    timed = timed_events(system, (), (marker,))
+    timed = timed_events(system, (), markers)
     chosen = span_integrator_for(timed, request.integrator, accuracy=tolerances.relative)
-    clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), (marker,))
+    clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), markers)
     marked = with_order(chosen, clock, points, paths, tolerances)
     if marked is None:
         return None

@@ -34,7 +34,7 @@ from rankone.verification.points import (
 )
 from rankone.verification.reference import Reference, integrate_reference, reference_accuracy
 
-_IN_STEP = 4  # Stretches between markers over which it is as accurate: phases drift over more
+_IN_STEP = 2  # Periods between markers over which it is as accurate: phases drift over more
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
@@ -94,7 +94,8 @@ class ReferenceSet:
         points, corners, on_lines = _points_of(system, request, parameter_cuts, lines)
         accuracy = reference_accuracy(request.rtol)
         if system.clock is not None and system.clock.markers:
-            accuracy *= min(_IN_STEP / system.clock.order.stretches, 1.0)
+            periods = system.clock.order.stretches / system.clock.marks_per_period
+            accuracy *= min(_IN_STEP / periods, 1.0)
         reference_set = cls(
             system,
             domain,

@@ -36,6 +36,8 @@ REPORTED_FRACTION = 0.005  # Smallest change of the fraction that is reported
 
 FIRST_TIGHTNESS = 0.3  # First tolerance of the integration over the error allowed
 FIRST_MARKED_TIGHTNESS = 0.01  # The same over stretches between markers, whose times add up
+# Level of the first attempt between markers, over the tolerance: a second one costs as much again
+FIRST_MARKED_LEVEL = 0.7
 # Tolerance of stiff integrations over the error allowed, which is not measured for them
 STIFF_TIGHTNESS = 0.5
 # Tightest tolerance of the integration: rounding errors are not far below

@@ -102,12 +102,12 @@ class CrossMarcher:
         self.workers = workers
         self.rtol, self.options = request.rtol, request.options_of(CrossOptions)
         self.reference_set = reference_set
-        self.adaptive = _interpolation(request)
+        clock = reference_set.system.clock
+        marked = clock is not None and bool(clock.markers)
+        self.adaptive = _interpolation(request, constants.FIRST_MARKED_LEVEL if marked else 1.0)
         self.breaks: set[float] = set()
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
-        clock = reference_set.system.clock
-        marked = clock is not None and bool(clock.markers)
         self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
         self.choice = sampling_choice(reference_set)
 
@@ -312,12 +312,12 @@ class CrossMarcher:
         return (status, cause) if front is None else (Status.STEEP, front)
 
 
-def _interpolation(request: SolveRequest) -> AdaptiveInterpolation:
-    """The interpolation of a solve, before its first attempt."""
+def _interpolation(request: SolveRequest, level: float = 1.0) -> AdaptiveInterpolation:
+    """The interpolation of a solve, before its first attempt: at a level, over the tolerance."""
     options, domain = request.options_of(CrossOptions), request.domain
     limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
     return AdaptiveInterpolation(
-        domain.box, limits, request.rtol, constants.TIGHTENING, domain.first_coordinates
+        domain.box, limits, level * request.rtol, constants.TIGHTENING, domain.first_coordinates
     )
 
 

@@ -77,6 +77,9 @@ class _Steps:
 
     def heights(self, event: SystemEvent, shares: Array, nodal: Array) -> Array:
         """What crosses zero (S, shares), from the states (S, shares, n) there."""
+        if (marker := event.marker) is not None:
+            charge(CALL + _LOOK_COST * nodal[:, :, 0].size)
+            return np.asarray(nodal[:, :, marker.state] - marker.level)
         times = (self.begin[:, None] + (self.end - self.begin)[:, None] * shares).ravel()
         parameters = np.repeat(self.parameters, shares.size, axis=1)
         states = nodal.reshape(times.size, -1).T
@@ -105,11 +108,16 @@ class _Steps:
 
         That is where it comes nearest to zero, or in the middle if polynomials do not resolve it.
         """
-        between = self.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, self.nodal))
-        missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
-        sizes = np.abs(np.concatenate([at_nodes, between], axis=1))
-        largest, least = sizes.max(axis=1), sizes.min(axis=1)
-        unresolved = (missed > _UNRESOLVED * largest) & (least <= _NEAR * missed)
+        sizes = np.abs(at_nodes)
+        if event.marker is not None:  # one of the polynomials
+            largest, least = sizes.max(axis=1), sizes.min(axis=1)
+            unresolved = np.zeros(largest.size, dtype=bool)
+        else:
+            between = self.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, self.nodal))
+            missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
+            sizes = np.concatenate([sizes, np.abs(between)], axis=1)
+            largest, least = sizes.max(axis=1), sizes.min(axis=1)
+            unresolved = (missed > _UNRESOLVED * largest) & (least <= _NEAR * missed)
         # a crossing soon after a start on the surface, such as that of a small bounce
         on_surface = np.abs(at_nodes[:, 0]) <= _ON_SURFACE * np.abs(at_nodes[:, 1] - at_nodes[:, 0])
         turned = np.sign(at_nodes @ _TO_START_SLOPE) * at_nodes[:, 1] < 0.0

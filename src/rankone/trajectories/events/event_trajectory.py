@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rankone.ir.events import CROSSINGS
 from rankone.support.arrays import Array
 from rankone.trajectories.paths import Path, joined
 
-PERIOD = 2
-"""Crossings of a marker in a period: rising and falling."""
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
@@ -80,12 +79,14 @@ class EventTrajectory:
 
     def _until_passed(self, count: int) -> float:
         """About how long it takes to pass so many further marks: as over the last period."""
-        marks = np.array([each.time for each in self.occurrences[-1 - PERIOD :]])
-        if marks.size <= PERIOD:
+        period_marks = CROSSINGS * len({each.event for each in self.occurrences})
+        marks = np.array([each.time for each in self.occurrences[-1 - period_marks :]])
+        if marks.size <= period_marks:
             gap = (self.end - float(self.paths[0].breaks[0])) / marks.size
             return gap * (count + _MARGIN)
         period, further = float(marks[-1] - marks[0]), np.arange(count + 1)
-        ahead = marks[1:][further % PERIOD] + (further // PERIOD + 1) * period - self.end
+        rounds = further // period_marks + 1
+        ahead = marks[1:][further % period_marks] + rounds * period - self.end
         until = float(ahead[-2] + _MARGIN * (ahead[-1] - ahead[-2]))
         return max(until, _MARGIN * period)
 

@@ -3,15 +3,18 @@
 In clock time a front moves through the box wherever periods differ, and ranks grow with the
 horizon. A marker is a state that crosses the middle of its range, in both directions. Stretches
 between its crossings have times of their own, in which trajectories are in phase (compare the
-shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)).
+shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)). Where the flow is slow and
+fast in turns, a second marker gives each of both a stretch of its own.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.events import Ending, EventOrder, Marker
 from rankone.ir.system import Clock, System
@@ -37,13 +40,24 @@ _SCOUTED = 0.4  # Part of the spread that they have to show, roughly, before all
 _FEWEST = 3  # Crossings that each trajectory has to pass
 _LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
 _TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
+_SECOND_TRANSVERSAL = 0.2  # The same for a second marker
+_HIGH_RANK = 8  # Rank of a few trajectories above which a second marker is looked for
+_LOWER_RANK = 0.8  # Largest rank with it, over the one without
+_APART = 0.03  # Least gap between crossings of two markers, over the mean one
+# Change over a period of trajectories that are continued to tell how many crossings there are, and
+# how many times as far as they were integrated
+_NEARLY, _FURTHEST = 0.01, 3.0
+_RANKED = 24  # Trajectories of which a rank is taken
+_RANK_TOLERANCE = 3e-4  # What is left out of them, over the largest states
+_RANK_SHARES = (np.arange(24) + 0.5) / 24  # Of a stretch, where they are compared
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A state, its middle, and what its crossings are like."""
+    """A state, its middle, its crossings on each trajectory, and what these are like."""
 
     marker: Marker
+    times: Sequence[Array]
     spread: float
     steepness: float
 
@@ -57,10 +71,10 @@ def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
     return any(_rough_spread(scouts, *span) >= least for span in _spans(scouts))
 
 
-def chosen_marker(
+def chosen_markers(
     system: System, paths: Sequence[Path], points: Array, further: float = 1.0
-) -> Marker | None:
-    """The marker for a system, by trajectories at points (m, d); None where none pays.
+) -> tuple[Marker, ...]:
+    """The markers for a system, by trajectories at points (m, d); none where none pays.
 
     The horizon is so many times as long as they are, and times drift apart as they did so far.
     Of the states that all trajectories cross transversally, with a spread that pays, it is the one
@@ -70,11 +84,70 @@ def chosen_marker(
     for state, lower, upper in _spans(paths):
         if further * _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
             continue
-        candidate = _candidate(system, paths, points, state, (lower, upper))
+        candidate = _candidate(system, paths, points, state, (lower, upper), _TRANSVERSAL)
         if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
     best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
-    return None if best is None else best.marker
+    if best is None:
+        return ()
+    second = _second(system, paths, points, best)
+    return (best.marker,) if second is None else (best.marker, second)
+
+
+def _second(
+    system: System, paths: Sequence[Path], points: Array, first: _Candidate
+) -> Marker | None:
+    """A second marker beside the ``first`` one, if trajectories then are of a lower rank."""
+    alone = _rank(paths, _in_order((first,), len(paths)))
+    if alone <= _HIGH_RANK:
+        return None
+    ranks: list[tuple[float, Marker]] = []
+    for state, lower, upper in _spans(paths):
+        if state == first.marker.state:
+            continue
+        other = _candidate(system, paths, points, state, (lower, upper), _SECOND_TRANSVERSAL)
+        order = None if other is None else _in_order((first, other), len(paths))
+        if other is not None and order is not None:
+            ranks.append((_rank(paths, order), other.marker))
+    rank, marker = min(ranks, key=lambda each: each[0], default=(math.inf, None))
+    return marker if rank <= _LOWER_RANK * alone else None
+
+
+def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
+    """The first times at which so many trajectories cross candidates, all in one order: (m, k).
+
+    None where their orders differ, or those of two are so close that others may have another one.
+    """
+    times, owners = list[Array](), list[NDArray[np.intp]]()
+    for k in range(count):
+        each = [candidate.times[k] for candidate in candidates]
+        order = np.argsort(np.concatenate(each), kind="stable")
+        times.append(np.concatenate(each)[order])
+        owners.append(np.repeat(np.arange(len(each)), [one.size for one in each])[order])
+    fewest = min(each.size for each in times)
+    common = np.array([each[:fewest] for each in times])
+    order, gaps = owners[0][:fewest], np.diff(common, axis=1)
+    alike = all((each[:fewest] == order).all() for each in owners)
+    least = gaps[:, np.diff(order) != 0].min(initial=math.inf)
+    return common if alike and least > _APART * gaps.mean() else None
+
+
+def _rank(paths: Sequence[Path], crossings: Array | None) -> float:
+    """The rank of some trajectories over stretches between their crossings (m, k)."""
+    if crossings is None:
+        return math.inf
+    some = np.unique(np.linspace(0, len(paths) - 1, _RANKED).astype(int))
+    chosen = [paths[k] for k in some.tolist()]
+    starts = np.array([[path.breaks[0]] for path in chosen])
+    borders = np.concatenate([starts, crossings[some]], axis=1)
+    lengths = np.diff(borders, axis=1)[:, :, None]
+    times = (borders[:, :-1, None] + lengths * _RANK_SHARES).reshape(some.size, -1)
+    states = Paths.of(chosen)(times)
+    sizes = np.abs(states).max(axis=(1, 2), keepdims=True)
+    rows = np.moveaxis(states / np.where(sizes > 0.0, sizes, 1.0), 1, 2).reshape(-1, some.size)
+    values = np.linalg.svd(rows, compute_uv=False)
+    left = np.sqrt(np.cumsum(values[::-1] ** 2))
+    return float((left > _RANK_TOLERANCE * math.sqrt(rows.size)).sum())
 
 
 def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
@@ -104,7 +177,12 @@ def _rough_spread(paths: Sequence[Path], state: int, lower: float, upper: float)
 
 
 def _candidate(
-    system: System, paths: Sequence[Path], points: Array, state: int, span: tuple[float, float]
+    system: System,
+    paths: Sequence[Path],
+    points: Array,
+    state: int,
+    span: tuple[float, float],
+    transversal: float,
 ) -> _Candidate | None:
     """How trajectories cross the middle of the range of a state that all run through."""
     lower, upper = span
@@ -126,10 +204,10 @@ def _candidate(
     width = upper - lower
     gaps = np.diff(common, axis=1).mean(axis=1, keepdims=True)
     steepness = float((np.abs(slopes) * gaps / width).min())
-    if not steepness >= _TRANSVERSAL:
+    if not steepness >= transversal:
         return None
     passing = width / np.abs(slopes).min(axis=0)
-    return _Candidate(marker, float((np.ptp(common, axis=0) / passing).max()), steepness)
+    return _Candidate(marker, times, float((np.ptp(common, axis=0) / passing).max()), steepness)
 
 
 def _slopes(
@@ -191,30 +269,36 @@ def with_order(
     paths: Sequence[Path],
     tolerances: Tolerances,
 ) -> tuple[Clock, list[EventTrajectory]] | None:
-    """The clock with the order of its marker, and the trajectories to the last one.
+    """The clock with the order of its markers, and the trajectories to the last one.
 
-    They go along the ``paths``, which are not integrated anew; None where these are shorter than
-    the horizon and not all of them repeat, or not all of them pass as many markers. Other
-    trajectories may meet one more before the end.
+    They go along the ``paths``, which are not integrated anew. Where these are shorter than the
+    horizon, trajectories go on as over their last period. None where not all of them nearly repeat
+    then, or not all of them pass as many markers. Other trajectories may meet a few more before the
+    end.
     """
-    system, end = clock.system, clock.horizon[1]
-    replay, edges = _Replay(tuple(paths)), (clock.horizon[0], paths[0].end)
-    begun = integrate_to_events(replay, system, points, edges, tolerances, system.events)
-    accuracy = tolerances.relative
-    short = edges[1] < end
-    if short and not all(repeats(each, accuracy) for each in begun):
+    system, (start, end), reached = clock.system, clock.horizon, paths[0].end
+    replay, period, accuracy = _Replay(tuple(paths)), clock.marks_per_period, tolerances.relative
+    begun = integrate_to_events(replay, system, points, (start, reached), tolerances, system.events)
+    short = reached < end
+    if short and not all(repeats(each, _NEARLY, period) for each in begun):
         return None
-    periodic = may_repeat(clock, integrator, points, begun, accuracy)
-    clock = replace(clock, periodic=periodic)
-    if short:
-        if not periodic:
+    clock = replace(clock, periodic=may_repeat(clock, integrator, points, begun, accuracy))
+    if short and not clock.periodic:
+        if end - start > _FURTHEST * (reached - start):
             return None
-        begun = [repeated(each, 0, end) for each in begun]
-    count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + 2
-    followed = follow(clock, integrator, points, tolerances, count, begun)
-    if min(len(each.occurrences) for each in followed) < count:
+        if any(repeats(each, accuracy, period) for each in begun):  # next to what is unstable
+            return None
+    if short:
+        begun = [repeated(each, period, 0, end) for each in begun]
+    count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + period
+    if short:
+        followed = [repeated(each, period, count, end) for each in begun]
+    else:
+        followed = follow(clock, integrator, points, tolerances, count, begun)
+    orders = {tuple(mark.event for mark in each.occurrences[:count]) for each in followed}
+    if len(orders) > 1 or len(order := orders.pop()) < count:
         return None
-    return replace(clock, order=EventOrder(((0,),) * count, Ending.EVENT)), followed
+    return replace(clock, order=EventOrder(tuple((k,) for k in order), Ending.EVENT)), followed
 
 
 @dataclass(frozen=True)

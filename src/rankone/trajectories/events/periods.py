@@ -1,6 +1,6 @@
 """Periods that repeat: an autonomous oscillator that has come back goes on as it went before.
 
-A trajectory repeats once it has crossed its marker three times in a row in states, and after
+A trajectory repeats once it has crossed its markers three times in a row in states, and after
 times, that agree with those one period before. It is integrated no further then: it goes on as over
 its last period. This takes no account of what happens at known times, so that the rates must
 leave the time out, and none of what grows unseen, so that periods must not magnify small changes of
@@ -17,7 +17,7 @@ import numpy as np
 
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
-from rankone.trajectories.events.event_trajectory import PERIOD, EventTrajectory, Occurrence
+from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import Path, joined
@@ -25,7 +25,7 @@ from rankone.trajectories.paths import Path, joined
 FAR = 4.0
 """Horizons beyond the horizon up to which events are waited for."""
 _AGREEING = 3  # Crossings in a row that agree with those one period before
-_FIRST, _MORE = 6, 1.5  # Crossings before they are compared first, and factor to the next time
+_MORE = 1.5  # Factor from the crossings before they are compared first to those at the next time
 # Multipliers are those of a few trajectories, so many in all with the changed ones, over a period,
 # by relative changes of the states and at a relative tolerance
 _CHANGED, _FEWEST = 64, 2
@@ -47,14 +47,14 @@ def may_repeat(
     relative accuracy, tell that these are stable as soon as they do.
     """
     system = clock.system
-    if not clock.markers or len(system.events) != 1 or not is_autonomous(system):
+    if not clock.markers or len(system.events) > len(clock.markers) or not is_autonomous(system):
         return False
     count = max(_CHANGED // (system.n_differential + 1), _FEWEST)
     places = {round(place) for place in np.linspace(0, len(trajectories) - 1, count).tolist()}
     repeating = [
         (k, first)
         for k in sorted(places)
-        if (first := _first_repeated(trajectories[k], accuracy)) is not None
+        if (first := _first_repeated(trajectories[k], accuracy, clock.marks_per_period)) is not None
     ]
     if not repeating:
         return False
@@ -71,7 +71,7 @@ def _growth(
     Of each of m trajectories, each of n states is changed on its own; all are one stack.
     """
     last = np.array([each[-1].time for each in marks])
-    periods = last - np.array([each[-1 - PERIOD].time for each in marks])
+    periods = last - np.array([each[-1 - clock.marks_per_period].time for each in marks])
     states = np.stack([each[-1].before for each in marks])  # (m, n)
     sizes = np.maximum(np.abs(states), np.finfo(float).tiny)
     m, n = states.shape
@@ -112,21 +112,21 @@ def begin_in_step(
     count: int,
     begun: Sequence[EventTrajectory] = (),
 ) -> list[EventTrajectory]:
-    """Trajectories at points (m, d), from some crossings of their marker to further ones.
+    """Trajectories at points (m, d), from some crossings of their markers to further ones.
 
     So they stay in phase, and a stack takes few common steps. They go on to the end of the horizon,
     or until they repeat if the ``clock`` is periodic: then they go on to the end as they did, and
     to a ``count`` of crossings. They may have ``begun``.
     """
     (start, end), events = clock.horizon, clock.system.events
-    far, some, stage = end + FAR * clock.length, [*begun], _FIRST
-    first_ends = None
+    far, period, some, first_ends = end + FAR * clock.length, clock.marks_per_period, [*begun], None
+    stage = _AGREEING + period + 1  # after a first one on the way there
     if not some:
         last = clock.last_marks(points) if clock.last_marks else np.full(len(points), end)
-        first_ends = start + min((_FIRST + 0.5) / max(count, 1), 1.0) * (last - start)
+        first_ends = start + min((stage + 0.5) / max(count, 1), 1.0) * (last - start)
 
     def settled(trajectory: EventTrajectory) -> bool:
-        return clock.periodic and repeats(trajectory, tolerances.relative)
+        return clock.periodic and repeats(trajectory, tolerances.relative, period)
 
     def has_passed(trajectory: EventTrajectory) -> bool:
         return len(trajectory.occurrences) >= count and trajectory.end >= end
@@ -150,56 +150,68 @@ def begin_in_step(
         )
         if all(has_passed(each) or settled(each) or each.end >= far or each.ends for each in some):
             break
-        stage, first_ends = PERIOD * math.ceil(_MORE * stage / PERIOD), None
-    return [repeated(each, count, end) if settled(each) else each for each in some]
+        stage, first_ends = period * math.ceil(_MORE * stage / period), None
+    return [repeated(each, period, count, end) if settled(each) else each for each in some]
 
 
-def repeats(trajectory: EventTrajectory, accuracy: float) -> bool:
+def repeats(trajectory: EventTrajectory, accuracy: float, period: int) -> bool:
     """Whether the last crossings agree, to a relative accuracy, with those one period before.
 
-    Each state is compared with its own swing over the last period, however small it is.
+    A ``period`` has so many crossings. Each state is compared with its own swing over the last one,
+    however small it is.
     """
-    if trajectory.period:
-        return True
-    marks = trajectory.occurrences[-_AGREEING - PERIOD :]
-    return _agree(joined(trajectory.paths), marks, accuracy)
+    marks = trajectory.occurrences[-_AGREEING - period :]
+    return trajectory.period > 0.0 or _agree(trajectory, marks, accuracy, period)
 
 
-def _first_repeated(trajectory: EventTrajectory, accuracy: float) -> int | None:
+def _first_repeated(trajectory: EventTrajectory, accuracy: float, period: int) -> int | None:
     """The place of the first crossing at which a trajectory repeats."""
-    path, marks = joined(trajectory.paths), trajectory.occurrences
-    last = range(_AGREEING + PERIOD - 1, len(marks))
-    alike = (k for k in last if _agree(path, marks[k + 1 - _AGREEING - PERIOD : k + 1], accuracy))
+    marks, count = trajectory.occurrences, _AGREEING + period
+    last = range(count - 1, len(marks))
+    alike = (k for k in last if _agree(trajectory, marks[k + 1 - count : k + 1], accuracy, period))
     return next(alike, None)
 
 
-def _agree(path: Path, marks: Sequence[Occurrence], accuracy: float) -> bool:
+def _agree(
+    trajectory: EventTrajectory, marks: Sequence[Occurrence], accuracy: float, period: int
+) -> bool:
     """Whether crossings in a row agree, those of two periods."""
-    if len(marks) < _AGREEING + PERIOD:
+    if len(marks) < _AGREEING + period:
+        return False
+    if any(a.event != b.event for a, b in zip(marks, marks[period:], strict=False)):
         return False
     times = np.array([each.time for each in marks])
-    periods = times[PERIOD:] - times[:-PERIOD]
+    periods = times[period:] - times[:-period]
     if np.ptp(periods) > accuracy * periods[-1]:
         return False
     states = np.array([each.before for each in marks])
-    changes = np.abs(states[PERIOD:] - states[:-PERIOD]).max(axis=0)
-    first, last = np.searchsorted(path.breaks, times[[-1 - PERIOD, -1]], side="right") - 1
-    nodal = path.nodal[first : last + 1]
-    swings = np.ptp(nodal, axis=(0, 1))
-    return bool((changes <= accuracy * swings + _ROUNDING * np.abs(nodal).max(axis=(0, 1))).all())
+    changes = np.abs(states[period:] - states[:-period]).max(axis=0)
+    nodal = _over(trajectory.paths, *times[[-1 - period, -1]].tolist())
+    swings = np.ptp(nodal, axis=0)
+    return bool((changes <= accuracy * swings + _ROUNDING * np.abs(nodal).max(axis=0)).all())
 
 
-def repeated(trajectory: EventTrajectory, count: int, end: float) -> EventTrajectory:
-    """One that repeats, from its last crossing on as over its last period.
+def _over(paths: Sequence[Path], start: float, end: float) -> Array:
+    """States (N, n) at the nodes of the steps from one time to another."""
+    parts = list[Array]()
+    for path in paths:
+        if path.steps and path.breaks[0] <= end and start < path.end:
+            first, last = np.searchsorted(path.breaks, [start, end], side="right") - 1
+            parts.append(path.nodal[max(first, 0) : last + 1].reshape(-1, path.state.size))
+    return np.concatenate(parts)
+
+
+def repeated(trajectory: EventTrajectory, marks: int, count: int, end: float) -> EventTrajectory:
+    """One that repeats, from its last crossing on as over its last period, of so many ``marks``.
 
     It goes on to an end, and to a ``count`` of crossings.
     """
-    marks = trajectory.occurrences
-    last, period = marks[-1].time, marks[-1].time - marks[-1 - PERIOD].time
+    passed = trajectory.occurrences
+    last, period = passed[-1].time, passed[-1].time - passed[-1 - marks].time
     begun = trajectory.paths[-1] if trajectory.period else joined(trajectory.paths).until(last)
-    missing = math.ceil((count - len(marks)) / PERIOD)
+    missing = math.ceil((count - len(passed)) / marks)
     rounds = range(1, max(missing, math.ceil((end - last) / period)) + 1)
     further = [
-        replace(each, time=each.time + k * period) for k in rounds for each in marks[-PERIOD:]
+        replace(each, time=each.time + k * period) for k in rounds for each in passed[-marks:]
     ]
-    return replace(trajectory, paths=[begun], occurrences=[*marks, *further], period=period)
+    return replace(trajectory, paths=[begun], occurrences=[*passed, *further], period=period)

@@ -15,7 +15,7 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
-from rankone.trajectories.events.event_trajectory import PERIOD, EventTrajectory, folded
+from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
@@ -107,8 +107,9 @@ class StretchTrajectories(PseudoTimeTrajectories):
         if not periods.all():
             return np.arange(times.size), np.arange(times.size)
         settled = int((self.borders[:, 1:] <= ends).sum(axis=1).max())
-        rounds = np.maximum((stretch - settled) // PERIOD + 1, 0)
-        before = np.round(times - rounds * PERIOD, _DIGITS)
+        period = self.clock.marks_per_period
+        rounds = np.maximum((stretch - settled) // period + 1, 0)
+        before = np.round(times - rounds * period, _DIGITS)
         _, read, place = np.unique(before, return_index=True, return_inverse=True)
         return read, place
 

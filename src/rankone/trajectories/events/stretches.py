@@ -101,7 +101,7 @@ def marker_event(marker: Marker, name: str) -> SystemEvent:
     def when(_t: Array, u: Array, _p: Array) -> Array:
         return np.asarray(u[marker.state] - marker.level)
 
-    return SystemEvent(when, name=name)
+    return SystemEvent(when, name=name, marker=marker)
 
 
 def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
