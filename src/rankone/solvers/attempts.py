@@ -60,9 +60,9 @@ PAYING_FACTOR = 1.5
 """Factor by which a recent attempt must have lowered the error to go on in any case."""
 RECENT_ATTEMPTS = 3
 """Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
-LEAST_COST_RATIO = 0.7
-"""Work of an attempt over that of the one before it, at least: each is finer. What a first
-calibration and further points of the reference cost may be less."""
+LEAST_COST_RATIO = 0.9
+"""Work of an attempt over that of the one before it, at least: each is finer, and may only spare
+what calibrations took."""
 # Endings after which a narrower box may help
 _NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
 _MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it

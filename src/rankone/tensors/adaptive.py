@@ -36,7 +36,9 @@ LEFT_POINT_BATCHES = 8, 4  # Left points with which it begins and goes on
 ROW_SPACE_SHARE = 0.025
 # Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
-ROUNDING_SHARE = 0.03  # Error of rounding the train, relative to the level
+ROUNDING_SHARE = (
+    0.005  # Error of rounding the train, relative to the level: at corners it is amplified
+)
 # Distance of the second line of a parameter from the centre, in widths of the other intervals:
 # functions with a symmetry about the centre look different there
 SECOND_LINE_OFFSET = 0.35
@@ -305,15 +307,25 @@ class AdaptiveInterpolation:
         assert self.bases is not None
         return sum(b.elements for b in self._finer()) > sum(b.elements for b in self.bases)
 
-    def refine(self, error: float, tighten: bool = False) -> None:
-        """Take more left points and nodes; tighten the tolerances where nodes settle, or anyway."""
+    def refine(
+        self,
+        error: float,
+        tighten: bool = False,
+        least: Sequence[int] = (),
+        explained: bool = False,
+    ) -> None:
+        """Take more left points and nodes; tighten the tolerances where nodes settle, or anyway.
+
+        ``least`` are the fewest nodes of each parameter, if something is known of them, and
+        ``explained`` says that too few nodes are the reason of the error.
+        """
         assert self.bases is not None
-        finer, growth = self._finer(), self.tightening.settled_growth
+        finer, growth = self._finer(least), self.tightening.settled_growth
         pairs = zip(finer, self.bases, strict=True)
         settled = all(basis.size <= growth * before.size for basis, before in pairs)
-        if tighten or settled or not self._explains(error):
+        if not explained and (tighten or settled or not self._explains(error)):
             self.share *= self.tightening.factor(self.target, error)
-            finer = self._finer()
+            finer = self._finer(least)
         self._left_count = -(-3 * self._left_count // 2)
         self.bases = finer
 
@@ -334,26 +346,27 @@ class AdaptiveInterpolation:
         self.bases, self._undivided, self._divides = self._undivided, None, False
         return True
 
-    def _finer(self) -> tuple[Basis1D, ...]:
+    def _finer(self, least: Sequence[int] = ()) -> tuple[Basis1D, ...]:
         """Bases with more nodes where the highest modes of the last attempt are not small."""
         assert self.bases is not None
         tolerance, most = HIGHEST_MODES_SHARE * self.share * self.target, self.limits.max_nodes
         finer = []
-        for basis, spectrum in zip(self.bases, self.spectra, strict=True):
+        fewest = least or [basis.size for basis in self.bases]
+        for basis, spectrum, degree in zip(self.bases, self.spectra, fewest, strict=True):
             if basis.elements > 1:
                 finer.append(_halved(basis, spectrum, tolerance, most))
-            elif basis.tail(spectrum) <= tolerance:
-                finer.append(basis)
-            else:
-                degree = max(needed(spectrum, tolerance), basis.size + 2)
-                finer.append(replace(basis, degree=max(basis.size, min(degree, most))))
+                continue
+            if basis.tail(spectrum) > tolerance:
+                degree = max(degree, needed(spectrum, tolerance), basis.size + 2)
+            finer.append(replace(basis, degree=max(basis.size, min(degree, most))))
         return tuple(finer)
 
 
 class LinePoints:
     """Points of lines for each parameter: through the centre of the box, and past it.
 
-    With several parameters also through some of the ``steep`` points (m, d), if there are any.
+    With several parameters also through some of the ``steep`` points (m, d), if there are any. Or
+    through other points (m, d) alone.
     """
 
     def __init__(
@@ -361,7 +374,11 @@ class LinePoints:
         box: Sequence[tuple[float, float]],
         scales: Sequence[Scale],
         steep: Array | None = None,
+        through: Array | None = None,
     ) -> None:
+        if through is not None:
+            self.through = list(through)
+            return
         scaled = [scale.to_scale(np.array(ends)) for scale, ends in zip(scales, box, strict=True)]
         lower, upper = np.array(scaled, dtype=float).reshape(-1, 2).T
         centre = 0.5 * (lower + upper)

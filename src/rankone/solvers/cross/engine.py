@@ -24,6 +24,7 @@ from rankone.solvers.cross.trajectories import (
     TrajectoryEnds,
     sampling_choice,
 )
+from rankone.solvers.cross.worst_lines import WorstLines, worst_lines
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
@@ -106,6 +107,7 @@ class CrossMarcher:
         marked = clock is not None and bool(clock.markers)
         self.adaptive = _interpolation(request, constants.FIRST_MARKED_LEVEL if marked else 1.0)
         self.breaks: set[float] = set()
+        self.worst: list[tuple[float, ...]] = []
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
         self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
@@ -249,8 +251,28 @@ class CrossMarcher:
         if not patient:
             return False
         close = attempt.error < constants.FAR_ERROR_RATIO * self.rtol
-        adaptive.refine(attempt.error, tighten=close or (progress.stalls > 0 and not grows))
+        tighten = close or (progress.stalls > 0 and not grows)
+        lines = self._worst_lines(attempt)
+        explained = lines is not None and lines.explain(attempt.error)
+        least = () if lines is None else lines.nodes
+        adaptive.refine(attempt.error, tighten, least, explained)
         return True
+
+    def _worst_lines(self, attempt: Attempt) -> WorstLines | None:
+        """What lines through the latest worst points tell; None with a single parameter."""
+        bases, domain = self.adaptive.bases, self.reference_set.domain
+        if self.trajectories is None or not bases or len(bases) < 2 or attempt.measured is None:
+            return None
+        if attempt.measured.worst:
+            latest = [attempt.measured.worst, *self.worst]
+            self.worst = list(dict.fromkeys(latest))[: constants.WORST_POINTS]
+        if not self.worst:
+            return None
+        try:
+            trajectories, points = self.trajectories.uncounted, np.array(self.worst)
+            return worst_lines(trajectories, domain, bases, points, self.rtol)
+        except (OutOfBudgetError, TrajectoryEnds):
+            return None
 
     def _patient(self, attempt: Attempt, stalls: int, grows: bool) -> bool:
         """Whether another attempt may be worth its cost; ``grows``: it has more elements."""

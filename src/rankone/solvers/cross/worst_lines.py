@@ -1,0 +1,74 @@
+"""How many nodes the worst points of an attempt need, read off trajectories on lines through them.
+
+The modes of a train are means over the box and over time. Where a front is met in one corner
+alone, or at the end of the horizon, the errors there are a hundred times the tails of these means,
+and nodes that follow the means come too late. On a line through such a point the largest mode of a
+state at any time tells the error at that point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.discretization import Basis1D
+from rankone.ir.request import Domain
+from rankone.support.arrays import Array
+from rankone.tensors.adaptive import LinePoints, needed
+
+_LINE_RATIO = 1.5  # Nodes of a line over those of the attempt: they show what it missed
+_TAIL_SHARE = 0.3  # Sum of the modes left out on a line, over rtol, that nodes aim at
+# Sum of the modes that an attempt left out, over its error, that explains the error
+_EXPLAINING_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class WorstLines:
+    """What lines through the worst points tell of the bases of an attempt.
+
+    ``nodes`` are those that each parameter needs, and ``missed`` is the largest sum of modes that
+    an attempt left out, in units of the sizes of states.
+    """
+
+    nodes: tuple[int, ...]
+    missed: float
+
+    def explain(self, error: float) -> bool:
+        """Whether too few nodes are the reason of an error."""
+        return self.missed > _EXPLAINING_SHARE * error
+
+
+def worst_lines(
+    trajectories: Callable[[Array], Array],
+    domain: Domain,
+    bases: Sequence[Basis1D],
+    points: Array,
+    rtol: float,
+) -> WorstLines:
+    """Draw lines of each parameter through points (m, d) of the box.
+
+    The trajectories at points (k, d) are in units of the sizes of states: (n, T, k). Parameters
+    with several elements keep their bases: these are halved where they do not suffice.
+    """
+    finer = {
+        j: replace(basis, degree=math.ceil(_LINE_RATIO * basis.size))
+        for j, basis in enumerate(bases)
+        if basis.elements == 1
+    }
+    nodes, missed = [basis.size for basis in bases], 0.0
+    if not finer:
+        return WorstLines(tuple(nodes), missed)
+    lines = LinePoints(domain.box, domain.first_coordinates, through=points)
+    states = trajectories(lines([(j, basis.nodes) for j, basis in finer.items()]))
+    ends = np.cumsum([len(points) * basis.size for basis in finer.values()])[:-1]
+    for (j, basis), on_lines in zip(finer.items(), np.split(states, ends, axis=2), strict=True):
+        modes = (on_lines.reshape(-1, basis.size) * np.sqrt(basis.weights)) @ basis.to_modal.T
+        tails = np.cumsum(np.abs(modes).max(axis=0)[::-1])[::-1]
+        small = np.flatnonzero(tails <= _TAIL_SHARE * rtol)
+        resolved = small.size > 1
+        nodes[j] = int(small[0]) if resolved else needed(tails, _TAIL_SHARE * rtol)
+        missed = max(missed, float(tails[bases[j].size]))
+    return WorstLines(tuple(nodes), missed)
