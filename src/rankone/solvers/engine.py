@@ -166,10 +166,10 @@ class Engine:
 
             def marcher() -> Marcher:
                 nonlocal start
-                start = start_of(system, request, markers, first)
-                there = open_workers(start.reference_set.system, options.executor)
-                workers = stack.enter_context(there)
-                return self.marcher(start.request, start.reference_set, workers)
+                workers = stack.enter_context(open_workers(system, options.executor))
+                start = start_of(workers, request, markers, first)
+                there = workers.of(start.reference_set.system)
+                return self.marcher(start.request, start.reference_set, there)
 
             outcome = solve_in_attempts(marcher, options, system, request, report)
         if start is None or start.clock is None:

@@ -28,6 +28,7 @@ from rankone.trajectories.events.stretches import timed_events
 from rankone.trajectories.integrator import SeparateTrajectories, Spans, Tolerances
 from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.stacks.newton import sparse_pattern
+from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
 # Operations of a reference over clock time after which pilots tell whether markers pay, since
@@ -51,28 +52,30 @@ class SolveStart:
 
 
 def start_of(
-    system: System, request: SolveRequest, markers: bool, first_points: Array | None = None
+    workers: Workers, request: SolveRequest, markers: bool, first_points: Array | None = None
 ) -> SolveStart:
     """The reference, over stretches between markers if these are allowed and pay.
 
-    Over clock time it has trajectories at the ``first_points`` (m, d) of an engine as well.
+    Over clock time it has trajectories at the ``first_points`` (m, d) of an engine as well, and the
+    ``workers`` of a system take part.
 
     Raises
     ------
     OrderError
         If trajectories do not meet the markers in the same order.
     """
+    system = workers.system
     large = sparse_pattern(system) is not None  # over stretches the Jacobian is dense
     if not markers or request.check.points == 0 or large or _interrupted(system):
-        return SolveStart(request, ReferenceSet.of(system, request, first_points))
+        return SolveStart(request, ReferenceSet.of(system, request, first_points, workers))
     try:
         with limited(_FIRST_LOOK):
-            reference_set = ReferenceSet.of(system, request, first_points)
+            reference_set = ReferenceSet.of(system, request, first_points, workers)
     except OutOfWorkError:
         if work_left() <= 0.0:
             raise
         start = _by_pilots(system, request)
-        return start or SolveStart(request, ReferenceSet.of(system, request, first_points))
+        return start or SolveStart(request, ReferenceSet.of(system, request, first_points, workers))
     return _by_reference(reference_set, request) or SolveStart(request, reference_set)
 
 

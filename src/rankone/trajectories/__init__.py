@@ -22,5 +22,6 @@ Read in this order:
 ``sensitivities``    derivatives of trajectories with respect to parameters
 ``diagnosis``        why trajectories end, and which states are numerically zero
 ``workers``          chunks of trajectories on several processes
+``groups``           reference trajectories in groups, which workers may take
 ===================  ============================================================================
 """

@@ -14,6 +14,7 @@ from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.support.errors import warn
 from rankone.trajectories.compiled import CompiledIntegrator, sampling_cost
 from rankone.trajectories.events.stretch_integrator import StretchIntegrator
+from rankone.trajectories.groups import GroupedStacks, SinglesOnWorkers
 from rankone.trajectories.integrator import (
     DenseTrajectories,
     Integrator,
@@ -30,6 +31,7 @@ from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.stacks.taylor import steps_ratio
+from rankone.trajectories.workers import Workers
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
@@ -51,20 +53,24 @@ def span_integrator_for(
     stiff: bool = False,
     bearable_steps: int = 0,
     looks_anywhere: bool = False,
+    workers: Workers | None = None,
 ) -> SpanIntegrator:
     """The integrator for a system, the one place that chooses it.
 
     ``integrator`` is the option of a solve, and ``accuracy`` the relative tolerance of its
     reference. The others are those of :class:`StackedIntegrator`; stacks look anywhere only in
-    systems that do not separate.
+    systems that do not separate. ``workers`` take part in what does not depend on them; without
+    them the integrator can be sent to one.
     """
-    single = SingleIntegrator(looks_anywhere)
+    single: SingleIntegrator | SinglesOnWorkers = SingleIntegrator(looks_anywhere)
+    if workers is not None:
+        single = SinglesOnWorkers(SingleIntegrator(looks_anywhere), workers)
     if integrator == "single":
         return single
     stack = StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
-    if integrator == "stack":
-        return stack
     if sparse_pattern(system) is not None and system.n_differential > _MOST_SINGLE_STATES:
+        return stack if workers is None else GroupedStacks(stack, workers)
+    if integrator == "stack":
         return stack
     watched = WatchedStack(stack, single)
     if integrator == "compiled" and not stiff and has_series(system):
@@ -81,6 +87,7 @@ def integrator_for(
     stiff: bool = False,
     bearable_steps: int = 0,
     looks_anywhere: bool = False,
+    workers: Workers | None = None,
 ) -> Integrator:
     """The integrator for a system, also for one in stretches; see :func:`span_integrator_for`."""
     clock = system.clock
@@ -93,6 +100,7 @@ def integrator_for(
         stiff=stiff,
         bearable_steps=bearable_steps,
         looks_anywhere=looks_anywhere,
+        workers=workers,
     )
     return chosen if clock is None else StretchIntegrator(chosen, integrator)
 
@@ -177,7 +185,7 @@ class WatchedStack:
     """
 
     stack: StackedIntegrator
-    single: SingleIntegrator
+    single: SingleIntegrator | SinglesOnWorkers
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +40,21 @@ class Workers:
         if executor is None:
             return
         self.pool = Pool(executor)
-        specification = system.specification
+        self._pack(executor)
+
+    def of(self, system: System) -> Workers:
+        """The same workers for another system."""
+        if system is self.system:
+            return self
+        other = copy.copy(self)
+        other.system = system
+        if self.pool is not None:
+            other._pack(self.pool.wanted)
+        return other
+
+    def _pack(self, executor: ExecutorLike) -> None:
+        """Pack what workers load the system from."""
+        specification = self.system.specification
         if specification is None:
             raise OptionError(
                 "executor= needs a system compiled by rankone: workers cannot load this one",

@@ -21,6 +21,7 @@ from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import following
+from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
 from rankone.verification.points import (
@@ -65,7 +66,8 @@ class ReferenceSet:
     ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
     are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
     states whose error counts, None for all. ``integrator`` and ``rtol`` are those of the solve.
-    Where something is ``observed``, sizes and errors are those of its quantities.
+    Where something is ``observed``, sizes and errors are those of its quantities. ``workers`` take
+    part in the integration.
     """
 
     system: System
@@ -82,9 +84,16 @@ class ReferenceSet:
     rtol: float = 0.0
     on_lines: int = 0
     observed: Observation | None = None
+    workers: Workers | None = None
 
     @classmethod
-    def of(cls, system: System, request: SolveRequest, lines: Array | None = None) -> ReferenceSet:
+    def of(
+        cls,
+        system: System,
+        request: SolveRequest,
+        lines: Array | None = None,
+        workers: Workers | None = None,
+    ) -> ReferenceSet:
         """Integrate the reference for a solve, and with it trajectories on ``lines`` (m, d)."""
         domain, check = request.domain, request.check
         in_time, *parameter_cuts = system_cuts(system, domain)
@@ -100,7 +109,9 @@ class ReferenceSet:
             system,
             domain,
             accuracy,
-            integrate_reference(system, points, domain.horizon, accuracy, cuts, request.integrator),
+            integrate_reference(
+                system, points, domain.horizon, accuracy, cuts, request.integrator, workers
+            ),
             corners,
             covers_corners(request),
             bool(check.points),
@@ -111,6 +122,7 @@ class ReferenceSet:
             request.rtol,
             on_lines,
             request.observed,
+            workers,
         )
         reference_set._check_sizes()
         return reference_set if request.observed is None else reference_set._resolving()
@@ -139,14 +151,13 @@ class ReferenceSet:
                 remedy="loosen rtol, or make it an unknown with an equation of its own",
             )
         points, edges = self.reference.points, (self.domain.horizon, accuracy, self.cuts)
-        finer = integrate_reference(self.system, points, *edges, self.taken)
+        finer = integrate_reference(self.system, points, *edges, self.taken, self.workers)
         return replace(self, accuracy=accuracy, reference=finer)
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
-        further = integrate_reference(
-            self.system, points, self.domain.horizon, self.accuracy, self.cuts, self.taken
-        )
+        edges = self.domain.horizon, self.accuracy, self.cuts
+        further = integrate_reference(self.system, points, *edges, self.taken, self.workers)
         return replace(self, reference=self.reference.joined(further), checked=True)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.stacks.integrator import has_smooth_rates
+from rankone.trajectories.workers import Workers
 from rankone.verification.points import check_points
 from rankone.verification.resolution import NEGLIGIBLE, Resolution, times_held
 
@@ -161,10 +163,12 @@ def integrate_reference(
     rtol: float,
     cuts: Sequence[float] = (),
     integrator: str = "auto",
+    workers: Workers | None = None,
 ) -> Reference:
     """Integrate the system over a horizon at all points (m, d), by the option ``integrator``.
 
-    The integration begins anew at the cuts: ascending times at which the time factors jump, kink or
+    ``workers`` take part where trajectories are integrated one by one or have many states. The
+    integration begins anew at the cuts: ascending times at which the time factors jump, kink or
     are narrow. It is a ConvergenceError if not a single step can be made; an OutOfBudgetError says
     how far the integration came.
     """
@@ -174,7 +178,14 @@ def integrate_reference(
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
-    chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
+    choose = partial(
+        integrator_for,
+        system,
+        accuracy=rtol,
+        looks_anywhere=True,
+        workers=workers or Workers(system),
+    )
+    chosen = choose(integrator)
     resolution = Resolution(system, points, start, end, rtol, initial)
 
     def integrated(points: Array, absolute: Array) -> DenseTrajectories:
@@ -200,7 +211,7 @@ def integrate_reference(
         if not resolution.refined(dense) and not resolution.lowered(dense, integrated, work):
             break
         integrator = following(integrator, dense.integrator, len(points))
-        chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
+        chosen = choose(integrator)
     return _reference(resolution, dense)
 
 

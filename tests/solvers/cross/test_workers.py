@@ -78,6 +78,21 @@ def test_threads_give_the_same_bits_and_are_left_running(compiled, alone):
         assert executor.submit(int, 3).result() == 3
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("states", [3, 210])
+def test_processes_integrate_the_reference(states):
+    """One by one, or in groups of many states."""
+    rates = {f"x{i}": f"k*(x{(i - 1) % states} - x{i}) - m*x{i}" for i in range(states)}
+    starts = {name: f"{1 + i % 3}" for i, name in enumerate(rates)}
+    box = {"k": (1, 2), "m": (0.5, 1.5)}
+    compiled = ro.compile(ro.Problem.from_strings(rates, starts, box, (0, 1)))
+    options = {"method": "cross", "integrator": "single" if states == 3 else "auto"}
+    assert bits(compiled.solve(1e-4, **options, executor=2)) == bits(
+        compiled.solve(1e-4, **options)
+    )
+    assert processes_have_ended()
+
+
 def test_functions_of_the_user_give_the_same_bits():
     compiled = ro.compile(problem())
     assert bits(compiled.solve(1e-6, executor=1)) == bits(compiled.solve(1e-6, method="cross"))
@@ -162,17 +177,19 @@ def test_a_function_that_cannot_be_pickled():
     ],
 )
 def test_a_function_that_fails_in_a_worker(value, message):
-    with pytest.raises(ro.RankoneError, match=message):
-        ro.solve(problem(value), rtol=1e-6, executor=1)
+    for integrator in ("auto", "single"):
+        with pytest.raises(ro.RankoneError, match=message):
+            ro.solve(problem(value), rtol=1e-6, executor=1, integrator=integrator)
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_once(tmp_path, monkeypatch):
+@pytest.mark.parametrize("integrator", ["auto", "single"])  # of samples, and of the reference
+def test_a_worker_that_dies_once(tmp_path, monkeypatch, integrator):
     flag = tmp_path / "flag"
     flag.touch()
     monkeypatch.setenv(FLAG, str(flag))
-    expected = ro.solve(problem(), rtol=1e-6, method="cross")
-    solution = ro.solve(problem(dying_once), rtol=1e-6, executor=2)
+    expected = ro.solve(problem(), rtol=1e-6, method="cross", integrator=integrator)
+    solution = ro.solve(problem(dying_once), rtol=1e-6, executor=2, integrator=integrator)
     assert not flag.exists()
     assert bits(solution) == bits(expected)
 

@@ -1,0 +1,236 @@
+"""Reference trajectories in groups, which workers integrate side by side.
+
+Trajectories that are integrated one by one do not depend on each other. A stack of many states is
+divided into groups that fit the cache, whoever integrates them, which costs less than a stack of
+all. So the bits do not depend on workers.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import hold
+from rankone.trajectories.dense_paths import SingleTrajectories
+from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
+from rankone.trajectories.paths import Path
+from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator, StackedTrajectories
+from rankone.trajectories.stacks.steppers import Piece
+from rankone.trajectories.workers import Workers
+
+_SINGLES = 8  # Trajectories of one task where each is integrated alone
+_STACK_STATES = 15_000  # States of a group that fits the cache
+_LEAST_STACK = 32  # Fewest trajectories of a group: calls of NumPy dominate below
+
+
+@dataclass(frozen=True)
+class SinglesOnWorkers:
+    """A :class:`SingleIntegrator` whose trajectories of :meth:`run` are integrated by workers."""
+
+    single: SingleIntegrator
+    workers: Workers
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> SingleTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        work = self.single, edges, tolerances
+        if system is not self.workers.system or self.workers.pool is None:
+            return self.single.run(system, points, *work[1:])
+        tasks = [(group, *work) for group in _divided(points, _SINGLES)]
+        some = self.workers.map(_singles, tasks)
+        if any(each.end < edges[-1] for each in some):  # the others end there as well
+            return self.single.run(system, points, *work[1:])
+        paths = tuple(itertools.chain.from_iterable(each.paths for each in some))
+        if len(tasks) > 1:
+            _hold(paths)
+        return SingleTrajectories(
+            paths, some[0].end, np.concatenate([each.state for each in some], 1)
+        )
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        return self.single.sample(system, points, edges, tolerances, times)
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> list[Path]:
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
+        return self.single.paths(system, points, spans, tolerances)
+
+
+@dataclass(frozen=True)
+class GroupedStacks:
+    """A :class:`StackedIntegrator` that takes trajectories of many states in groups."""
+
+    stack: StackedIntegrator
+    workers: Workers
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> StackedTrajectories | GroupedTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        size = max(_STACK_STATES // system.n_differential, _LEAST_STACK)
+        tasks = [(group, self.stack, edges, tolerances) for group in _divided(points, size)]
+        if len(tasks) == 1:
+            return self.stack.run(system, points, edges, tolerances)
+        if system is not self.workers.system:
+            return GroupedTrajectories(tuple(_stacked(system, *task) for task in tasks))
+        groups = self.workers.map(_stacked, tasks)
+        if self.workers.pool is not None:
+            _hold([piece for group in groups for piece in group.pieces])
+        return GroupedTrajectories(tuple(groups))
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        return self.stack.sample(system, points, edges, tolerances, times)
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
+        return self.stack.paths(system, points, spans, tolerances)
+
+
+@dataclass(frozen=True)
+class GroupedTrajectories:
+    """Dense trajectories of groups, each with common steps, up to where the first one ends.
+
+    Fulfils :class:`DenseTrajectories`.
+    """
+
+    groups: tuple[StackedTrajectories, ...]
+
+    @property
+    def start(self) -> float:
+        return self.groups[0].start
+
+    @cached_property
+    def end(self) -> float:
+        return min(group.end for group in self.groups)
+
+    @property
+    def steps(self) -> int:
+        return max(group.steps for group in self.groups)
+
+    @property
+    def has_begun(self) -> bool:
+        return all(group.has_begun for group in self.groups)
+
+    @cached_property
+    def state(self) -> Array:
+        end = np.array([self.end])
+        states = [
+            group.state if group.end == self.end or not self.has_begun else group(end)[:, :, 0]
+            for group in self.groups
+        ]
+        return np.concatenate(states, axis=1)
+
+    @cached_property
+    def last(self) -> Array:
+        if not self.has_begun:
+            return self.state
+        before = np.array([np.nextafter(self.end, self.start)])
+        states = [
+            group.last if group.end == self.end else group(before)[:, :, 0] for group in self.groups
+        ]
+        return np.concatenate(states, axis=1)
+
+    @property
+    def largest(self) -> Array:
+        return np.concatenate([group.largest for group in self.groups], axis=1)
+
+    @property
+    def early(self) -> Array:
+        return np.concatenate([group.early for group in self.groups], axis=1)
+
+    @property
+    def avoided(self) -> float:
+        return max(group.avoided for group in self.groups)
+
+    @property
+    def integrator(self) -> str:
+        return self.groups[0].integrator
+
+    @property
+    def method(self) -> str:
+        """That of a group for which explicit steps were given up, if there is one."""
+        stiff = (group.method for group in self.groups if group.avoided)
+        return next(stiff, self.groups[0].method)
+
+    def __call__(self, times: Array) -> Array:
+        """States at times (T,), after a jump at its time: shape (n, m, T)."""
+        return np.concatenate([group(times) for group in self.groups], axis=1)
+
+    def of(self, trajectories: slice) -> GroupedTrajectories:
+        """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
+        counts = [group.state.shape[1] for group in self.groups]
+        first, end, _ = trajectories.indices(sum(counts))
+        parts = list[StackedTrajectories]()
+        for group, count in zip(self.groups, counts, strict=True):
+            a, b = max(first, 0), min(end, count)
+            if a < b:
+                parts.append(group if b - a == count else group.of(slice(a, b)))
+            first, end = first - count, end - count
+        return replace(self, groups=tuple(parts))
+
+    def samples(self, count: int) -> Iterator[tuple[float, Array]]:
+        """Ends of steps of the first group, with all states there."""
+        for time, states in self.groups[0].samples(count):
+            if time <= self.end:
+                others = [group(np.array([time]))[:, :, 0] for group in self.groups[1:]]
+                yield time, np.concatenate([states, *others], axis=1)
+
+
+def _divided(points: Array, size: int) -> list[Array]:
+    """Points (m, d) in groups of this size at most."""
+    return np.array_split(points, max(-(-len(points) // size), 1))
+
+
+def _hold(pieces: Sequence[Path | Piece]) -> None:
+    """Count what workers sent as held."""
+    left = sum(piece.nbytes for piece in pieces)
+    for piece in pieces:
+        left -= piece.nbytes
+        hold(piece, piece.nbytes, left)
+
+
+def _singles(
+    system: System,
+    points: Array,
+    single: SingleIntegrator,
+    edges: Sequence[float],
+    tolerances: Tolerances,
+) -> SingleTrajectories:
+    return single.run(system, points, edges, tolerances)
+
+
+def _stacked(
+    system: System,
+    points: Array,
+    stack: StackedIntegrator,
+    edges: Sequence[float],
+    tolerances: Tolerances,
+) -> StackedTrajectories:
+    return stack.run(system, points, edges, tolerances)

@@ -1,0 +1,179 @@
+"""Reference trajectories in groups: as accurate as in one stack, and the same with any workers."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.support.budget import OutOfMemoryError, limited
+from rankone.trajectories import groups
+from rankone.trajectories.groups import GroupedStacks, GroupedTrajectories, SinglesOnWorkers
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.workers import Workers, open_workers
+from rankone.verification.reference import integrate_reference
+
+MANY = 210  # States from which a stack is divided into groups
+POINTS = np.linspace([1.0, 0.5], [2.0, 1.5], 70)
+TOLERANCES = Tolerances(1e-9, np.array([[1e-12]]))
+
+
+def ring(rate="k*(x{0} - x{1}) - m*x{1}", states=MANY):
+    """Compartments in a ring that lose what they hold."""
+    rates = {f"x{i}": rate.format((i - 1) % states, i) for i in range(states)}
+    starts = {name: f"{1 + i % 3}" for i, name in enumerate(rates)}
+    box = {"k": (1, 2), "m": (0.5, 1.5)}
+    box = {name: ends for name, ends in box.items() if name in rate}
+    return ro.Problem.from_strings(rates, starts, box, (0, 1))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_groups():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(groups, "_STACK_STATES", 5000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def system():
+    return ro.compile(ring()).system
+
+
+@pytest.fixture(scope="module")
+def dense(system):
+    grouped = GroupedStacks(StackedIntegrator(), Workers(system))
+    return grouped.run(system, POINTS, (0.0, 1.0), TOLERANCES)
+
+
+def test_groups_are_as_accurate_as_one_stack(system, dense):
+    stack = StackedIntegrator().run(system, POINTS, (0.0, 1.0), TOLERANCES)
+    assert isinstance(dense, GroupedTrajectories)
+    assert len(dense.groups) > 1
+    assert (dense.start, dense.end) == (stack.start, stack.end)
+    times = np.array([0.9, 0.0, 0.33, 1.0])
+    np.testing.assert_allclose(dense(times), stack(times), rtol=1e-7)
+    for name in ("state", "last"):
+        np.testing.assert_allclose(getattr(dense, name), getattr(stack, name), rtol=1e-7)
+    assert (dense.largest >= np.maximum(dense.early, np.abs(dense.state))).all()
+    for time, states in dense.samples(5):
+        np.testing.assert_allclose(states, stack(np.array([time]))[:, :, 0], rtol=1e-7)
+
+
+@pytest.mark.parametrize("some", [slice(3), slice(30, 50), slice(69, None), slice(None)])
+def test_some_of_the_trajectories(dense, some):
+    times = np.linspace(0.0, 1.0, 4)
+    part = dense.of(some)
+    np.testing.assert_allclose(part(times), dense(times)[:, some], rtol=1e-14)
+    assert np.array_equal(part.state, dense.state[:, some])
+
+
+def test_a_group_that_ends_ends_all():
+    """The states near a pole, as one stack has them."""
+    system = ro.compile(ring("k*x{1}**2")).system
+    grouped = GroupedStacks(StackedIntegrator(), Workers(system))
+    dense = grouped.run(system, POINTS[:, :1], (0.0, 1.0), TOLERANCES)
+    pole = 1.0 / (3.0 * POINTS[:, 0].max())
+    assert dense.end == pytest.approx(pole, rel=1e-6)
+    assert min(group.end for group in dense.groups[:-1]) > dense.end
+    assert np.isfinite(dense.state).all()
+    k, start = POINTS[:20, 0], np.array([1.0, 2.0, 3.0])[:, None]
+    expected = start / (1.0 - start * k * dense.end)
+    np.testing.assert_allclose(dense.state[:3, :20], expected, rtol=1e-4)
+    np.testing.assert_allclose(dense.last[:3, :20], expected, rtol=1e-4)
+
+
+class Recording(ThreadPoolExecutor):
+    """Keeps the names of the functions that it calls for trajectories."""
+
+    def __init__(self, workers):
+        super().__init__(workers)
+        self.names = []
+
+    def submit(self, function, *arguments):
+        self.names += [each.function.__name__ for each in arguments if hasattr(each, "function")]
+        return super().submit(function, *arguments)
+
+
+def bits(reference):
+    times = np.linspace(reference.start, reference.end, 9)
+    return reference(times).tobytes(), reference.end
+
+
+@pytest.mark.parametrize(
+    ("problem", "integrator", "name"),
+    [
+        (ring(), "auto", "_stacked"),
+        (ring(states=3), "single", "_singles"),
+        # ends where its rates do
+        pytest.param(ring("-k/x{1}", 3), "single", "_singles", marks=pytest.mark.slow),
+    ],
+)
+def test_workers_integrate_the_same_reference(problem, integrator, name):
+    system = ro.compile(problem).system
+    points = POINTS[:, : len(system.parameters)]
+    points = points[::3] if integrator == "single" else points
+    common = system, points, system.horizon, 1e-6, (), integrator
+    alone = bits(integrate_reference(*common))
+    for count in (1, 3):
+        with Recording(count) as executor, open_workers(system, executor) as workers:
+            assert bits(integrate_reference(*common, workers)) == alone
+        assert name in executor.names
+
+
+@pytest.mark.slow
+def test_stalled_stacks_go_on_as_single_trajectories_on_workers():
+    """Each trajectory jumps at its own time."""
+    problem = ro.Problem.from_strings(
+        {"x": "-x + tanh(1e4*(t - k))"}, {"x": "m"}, {"k": (1, 2), "m": (0.5, 1.5)}, (0, 3)
+    )
+    system = ro.compile(problem).system
+    points = np.stack([np.linspace(1.0, 2.0, 150), np.full(150, 1.0)], axis=1)
+    common = system, points, system.horizon, 1e-6
+    alone = integrate_reference(*common)
+    assert alone.integrator == "single"
+    with Recording(2) as executor, open_workers(system, executor) as workers:
+        assert bits(integrate_reference(*common, workers=workers)) == bits(alone)
+    assert "_singles" in executor.names
+
+
+def test_single_trajectories_of_another_system_stay_here(system):
+    other = ro.compile(ring(states=2)).system
+    with Recording(1) as executor, open_workers(system, executor) as workers:
+        single = SinglesOnWorkers(SingleIntegrator(), workers)
+        dense = single.run(other, POINTS, (0.0, 1.0), TOLERANCES)
+    expected = SingleIntegrator().run(other, POINTS, (0.0, 1.0), TOLERANCES)
+    assert np.array_equal(dense.state, expected.state)
+    assert not executor.names
+
+
+def test_what_workers_send_counts_as_memory(system, dense):
+    """Each group fits, and all together do not."""
+    each = [sum(piece.nbytes for piece in group.pieces) for group in dense.groups]
+    for memory, fits in ((1.1 * sum(each), True), (0.8 * sum(each), False)):
+        with ThreadPoolExecutor(2) as executor, open_workers(system, executor) as workers:
+            grouped = GroupedStacks(StackedIntegrator(), workers)
+            refused = nullcontext() if fits else pytest.raises(OutOfMemoryError)
+            with limited(memory=memory), refused:
+                grouped.run(system, POINTS, (0.0, 1.0), TOLERANCES)
+
+
+def test_outputs_that_lose_digits_are_integrated_again_on_workers():
+    """Their reference is finer than that of the states."""
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x", "y": "-k*y"}, {"x": 1, "y": 0.999}, {"k": (1, 2)}, (0, 1)
+    )
+    names = []
+    for formula in ("x + y", "x - y"):
+        options = {"outputs": {"q": formula}, "unknowns": ["x"], "integrator": "single"}
+        with Recording(2) as executor:
+            there = ro.solve(problem, 1e-6, **options, executor=executor)
+        here = ro.solve(problem, 1e-6, **options)
+        times = np.linspace(0, 1, 9)
+        assert np.array_equal(there(times, k=1.3), here(times, k=1.3))
+        names.append(executor.names.count("_singles"))
+    assert names[1] > names[0] > 0
