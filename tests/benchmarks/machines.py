@@ -8,6 +8,8 @@ worker, or half of all, the main process with dask's scheduler included, whichev
 ``... kill 20`` kills worker and main process 20 times at random moments, and starts the same
 command again until it ends: the bits have to be the same, and no finished file may change.
 
+``... solve`` compares the stages of solves with 300 to 2,000 states here and on two processes.
+
 ``... memory`` compares peaks of solves and calls, beyond what the process had before, with
 ``max_memory``.
 """
@@ -29,10 +31,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-import rankone as ro
-from rankone.support.memory import checked_memory, in_words
+import numpy as np  # noqa: E402
+
+import rankone as ro  # noqa: E402
+from rankone.support.memory import checked_memory, in_words  # noqa: E402
+from tests.benchmarks.many_states import CASES  # noqa: E402
 
 
 def double_well(horizon: float, rtol: float) -> tuple[ro.Problem, list[Any], float]:
@@ -205,6 +211,19 @@ def kill(count: int, seed: int = 0) -> None:
     print(f"peak of one process {peak:.0f} MB")
 
 
+def solves() -> None:
+    """Compare the seconds on the clock by stage, with and without two processes."""
+    for name in ("mass action, 300", "chain of 1,000", "epidemic, 1,000 nodes"):
+        case, found = CASES[name], []
+        compiled = ro.compile(case.problem())
+        for executor in (None, 2):
+            solution = compiled.solve(case.rtol, executor=executor)
+            found.append(bits([solution]))
+            stages = (f"{key} {solution.timings[key]:.2f}" for key in ("reference", "march"))
+            print(f"{name}, executor={executor}: {', '.join(stages)} s", flush=True)
+        assert found[0] == found[1], "the bits differ"
+
+
 def peak() -> float:
     """Largest memory of this process so far, in bytes."""
     return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -339,6 +358,8 @@ if __name__ == "__main__":
         evaluated(sys.argv[2], sys.argv[3], int(float(sys.argv[4])), sys.argv[5])
     elif sys.argv[1:2] == ["chain"]:
         chain(int(sys.argv[2]), sys.argv[3] or None, *sys.argv[4:])
+    elif sys.argv[1:2] == ["solve"]:
+        solves()
     elif sys.argv[1:2] == ["memory"]:
         memory()
     else:

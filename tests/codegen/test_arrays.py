@@ -71,6 +71,23 @@ def test_rates_that_do_not_separate_have_a_pattern_too() -> None:
     assert pattern_of(system.jacobian) is not None
 
 
+def test_products_of_products_follow_those_they_are_made_of() -> None:
+    """Fifth powers take two products each; no line of the module is about a single one."""
+    rates = {f"x{i}": f"-k*x{i}**5 + c*x{(i + 1) % N}*x{i}" for i in range(N)}
+    problem = ro.Problem.from_strings(rates, dict.fromkeys(rates, "1"), BOX, (0, 1))
+    compiled = ro.compile(problem)
+    system = compiled.system
+    assert len(system.products) == 2 * N
+    assert max(max(pair) for pair in system.products) >= N
+    u = np.random.default_rng(5).uniform(0.5, 1.5, (N, 2, 3))
+    x = system.with_products(u)
+    assert np.array_equal(x[:N], u)
+    for row, (a, b) in enumerate(system.products, N):
+        assert np.array_equal(x[row], x[a] * x[b])
+    writing = compiled.source.split("def with_products")[1].split("\ndef ")[0]
+    assert len(writing.splitlines()) < 15
+
+
 def decays(n: int) -> ro.CompiledProblem:
     rhs = {f"x{i}": f"-k*x{i}" for i in range(n)}
     return ro.compile(ro.Problem.from_strings(rhs, dict.fromkeys(rhs, 1), {"k": (1, 2)}, (0, 1)))

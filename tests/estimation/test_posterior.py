@@ -1,14 +1,30 @@
 """Posteriors against brute-force grids and closed forms."""
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
 
 import rankone as ro
+from rankone.estimation.cube_distributions import Chain
 from rankone.support.errors import OptionError
 from tests.estimation.systems import FALL, FALL_TIMES, decay, fall, line, noisy
 
 T = np.linspace(0, 1, 12)
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts what it is given."""
+
+    count = 0
+
+    def submit(self, *arguments):
+        self.count += 1
+        return super().submit(*arguments)
+
+
 DATA = noisy(0.4 - 1.1 * T, 0.3, 2)
 
 
@@ -138,3 +154,71 @@ def test_the_posterior_of_a_fit_keeps_its_prior():
     kept, again = ro.posterior(fit), ro.posterior(fit, prior=prior)
     assert kept.mean["k"] == pytest.approx(again.mean["k"], abs=1e-6)
     assert abs(kept.mean["k"] - 0.5) < 0.03
+
+
+def four_parameters():
+    """A problem with four free parameters, and data: (solution, times, data)."""
+    box = {"a": (0.5, 1.5), "b": (-1.5, -0.5), "c": (-0.5, 0.5), "d": (-0.5, 0.5)}
+    rates = {"u": "b + 2*c*t + 3*d*t**2"}
+    solution = ro.solve(ro.Problem.from_strings(rates, {"u": "a"}, box, (0, 1)), 1e-6)
+    times = np.linspace(0, 1, 20)
+    return solution, times, noisy(1.0 - times + 0.2 * times**3, 0.1, 5)
+
+
+@pytest.mark.slow
+def test_chains_that_know_nothing_of_each_other():
+    pytest.importorskip("emcee")
+    solution, times, data = four_parameters()
+    one = solution.posterior(times, data, sigma=0.1, steps=100)
+    three = solution.posterior(times, data, sigma=0.1, steps=100, chains=3)
+    count = len(one._distribution.nodes)
+    assert np.array_equal(three._distribution.nodes[:count], one._distribution.nodes)
+    assert not np.array_equal(*three._distribution.nodes[count:].reshape(2, -1)[:, :count])
+    assert "3 chains have 100 steps each" in three.message
+    with ThreadPoolExecutor(2) as executor:
+        there = solution.posterior(times, data, sigma=0.1, steps=100, chains=3, executor=executor)
+    assert np.array_equal(there._distribution.nodes, three._distribution.nodes)
+
+
+def test_chains_that_differ_are_no_success():
+    rng = np.random.default_rng(0)
+    chains = [Chain(centre + rng.normal(0, 0.01, (5000, 2)), 5.0, 1000) for centre in (0.3, 0.3)]
+    assert Chain.of(chains).success
+    assert Chain.of(chains).reduction == pytest.approx(1.0, abs=1e-3)
+    apart = Chain.of([chains[0], replace(chains[1], nodes=chains[1].nodes + 0.02)])
+    assert not apart.success
+    assert apart.reduction == pytest.approx(np.sqrt(3.0), rel=0.05)  # means 2 deviations apart
+    assert "too different" in apart.message
+
+
+def test_cells_are_evaluated_by_any_executor(monkeypatch):
+    monkeypatch.setattr("rankone.estimation.posterior._POINTS_AT_ONCE", 500)
+    data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
+    here = fall().posterior(FALL_TIMES, data, sigma=0.1)
+    with Counting(2) as executor:
+        there = fall().posterior(FALL_TIMES, data, sigma=0.1, executor=executor)
+    assert executor.count > 10
+    assert np.array_equal(here._distribution.densities, there._distribution.densities)
+    assert here.mean == there.mean
+    assert here.log_evidence == there.log_evidence
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bits(monkeypatch):
+    monkeypatch.setattr("rankone.estimation.posterior._POINTS_AT_ONCE", 500)
+    data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
+    priors = {"C_D": scipy.stats.norm(0.3, 0.1)}
+    options = {"sigma": 0.1, "prior": priors}
+    here, there = (fall().posterior(FALL_TIMES, data, **options, executor=e) for e in (None, 2))
+    assert np.array_equal(here._distribution.densities, there._distribution.densities)
+    pytest.importorskip("emcee")
+    solution, times, data = four_parameters()
+    options = {"steps": 100, "chains": 2}
+    here, there = (solution.posterior(times, data, **options, executor=e) for e in (None, 2))
+    assert np.array_equal(here._distribution.nodes, there._distribution.nodes)
+
+
+def test_what_is_no_executor_or_number_of_chains():
+    for wrong in ({"executor": 0}, {"executor": "x"}, {"chains": 0}, {"chains": 1.5}):
+        with pytest.raises(OptionError, match=next(iter(wrong)) + "="):
+            line().posterior(T, DATA, sigma=0.3, **wrong)

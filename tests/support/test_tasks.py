@@ -1,12 +1,15 @@
 """Calls on a pool whose workers die: with futures that fail as those of real executors do."""
 
-from concurrent.futures import BrokenExecutor, CancelledError, Future
+import os
+import pickle
+from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
-from rankone.support.errors import RankoneError
-from rankone.support.tasks import Tasks
+from rankone.support.errors import OptionError, RankoneError
+from rankone.support.executors import open_pool
+from rankone.support.tasks import Shared, Tasks
 
 
 class FakePool:
@@ -96,3 +99,35 @@ def test_what_is_finished_is_kept_after_an_interrupt():
     with pytest.raises(KeyboardInterrupt):
         Tasks(pool, lambda number: (square, (number,)), interrupted).run(range(4))
     assert answers == {k: k**2 for k in range(4)}
+
+
+def power(base, exponent):
+    if base == "die":
+        os._exit(1)
+    if base == "fail":
+        raise ValueError("not today")
+    return base**exponent
+
+
+def test_what_is_shared_is_read_by_all_tasks():
+    tasks = [(k,) for k in range(5)]
+    expected = [3**k for k in range(5)]
+    assert Shared("the base", 3, None).map(power, tasks) == expected
+    with ThreadPoolExecutor(2) as executor, open_pool(executor) as pool:
+        assert Shared("the base", 3, pool).map(power, tasks) == expected
+        with pytest.raises(RankoneError, match="failed: ValueError: not today"):
+            Shared("the base", "fail", pool).map(power, tasks)
+
+
+@pytest.mark.slow
+def test_processes_get_what_is_shared_once():
+    with open_pool(2) as pool:
+        shared = Shared("the base", 3, pool)
+        assert pickle.loads(shared._sent.data) == 3
+        assert shared.map(power, [(k,) for k in range(5)]) == [3**k for k in range(5)]
+        with pytest.raises(RankoneError, match="failed: ValueError: not today"):
+            Shared("the base", "fail", pool).map(power, [(1,), (2,)])
+        with pytest.raises(RankoneError, match="workers died 5 times"):
+            Shared("the base", "die", pool).map(power, [(1,), (2,)])
+        with pytest.raises(OptionError, match="the base cannot be sent to another process"):
+            Shared("the base", lambda: 0, pool)

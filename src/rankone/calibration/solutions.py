@@ -83,19 +83,19 @@ class CalibrationSolutions:
                 )
         return fit_experiments(pairs, bounds=bounds, prior=prior or None, **options)
 
-    def posterior(
-        self, prior: Mapping[str, Any] | None = None, *, seed: int = 0, steps: int = 1000
-    ) -> Posterior:
+    def posterior(self, prior: Mapping[str, Any] | None = None, **options: Any) -> Posterior:
         """The distribution of the parameters in the box after the data are known.
 
         Parameters
         ----------
-        prior, seed, steps
+        prior
             As for :meth:`Solution.posterior`; priors that are not given are those of the table.
+        **options
+            Those of :func:`rankone.posterior`.
         """
         priors = {**self.priors, **(prior or {})}
         others = {name: self.priors[name] for name, each in self.penalties.items() if each is None}
-        return posterior_of(self.fit(prior=others), priors, seed=seed, steps=steps)
+        return posterior_of(self.fit(prior=others), priors, **options)
 
     def _table(self) -> Table:
         different = {id(solution) for solution in self.solutions.values()}

@@ -65,9 +65,19 @@ def _derivatives(terms):
     return terms, tuple(places)
 
 
+def _in_steps(products):
+    """Products (a, b) of two states by steps: rows, and the states that were there before."""
+    steps, levels = {}, {}
+    for row, (a, b) in enumerate(products, N_DIFFERENTIAL):
+        levels[row] = level = 1 + max(levels.get(a, 0), levels.get(b, 0))
+        steps.setdefault(level, []).append((row, a, b))
+    return [np.array(steps[level]).T for level in sorted(steps)]
+
+
 RATES = _matrices(TERMS, N_DIFFERENTIAL)
 SLOPE_TERMS, JACOBIAN_PLACES = _derivatives(TERMS)
 SLOPES = _matrices(SLOPE_TERMS, len(JACOBIAN_PLACES))
+PRODUCT_STEPS = _in_steps(PRODUCTS)
 '''
 
 
@@ -114,6 +124,22 @@ def _line(coefficient: str, state: int, lists: Iterable[tuple[int, ...]]) -> str
 
 class ArrayWriter(SeparatedWriter):
     """Writes the rates of a system of many states that separates, from its table of terms."""
+
+    def with_products(self) -> list[str]:
+        """Source lines of ``with_products``."""
+        n, total = len(self.system.differential), len(self.system.states)
+        if not self.system.products:
+            return super().with_products()
+        return [
+            "def with_products(u):",
+            *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
+            "    u = np.asarray(u, dtype=float)",
+            f"    x = np.empty(({total}, *u.shape[1:]))",
+            f"    x[:{n}] = u",
+            "    for rows, first, second in PRODUCT_STEPS:",
+            "        x[rows] = x[first] * x[second]",
+            "    return x",
+        ]
 
     def functions(self) -> list[list[str]]:
         """Source lines of the matrices, ``rhs``, ``jacobian_entries`` and ``with_products``."""

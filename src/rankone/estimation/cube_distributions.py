@@ -11,7 +11,7 @@ Markov chain with snooker updater", 2008), by emcee: ``pip install emcee``.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -43,6 +43,7 @@ _WALKERS_EACH = 16  # Walkers for each parameter
 _LEAST_WALKERS = 32  # Least number of walkers, also for few parameters
 # Least length of a chain, in autocorrelation times, at which its integrals are trusted
 _LONG_ENOUGH = 40.0
+_MOST_REDUCTION = 1.05  # Factor up to which chains agree
 _DISCARDED_TIMES = 5.0  # Autocorrelation times at the start of a chain that are discarded
 
 
@@ -251,9 +252,7 @@ def _weights(width: Array) -> Array:
 def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
     """Logarithms at the nodes of cells, (c, *nodes)."""
     n = lower.shape[1]
-    points = _nodes(lower, width).reshape(-1, n)
-    blocks = np.array_split(points, len(points) // 65536 + 1)
-    logs = np.concatenate([log_density(block) for block in blocks])
+    logs = log_density(_nodes(lower, width).reshape(-1, n))
     return logs.reshape(len(lower), *[_NODES[n]] * n)
 
 
@@ -262,14 +261,32 @@ def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
 
 @dataclass(frozen=True)
 class Chain:
-    """Points (k, n) of a chain in the unit cube without its start, of ``length`` steps.
+    """Points (k, n) of chains in the unit cube without their starts, of ``length`` steps each.
 
-    ``autocorrelation`` is the autocorrelation time in steps; the largest over the parameters.
+    ``autocorrelation`` is the autocorrelation time in steps; the largest over parameters and
+    chains. ``reduction`` is the factor by which longer chains might narrow the distribution, which
+    is 1 where all chains have the same means (Gelman & Rubin, "Inference from iterative simulation
+    using multiple sequences", Statistical Science 7, 1992).
     """
 
     nodes: Array
     autocorrelation: float
     length: int
+    count: int = 1
+    reduction: float = 1.0
+
+    @classmethod
+    def of(cls, chains: Sequence[Chain]) -> Chain:
+        """All chains together."""
+        if len(chains) == 1:
+            return chains[0]
+        within = np.mean([chain.nodes.var(axis=0) for chain in chains], axis=0)
+        between = np.var([chain.nodes.mean(axis=0) for chain in chains], axis=0, ddof=1)
+        shares = between / np.where(within > 0.0, within, np.inf)
+        nodes = np.concatenate([chain.nodes for chain in chains])
+        slowest = max(chain.autocorrelation for chain in chains)
+        reduction = float(np.sqrt(1.0 + shares.max()))
+        return cls(nodes, slowest, chains[0].length, len(chains), reduction)
 
     @property
     def masses(self) -> Array:
@@ -278,17 +295,27 @@ class Chain:
 
     @property
     def success(self) -> bool:
-        """Whether the chain is many autocorrelation times long."""
+        """Whether the chains are many autocorrelation times long, and agree."""
+        return self._is_long and self.reduction <= _MOST_REDUCTION
+
+    @property
+    def _is_long(self) -> bool:
         return bool(self.length >= _LONG_ENOUGH * self.autocorrelation)
 
     @property
     def message(self) -> str:
-        """How long the chain is."""
+        """How long the chains are, and whether they agree."""
         time = f"{self.autocorrelation:.3g}"
         text = f"the chain has {self.length} steps, its autocorrelation time is {time}"
+        if self.count > 1:
+            text = (
+                f"{self.count} chains have {self.length} steps each, the longest autocorrelation "
+                f"time is {time}, and they agree to a factor of {self.reduction:.3g}"
+            )
         if self.success:
             return text
-        return with_remedy(f"{text}: too short", f"steps={4 * self.length}")
+        short = f"{text}: too short" if not self._is_long else f"{text}: too different"
+        return with_remedy(short, f"steps={4 * self.length}")
 
     def marginal(self, j: int, z: Array) -> Array:
         """Marginal density of coordinate j at z (k,), by a Gaussian kernel."""

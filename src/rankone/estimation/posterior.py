@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rankone.estimation.cube_distributions import CubeDistribution, adapted, chain
+from rankone.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
 from rankone.estimation.experiments import trial_of
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, FreeParameters
@@ -25,11 +26,15 @@ from rankone.statistics.joint_distribution import Distributions, by_name, measur
 from rankone.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
+from rankone.support.executors import ExecutorLike, checked_executor, open_pool
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count, checked_number
+from rankone.support.tasks import Shared
 from rankone.support.wording import listing, quote, shown
 
 _MOST_STEPS = 10**6  # Most steps of a chain
+_MOST_CHAINS = 1000  # More chains than this are a mistake
+_POINTS_AT_ONCE = 8192  # Points at which the density is evaluated at once, by one worker
 # Most parameters for quadrature: the number of cells grows with its power
 _MOST_QUADRATURE_PARAMETERS = 3
 _ACCURATE = 1e-3  # Error of integrals up to which the quadrature counts as exact
@@ -237,11 +242,13 @@ def posterior(
     missing: str = "error",
     seed: int = 0,
     steps: int = 1000,
+    chains: int = 1,
+    executor: ExecutorLike | None = None,
 ) -> Posterior:
     """The distribution of the parameters after the data are known, for any kind of noise.
 
     Up to three free parameters are integrated on cells that are refined where the density is
-    large. More take a Markov chain, which needs emcee.
+    large. More take Markov chains, which need emcee.
 
     Parameters
     ----------
@@ -254,6 +261,12 @@ def posterior(
         one. Priors are independent, even if the problem has correlations.
     seed, steps : int
         Seed and number of steps of the Markov chain.
+    chains : int
+        Number of Markov chains that know nothing of each other; it is not a success if they differ.
+        The first one is that of a single chain.
+    executor : int, concurrent.futures.Executor, distributed.Client or str, optional
+        Where chains, and the density at the nodes of cells, are computed: as in
+        :func:`rankone.solve_many`. The bits are the same as without.
 
     Returns
     -------
@@ -270,6 +283,7 @@ def posterior(
     """
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
+    chains = checked_number("chains", chains, 1, _MOST_CHAINS)
     best = fit(
         self,
         times,
@@ -282,35 +296,52 @@ def posterior(
         bounds=bounds,
         missing=missing,
     )
-    return posterior_of(best, prior, seed=seed, steps=steps)
+    return posterior_of(best, prior, seed=seed, steps=steps, chains=chains, executor=executor)
 
 
 def posterior_of(
-    fit: Fit, prior: Distributions = None, *, seed: int = 0, steps: int = 1000
+    fit: Fit,
+    prior: Distributions = None,
+    *,
+    seed: int = 0,
+    steps: int = 1000,
+    chains: int = 1,
+    executor: ExecutorLike | None = None,
 ) -> Posterior:
     """The distribution of the parameters of any fit, also of several experiments.
 
     Parameters
     ----------
     fit : Fit
-    prior, seed, steps
+    prior, seed, steps, chains, executor
         As for :meth:`Solution.posterior`.
     """
     if not isinstance(fit, Fit):
         raise OptionError(f"{shown(fit)} is not a Fit", term=fit, remedy="give what a fit returned")
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
+    chains = checked_number("chains", chains, 1, _MOST_CHAINS)
+    wanted = None if executor is None else checked_executor("executor", executor)
     priors = by_name("prior", prior, fit._problem.free.order)
     log_density = LogPosterior(_without_fixed(fit), _priors(fit, priors))
     likely, extents = _likely(fit, log_density)
     names = [name for name, identified in fit.identifiable.items() if not identified]
     limits = f"; the data do not identify {listing(names)} alone: box and prior limit them"
     boxed = limits if names else ""
-    if len(log_density.measures) > _MOST_QUADRATURE_PARAMETERS:
-        links = chain(log_density, likely, seed, steps)
-        message = links.message + boxed
-        return Posterior(fit, "mcmc", math.nan, links.success, message, log_density, links)
-    cells, evidence = adapted(log_density, likely, extents)
+    with nullcontext() if wanted is None else open_pool(wanted) as pool:
+        shared = Shared("the posterior density", log_density, pool)
+        if len(log_density.measures) > _MOST_QUADRATURE_PARAMETERS:
+            seeds = [seed, *np.random.SeedSequence(seed).generate_state(chains - 1).tolist()]
+            tasks = [(likely, each, steps) for each in seeds]
+            links = Chain.of(shared.map(chain, tasks))
+            message = links.message + boxed
+            return Posterior(fit, "mcmc", math.nan, links.success, message, log_density, links)
+
+        def logs(z: Array) -> Array:
+            blocks = np.array_split(z, len(z) // _POINTS_AT_ONCE + 1)
+            return np.concatenate(shared.map(LogPosterior.__call__, [(each,) for each in blocks]))
+
+        cells, evidence = adapted(logs, likely, extents)
     success = bool(cells.error <= _ACCURATE)
     message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import concurrent.futures
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
 
 from rankone.support.errors import RankoneError
 from rankone.support.executors import DEATHS, GUARD, Pool
+from rankone.support.parcels import Parcel, packed, unpacked
+from rankone.support.threads import one_thread
 
 # Deaths of the worker of one call, alone on the machine, after which it is given up
 _MOST_DEATHS = 5
 _KILLED = "KilledWorker"  # The error of dask for a call on which several workers died
 _REMEDY = "look for a crash or a lack of memory in the workers; " + GUARD
 Answer = TypeVar("Answer")  # What a call comes to
+Content = TypeVar("Content")  # What all of them read
 
 
 class Tasks(Generic[Answer]):
@@ -113,6 +116,43 @@ class Tasks(Generic[Answer]):
                 continue
             message = f"a worker died {_MOST_DEATHS} times: {death}"
             self._done(number, RankoneError(message, remedy=_REMEDY))
+
+
+class Shared(Generic[Content]):
+    """Something that tasks read, such as a density: workers get it once."""
+
+    def __init__(self, name: str, content: Content, pool: Pool | None) -> None:
+        self._content, self._pool = content, pool
+        self._sent = content if pool is None else packed(name, content, pool.wanted)
+
+    def map(
+        self, function: Callable[..., Answer], tasks: Sequence[tuple[object, ...]]
+    ) -> list[Answer]:
+        """The answers of ``function(content, *task)`` in order; a single task is run here.
+
+        BLAS has one thread in all of them, so that the bits do not depend on the pool.
+        """
+        if self._pool is None or len(tasks) < 2:
+            return [_on_one_thread(function, self._content, task) for task in tasks]
+        answers: dict[int, Answer] = {}
+
+        def done(number: int, answer: Answer | RankoneError) -> None:
+            if isinstance(answer, RankoneError):
+                raise answer
+            answers[number] = answer
+
+        def begin(number: int) -> tuple[Callable[..., Answer], tuple[object, ...]]:
+            return _on_one_thread, (function, self._sent, tasks[number])
+
+        Tasks(self._pool, begin, done).run(range(len(tasks)))
+        return [answers[number] for number in range(len(tasks))]
+
+
+def _on_one_thread(
+    function: Callable[..., Answer], sent: Parcel | object, task: tuple[object, ...]
+) -> Answer:
+    with one_thread():
+        return function(unpacked(sent), *task)
 
 
 def _failed(error: Exception) -> Any:
