@@ -218,6 +218,18 @@ def test_processes_give_the_same_bits(monkeypatch):
     assert np.array_equal(here._distribution.nodes, there._distribution.nodes)
 
 
+@pytest.mark.slow
+def test_dask_gives_the_same_bits(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("rankone.estimation.posterior._POINTS_AT_ONCE", 500)
+    data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
+    here = fall().posterior(FALL_TIMES, data, sigma=0.1)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        there = fall().posterior(FALL_TIMES, data, sigma=0.1, executor=client)
+    assert np.array_equal(here._distribution.densities, there._distribution.densities)
+
+
 def test_what_is_no_executor_or_number_of_chains():
     for wrong in ({"executor": 0}, {"executor": "x"}, {"chains": 0}, {"chains": 1.5}):
         with pytest.raises(OptionError, match=next(iter(wrong)) + "="):
