@@ -253,7 +253,7 @@ class CrossMarcher:
         close = attempt.error < constants.FAR_ERROR_RATIO * self.rtol
         tighten = close or (progress.stalls > 0 and not grows)
         lines = self._worst_lines(attempt)
-        explained = lines is not None and lines.explain(attempt.error)
+        explained = lines is not None and not close and lines.explain(attempt.error)
         least = () if lines is None else lines.nodes
         adaptive.refine(attempt.error, tighten, least, explained)
         return True
