@@ -79,3 +79,26 @@ def test_a_relaxation_oscillator_is_solved_with_few_ranks(ramp, most, rank, mark
     assert len(solution.timeline.events) == markers
     errors = against_trajectories(solution, made, np.linspace(0, 60, 801))
     assert (errors < 3e-4).all()
+
+
+def test_a_front_that_comes_once_has_a_stretch_before_and_one_behind_it():
+    flame = ro.Problem.from_strings(
+        {"y": "k*(y**2 - y**3)"}, {"y": "d"}, {"d": (0.002, 0.003), "k": (0.9, 1.1)}, (0, 800)
+    )
+    solution = ro.solve(flame, 1e-4)
+    assert solution.success
+    assert solution.rank <= 20
+    assert solution.timeline.stretches == 2
+    errors = against_trajectories(solution, flame, np.linspace(0, 800, 801))
+    assert (errors < 3e-4).all()
+
+
+@pytest.mark.slow
+def test_a_stiff_oscillator_that_jumps_once_or_twice_is_solved():
+    rates = {"x": "v", "v": "30*(1 - x**2)*v - w*x"}
+    made = ro.Problem.from_strings(rates, {"x": 2, "v": 0}, {"w": (0.8, 1.2)}, (0, 55))
+    solution = ro.solve(made, 1e-4)
+    assert solution.success
+    assert solution.rank <= 20
+    errors = against_trajectories(solution, made, np.linspace(0, 55, 2001))
+    assert (errors < 3e-4).all()

@@ -238,7 +238,8 @@ class Clock:
     Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``last_marks`` tells about
     when trajectories at points (m, d) pass the last event, where nothing interrupts them. Where the
     order is ``forced``, trajectories follow it also where others would come first. Where they are
-    ``periodic``, those that have come back go on as over their last period.
+    ``periodic``, those that have come back go on as over their last period. ``swings`` are how many
+    times a state would go through its size over the horizon at its fastest.
     """
 
     system: System
@@ -249,6 +250,7 @@ class Clock:
     last_marks: OfPoints | None = None
     forced: ForcedOrder | None = None
     periodic: bool = False
+    swings: float = 0.0
 
     @property
     def marks_per_period(self) -> int:

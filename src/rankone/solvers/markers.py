@@ -21,6 +21,7 @@ from rankone.trajectories.events.markers import (
     LastMarks,
     chosen_markers,
     may_pay,
+    swings_of,
     with_order,
 )
 from rankone.trajectories.events.periods import is_autonomous
@@ -157,7 +158,8 @@ def _by_paths(
     last = np.array([each.occurrences[count - 1].time for each in trajectories])
     gap = float(last.max() - domain.horizon[0]) / count
     last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
-    clock = replace(clock, last_marks=last_marks)
+    swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
+    clock = replace(clock, last_marks=last_marks, swings=swings)
     stretched, there = over_stretches(clock, request)
     whole, _ = over_stretches(replace(clock, periodic=False), request)
     reference_set = ReferenceSet.of(whole, there)  # integrated to the end, whatever repeats

@@ -35,7 +35,9 @@ from rankone.verification.points import (
 )
 from rankone.verification.reference import Reference, integrate_reference, reference_accuracy
 
-_IN_STEP = 2  # Periods between markers over which it is as accurate: phases drift over more
+# Periods between markers, and swings of the fastest state, over which it is as accurate: phases
+# drift over more, and count by how fast the states are
+_IN_STEP, _IN_TIME = 2, 200.0
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
@@ -104,7 +106,9 @@ class ReferenceSet:
         accuracy = reference_accuracy(request.rtol)
         if system.clock is not None and system.clock.markers:
             periods = system.clock.order.stretches / system.clock.marks_per_period
-            accuracy *= min(_IN_STEP / periods, 1.0)
+            swings = max(system.clock.swings, 1.0)
+            accuracy *= min(_IN_STEP / periods, _IN_TIME / swings, 1.0)
+            accuracy = max(accuracy, reference_accuracy(0.0))
         reference_set = cls(
             system,
             domain,

@@ -37,9 +37,10 @@ which markers pay."""
 SCOUTS = slice(9)
 """Trajectories that are looked at first, corners of the box among them."""
 _SCOUTED = 0.4  # Part of the spread that they have to show, roughly, before all are looked at
-_FEWEST = 3  # Crossings that each trajectory has to pass
+_FEWEST, _FRONT = 3, 10.0  # Crossings that each has to pass, and least slope where they are fewer
 _LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
 _TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
+_SPIKE = 0.1  # Least gap between crossings, over the mean one, below which both are on one spike
 _SECOND_TRANSVERSAL = 0.2  # The same for a second marker
 _HIGH_RANK = 8  # Rank of a few trajectories above which a second marker is looked for
 _LOWER_RANK = 0.8  # Largest rank with it, over the one without
@@ -49,7 +50,7 @@ _APART = 0.03  # Least gap between crossings of two markers, over the mean one
 _NEARLY, _FURTHEST = 0.01, 3.0
 _RANKED = 24  # Trajectories of which a rank is taken
 _RANK_TOLERANCE = 3e-4  # What is left out of them, over the largest states
-_RANK_SHARES = (np.arange(24) + 0.5) / 24  # Of a stretch, where they are compared
+_TELLING, _MOST_PLACES = (0, -1), 512  # Those whose steps tell the places where they are compared
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,12 @@ class _Candidate:
     times: Sequence[Array]
     spread: float
     steepness: float
+
+    @property
+    def on_spikes(self) -> bool:
+        """Whether two crossings are close to each other, beside the mean gap from the start."""
+        gaps = [(np.diff(each).min(initial=math.inf), each[-1] / each.size) for each in self.times]
+        return any(least < _SPIKE * mean for least, mean in gaps)
 
 
 def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
@@ -78,7 +85,8 @@ def chosen_markers(
 
     The horizon is so many times as long as they are, and times drift apart as they did so far.
     Of the states that all trajectories cross transversally, with a spread that pays, it is the one
-    that they cross most steeply. The first trajectories are looked at alone before the others.
+    that they cross most steeply; but rather none that they cross twice on each spike, which misses
+    the spikes in the other direction. The first trajectories are looked at alone before the others.
     """
     candidates: list[_Candidate] = []
     for state, lower, upper in _spans(paths):
@@ -87,11 +95,22 @@ def chosen_markers(
         candidate = _candidate(system, paths, points, state, (lower, upper), _TRANSVERSAL)
         if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
-    best = max(candidates, key=lambda candidate: candidate.steepness, default=None)
+    best = min(candidates, key=lambda each: (each.on_spikes, -each.steepness), default=None)
     if best is None:
         return ()
     second = _second(system, paths, points, best)
     return (best.marker,) if second is None else (best.marker, second)
+
+
+def swings_of(paths: Sequence[Path], length: float) -> float:
+    """How many times a state would go through its size over a length of time at its fastest."""
+    sizes = np.max([np.abs(path.nodal).max(axis=(0, 1)) for path in paths], axis=0)
+    fastest = np.zeros_like(sizes)
+    for path in paths:
+        times = np.diff(path.breaks)[:, None] * np.diff(NODES)
+        rates = np.abs(np.diff(path.nodal, axis=1)) / times[:, :, None]
+        fastest = np.maximum(fastest, rates.max(axis=(0, 1)))
+    return float((length * fastest / np.where(sizes > 0.0, sizes, 1.0)).max())
 
 
 def _second(
@@ -127,9 +146,10 @@ def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
     fewest = min(each.size for each in times)
     common = np.array([each[:fewest] for each in times])
     order, gaps = owners[0][:fewest], np.diff(common, axis=1)
-    alike = all((each[:fewest] == order).all() for each in owners)
-    least = gaps[:, np.diff(order) != 0].min(initial=math.inf)
-    return common if alike and least > _APART * gaps.mean() else None
+    if not all((each[:fewest] == order).all() for each in owners):
+        return None
+    of_two = gaps[:, np.diff(order) != 0]
+    return None if of_two.size and of_two.min() <= _APART * gaps.mean() else common
 
 
 def _rank(paths: Sequence[Path], crossings: Array | None) -> float:
@@ -140,14 +160,23 @@ def _rank(paths: Sequence[Path], crossings: Array | None) -> float:
     chosen = [paths[k] for k in some.tolist()]
     starts = np.array([[path.breaks[0]] for path in chosen])
     borders = np.concatenate([starts, crossings[some]], axis=1)
-    lengths = np.diff(borders, axis=1)[:, :, None]
-    times = (borders[:, :-1, None] + lengths * _RANK_SHARES).reshape(some.size, -1)
+    pseudo = np.unique(np.concatenate([_steps(chosen[k], borders[k]) for k in _TELLING]))
+    pseudo = pseudo[:: -(-pseudo.size // _MOST_PLACES)]
+    stretch = pseudo.astype(int)
+    times = borders[:, stretch] + (pseudo - stretch) * np.diff(borders, axis=1)[:, stretch]
     states = Paths.of(chosen)(times)
     sizes = np.abs(states).max(axis=(1, 2), keepdims=True)
     rows = np.moveaxis(states / np.where(sizes > 0.0, sizes, 1.0), 1, 2).reshape(-1, some.size)
     values = np.linalg.svd(rows, compute_uv=False)
     left = np.sqrt(np.cumsum(values[::-1] ** 2))
     return float((left > _RANK_TOLERANCE * math.sqrt(rows.size)).sum())
+
+
+def _steps(path: Path, borders: Array) -> Array:
+    """The pseudo-times at which steps of a path begin, close to each other where it is steep."""
+    times = path.breaks[path.breaks < borders[-1]]
+    stretch = np.searchsorted(borders, times, side="right") - 1
+    return np.asarray(stretch + (times - borders[stretch]) / np.diff(borders)[stretch])
 
 
 def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
@@ -159,14 +188,14 @@ def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
 
 
 def _rough_spread(paths: Sequence[Path], state: int, lower: float, upper: float) -> float:
-    """The spread of a candidate, from straight lines between the nodes; 0 for too few crossings."""
+    """The spread of a candidate, from straight lines between the nodes; 0 if some do not cross."""
     level = 0.5 * (lower + upper)
     crossings: list[tuple[Array, Array]] = []
     for path in paths:
         heights = path.nodal[:, :, state].ravel() - level
         times = (path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES).ravel()
         k = np.flatnonzero(np.diff(np.signbit(heights)))
-        if k.size < _FEWEST:
+        if not k.size:
             return 0.0
         rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], 1e-300)
         crossings.append((times[k] - heights[k] / rates, np.abs(rates)))
@@ -197,14 +226,14 @@ def _candidate(
     crossings = Crossings(system, paths, points, nothing, first, SAME_INSTANT * length)
     times = crossings.of(0, event)
     fewest = min(map(len, times))
-    if fewest < _FEWEST:
+    if not fewest:
         return None
     common = np.array([each[:fewest] for each in times])
     slopes = _slopes(system, paths, points, common, state)
     width = upper - lower
-    gaps = np.diff(common, axis=1).mean(axis=1, keepdims=True)
+    gaps = (common[:, -1:] - paths[0].breaks[0]) / fewest
     steepness = float((np.abs(slopes) * gaps / width).min())
-    if not steepness >= transversal:
+    if not steepness >= (transversal if fewest >= _FEWEST else _FRONT):
         return None
     passing = width / np.abs(slopes).min(axis=0)
     return _Candidate(marker, times, float((np.ptp(common, axis=0) / passing).max()), steepness)
@@ -290,15 +319,19 @@ def with_order(
             return None
     if short:
         begun = [repeated(each, period, 0, end) for each in begun]
-    count = max(sum(mark.time < end for mark in each.occurrences) for each in begun) + period
+    before = [sum(mark.time < end for mark in each.occurrences) for each in begun]
+    count = max(before) + (period if max(before) > period else 1)
     if short:
         followed = [repeated(each, period, count, end) for each in begun]
     else:
         followed = follow(clock, integrator, points, tolerances, count, begun)
+    ending = Ending.EVENT
+    if min(before) == max(before) and min(len(each.occurrences) for each in followed) < count:
+        ending, count = Ending.HORIZON, min(before)  # a front that comes once
     orders = {tuple(mark.event for mark in each.occurrences[:count]) for each in followed}
     if len(orders) > 1 or len(order := orders.pop()) < count:
         return None
-    return replace(clock, order=EventOrder(tuple((k,) for k in order), Ending.EVENT)), followed
+    return replace(clock, order=EventOrder(tuple((k,) for k in order), ending)), followed
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rankone.ir.events import Ending
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
@@ -118,12 +119,14 @@ def begin_in_step(
     or until they repeat if the ``clock`` is periodic: then they go on to the end as they did, and
     to a ``count`` of crossings. They may have ``begun``.
     """
-    (start, end), events = clock.horizon, clock.system.events
-    far, period, some, first_ends = end + FAR * clock.length, clock.marks_per_period, [*begun], None
+    (start, end), events, period = clock.horizon, clock.system.events, clock.marks_per_period
+    far = end if clock.order.ending is Ending.HORIZON else end + FAR * clock.length
+    some, first_ends = [*begun], None
     stage = _AGREEING + period + 1  # after a first one on the way there
     if not some:
         last = clock.last_marks(points) if clock.last_marks else np.full(len(points), end)
         first_ends = start + min((stage + 0.5) / max(count, 1), 1.0) * (last - start)
+        first_ends = np.minimum(first_ends, far)
 
     def settled(trajectory: EventTrajectory) -> bool:
         return clock.periodic and repeats(trajectory, tolerances.relative, period)
