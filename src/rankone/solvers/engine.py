@@ -27,7 +27,7 @@ from rankone.verification.measure import ReferenceSet
 
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches
-_KINKS_SHARE, _HELD_SHARE = 0.05, 0.6
+_KINKS_SHARE, _HELD_SHARE = 0.12, 0.6
 _LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretches between them
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
