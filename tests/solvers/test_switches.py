@@ -197,3 +197,11 @@ def test_a_short_visit_of_a_side_is_not_overlooked(rate):
     lengths = np.pi - 2 * np.arcsin(0.999999), 2 * (np.arcsin(0.50001) - np.arcsin(0.49999))
     exact = 300 * lengths[0] if "300" in rate else 1e5 * lengths[1]
     assert not solution.success or solution["y"](t=3.0, a=1.0) == pytest.approx(exact, rel=5e-3)
+
+
+@pytest.mark.slow
+def test_where_it_sticks_in_some_order_the_error_says_why_that_failed():
+    """When a mass slips again and sticks again differs inside the box."""
+    dragged = {"x": "v", "v": "a*t - x - 0.5*sign(v)"}
+    with pytest.raises(ro.BlowUpError, match="between its switches the solve failed: an order"):
+        ro.solve(problem(dragged, {"x": 0, "v": 0.2}, {"a": (0.1, 0.3)}, 10), RTOL)

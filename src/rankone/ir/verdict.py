@@ -459,6 +459,14 @@ class SwitchingTerm(Note):
 
 
 @dataclass(frozen=True)
+class SwitchesNotHeld(Note):
+    """Why trajectories are not followed from switch to switch of the rates, or stick there."""
+
+    reason: str
+    text = "between its switches the solve failed: {reason}"
+
+
+@dataclass(frozen=True)
 class PartOfSolution(Note):
     """The solution is a part of another one, whose error was measured on the whole box."""
 

@@ -20,7 +20,7 @@ from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SafeInterval
 from rankone.ir.timeline import BranchedTimeline, Timeline
-from rankone.ir.verdict import Status, SwitchingTerm
+from rankone.ir.verdict import Status, SwitchesNotHeld, SwitchingTerm
 from rankone.solution.branches import branch_evaluator
 from rankone.solution.streaming import Index, bytes_of, foreseen, in_blocks, no_memory, whole
 from rankone.storage.npz import write
@@ -455,7 +455,7 @@ def raise_blow_up(
         + "".join(
             note.lead + note.sentence(outcome.status)
             for note in outcome.notes
-            if isinstance(note, SwitchingTerm)
+            if isinstance(note, SwitchingTerm | SwitchesNotHeld)
         ),
         time=when,
         parameters=parameters,

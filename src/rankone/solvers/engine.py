@@ -10,7 +10,7 @@ from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
-from rankone.ir.verdict import Status
+from rankone.ir.verdict import Status, SwitchesNotHeld
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import SolveStart, start_of
@@ -69,12 +69,18 @@ class Engine:
                 outcome = self._solve_as_written(system, request, report)
                 if outcome.status in _SOLVED:
                     return outcome
+        failure: ConvergenceError | None = None
         if held is None:
-            with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
-                held = self._solve_over_stretches(system.held, request, report)
+            try:
+                with limited(*_part(_HELD_SHARE)):
+                    held = self._solve_over_stretches(system.held, request, report)
+            except ConvergenceError as error:
+                failure = error
         if held is not None and held.status in _SOLVED:
             return held
         outcome = self._solve_as_written(system, request, report)
+        if failure is not None and outcome.status is Status.SWITCHES:
+            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(failure.message)))
         return held if held is not None and _is_better(held, outcome) else outcome
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:

@@ -26,7 +26,10 @@ from rankone.support.costs import SPARSE_FACTORS, SPARSE_SOLUTION
 
 Places: TypeAlias = NDArray[np.intp]
 Solver: TypeAlias = Callable[[Array, Places], Array]
-"""Solutions (c, n) of some of the matrices for right-hand sides, in the order of elimination."""
+"""Solutions (c, n) of matrices at places (c,) for right-hand sides, in the order of elimination.
+
+A place may come several times.
+"""
 _KEPT = 8  # Eliminations that are kept: as many as one session works with at a time
 _ORDERS = ("MMD_AT_PLUS_A", "COLAMD")  # Orders of SuperLU that are tried
 _PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its column is the pivot
@@ -121,15 +124,18 @@ class BandElimination:
         kind = "z" if np.iscomplexobj(numbers) else "d"
         factor, solve = getattr(lapack, f"{kind}gbtrf"), getattr(lapack, f"{kind}gbtrs")
         factors, pivots, _ = factor(matrix, self.lower, self.upper, overwrite_ab=True)
-        shape = len(numbers), self.columns.size
+        shape, every = (len(numbers), self.columns.size), np.arange(len(numbers))
 
         def solver(right: Array, some: Places) -> Array:
-            whole = right
-            if some.size < len(numbers):
-                whole = np.zeros(shape, dtype=right.dtype)
-                whole[some] = right
-            solution, _ = solve(factors, self.lower, self.upper, whole.ravel(), pivots)
-            return np.asarray(solution.reshape(shape)[some])
+            if np.array_equal(some, every):
+                solution, _ = solve(factors, self.lower, self.upper, right.ravel(), pivots)
+                return np.asarray(solution.reshape(shape))
+            turns = _turns(some)  # one right-hand side of each matrix is solved at a time
+            whole = np.zeros((int(turns.max(initial=0)) + 1, *shape), dtype=right.dtype)
+            whole[turns, some] = right
+            together = whole.reshape(len(whole), -1).T
+            solution, _ = solve(factors, self.lower, self.upper, together, pivots)
+            return np.asarray(solution.T.reshape(whole.shape)[turns, some])
 
         return solver
 
@@ -193,6 +199,15 @@ class SparseElimination:
             return np.stack([factors[k].solve(vector) for k, vector in pairs])
 
         return solver
+
+
+def _turns(places: Places) -> Places:
+    """How often each of the places came before: (c,)."""
+    order = np.argsort(places, kind="stable")
+    ascending = places[order]
+    turns = np.empty_like(places)
+    turns[order] = np.arange(places.size) - np.searchsorted(ascending, ascending)
+    return turns
 
 
 def _factors(matrix: scipy.sparse.csc_matrix, order: str) -> SuperLU:
