@@ -241,7 +241,7 @@ def test_without_time_files_labels_and_models(tmp_path):
     data = later.to_xarray(x0=[9.0, 10.0], y0=5.0)
     assert data["x"].dims == ("x0",)
     assert np.isclose(data["x"].values[0], values[0], rtol=1e-13, atol=0)
-    later.export(tmp_path / "later.py", allow_failed=True)
+    later.export(tmp_path / "exported.py", allow_failed=True)
 
 
 @pytest.mark.parametrize(

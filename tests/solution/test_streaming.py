@@ -69,8 +69,11 @@ def test_what_does_not_fit_into_a_limit_is_refused_beforehand(solution, monkeypa
         message = f"all values take {size}, their evaluation .* and max_memory is 500 MB.*blocks"
         with pytest.raises(ro.EvaluationError, match=message):
             call("500MB")
-    with pytest.raises(ro.OptionError, match="max_memory="):
-        solution.grid(1.0, k=k[:, 0], a=a, max_memory=-1)
+    for times in (1.0, [], [1.0, 2.0]):
+        for limit in (-1, "lots", np.nan, True):
+            for call in (solution, solution["u"], solution.grid, solution.gradient):
+                with pytest.raises(ro.OptionError, match="max_memory="):
+                    call(times, k=1.0, a=1.5, max_memory=limit)
 
 
 EVENTS = {

@@ -205,3 +205,25 @@ def test_where_it_sticks_in_some_order_the_error_says_why_that_failed():
     dragged = {"x": "v", "v": "a*t - x - 0.5*sign(v)"}
     with pytest.raises(ro.BlowUpError, match="between its switches the solve failed: an order"):
         ro.solve(problem(dragged, {"x": 0, "v": 0.2}, {"a": (0.1, 0.3)}, 10), RTOL)
+
+
+@pytest.mark.parametrize(
+    "bump",
+    [
+        "Max(0, 1 - 1e7*(x - 0.7)**2)",
+        "(Abs(1 - 1e7*(x - 0.7)**2) + 1 - 1e7*(x - 0.7)**2)/2",
+        "Max(0, 1e7*(x - 0.7 + 1e-7**0.5)*(0.7 + 1e-7**0.5 - x))",
+    ],
+)
+def test_a_side_as_narrow_as_a_peak_is_not_overlooked(bump):
+    """Each of four passes adds 3e3 times the integral of 1 - ((t - t0)/h)**2."""
+    rates = {"x": "v", "v": "-x", "y": f"3000*{bump} - k*y"}
+    box, times = {"k": (0.2, 0.4)}, np.array([0.5, 1.5, 3.0, 12.0])
+    solution = ro.solve(problem(rates, {"x": 0, "v": 1, "y": 0.5}, box, 12), 1e-3)
+    first = np.arcsin(0.7)
+    jump = 3e3 * 4 / 3 / np.sqrt(1e7) / np.cos(first)
+    exact = 0.5 * np.exp(-0.3 * times)
+    for passed in (first, np.pi - first, 2 * np.pi + first, 3 * np.pi - first):
+        exact += np.where(times > passed, jump * np.exp(-0.3 * (times - passed)), 0.0)
+    assert solution.success
+    assert solution["y"](times, k=0.3) == pytest.approx(exact, abs=3e-3)

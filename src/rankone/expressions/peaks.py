@@ -29,12 +29,12 @@ def peaks(
     """
     for node in subexpressions(expressions, sp.exp, sp.Pow, *_STEEPEST_AT_ZERO):
         if isinstance(node, sp.exp):
-            surfaces = list(_extrema(node.exp, variables))
+            surfaces = list(extrema(node.exp, variables))
         elif not node.is_Pow:
-            surfaces = list(_extrema(node.args[0], variables))
+            surfaces = list(extrema(node.args[0], variables))
             surfaces += [node.args[0]] if isinstance(node, sp.cosh | sp.sech) else []
         elif node.exp.is_number and node.exp.is_negative:
-            surfaces = list(_extrema(node.base, variables))
+            surfaces = list(extrema(node.base, variables))
         else:
             continue
         yield from ((node, surface) for surface in surfaces)
@@ -79,7 +79,7 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
                 yield step.exp + shift
 
 
-def _extrema(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
+def extrema(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     """What vanishes where an expression is least or largest: what is squared, or its slope.
 
     A sum of several squares is least where no single function vanishes.

@@ -175,7 +175,7 @@ class SolutionCore:
     ) -> Array:
         """Values of some states, (rows, *broadcast shape)."""
         evaluator = self._evaluator
-        point = self._coordinates.numbers(gathered)
+        point = self._coordinates.numbers(gathered) if max_memory is None else None
         if point is not None:
             return evaluator.one(point, rows)
         evaluate = partial(self._evaluate_block, rows=rows)
@@ -192,7 +192,8 @@ class SolutionCore:
         arrays = self._coordinates.as_arrays(gathered)
         shape = self._coordinates.common_shape(arrays)
         if 0 in shape:
-            self._coordinates.arrays(arrays)  # raises for values outside
+            foreseen(0.0, 0.0, max_memory)  # raises for what is no amount
+            self._coordinates.arrays(arrays)  # and this for values outside
             return np.empty((*leading, *shape))
         with _memory():
             return whole(arrays, shape, leading, max_memory, evaluate)

@@ -15,12 +15,15 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
+from sympy.core.relational import Relational
 
 from rankone.expressions.boundaries import CONTINUOUS, DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
-from rankone.expressions.peaks import peaks, steps, subexpressions, valleys
+from rankone.expressions.peaks import extrema, peaks, steps, subexpressions, valleys
 from rankone.ir.forms import Coordinate
 
+# Functions of two sides, one of which may be narrow
+_SIDES = (sp.Abs, sp.Max, sp.Min, Relational, sp.Heaviside, sp.sign)
 _MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluates them all
 # Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
 _NARROW_CURVATURE = 1e4
@@ -103,6 +106,9 @@ def state_surfaces(
 ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
     """Functions of the unknowns, or of time, that vanish in peaks, at kinks and at steps.
 
+    A side of a boundary that is as narrow as a peak, as of ``Max(0, 1 - ((x - a)/w)**2)``, has its
+    middle among those of peaks.
+
     Each is in the first of these only; there are at most 64 in all.
     """
 
@@ -110,9 +116,13 @@ def state_surfaces(
         unknowns = set(expression.atoms(AppliedUndef))
         return unknowns | (expression.free_symbols & {time} if not unknowns else set())
 
+    of_peaks = (surface for _, surface in peaks(rates, moving))
     of_steps = (surface for _, surface in steps(rates, moving))
+    middles = (
+        middle for boundary, _ in boundaries(rates, _SIDES) for middle in extrema(boundary, moving)
+    )
     sorts = (
-        (surface for _, surface in peaks(rates, moving)),
+        itertools.chain(of_peaks, middles),
         _zeros(rates, CONTINUOUS),
         itertools.chain(of_steps, _zeros(rates, DISCONTINUOUS)),
     )
