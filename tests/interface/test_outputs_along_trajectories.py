@@ -131,3 +131,9 @@ def test_events_and_jumps_are_refused():
 def test_an_output_that_is_not_finite_is_refused(predators):
     with pytest.raises(ro.EvaluationError, match="is not finite on a trajectory"):
         predators.solve(rtol=1e-3, outputs={"q": "log(-x)"})
+
+
+def test_constants_may_be_outputs(predators):
+    solution = predators.solve(rtol=1e-3, outputs={"three": 3, "x": "x"})
+    assert solution.success
+    assert solution["three"](1.0, a=9.0, b=5.0) == pytest.approx(3.0, rel=1e-6)

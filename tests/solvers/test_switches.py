@@ -227,3 +227,11 @@ def test_a_side_as_narrow_as_a_peak_is_not_overlooked(bump):
         exact += np.where(times > passed, jump * np.exp(-0.3 * (times - passed)), 0.0)
     assert solution.success
     assert solution["y"](times, k=0.3) == pytest.approx(exact, abs=3e-3)
+
+
+@pytest.mark.slow
+def test_a_trajectory_that_blows_up_beyond_a_kink_is_named_as_such():
+    """Its last crossing is where the states are no numbers any more."""
+    repelled = {"x": "v", "v": "-x - 20*Abs(x - k)**1.5"}
+    with pytest.raises(ro.BlowUpError, match="blows up inside the horizon"):
+        ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL)

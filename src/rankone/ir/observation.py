@@ -37,7 +37,7 @@ class Observation:
         with np.errstate(all="ignore"):
             quantities = self.values(times[:, None], states, points.T)
         shape = times.size, len(points)
-        sampled = np.array([np.broadcast_to(quantity, shape) for quantity in quantities])
+        sampled = np.array([np.broadcast_to(quantity, shape) for quantity in quantities], float)
         if not np.isfinite(sampled).all():
             which = int(np.argmin(np.isfinite(sampled).all(axis=(1, 2))))
             at = times[int(np.argmin(np.isfinite(sampled[which]).all(axis=1)))]

@@ -161,13 +161,18 @@ def instants_of(trajectory: EventTrajectory, length: float) -> list[list[Occurre
 def sides_of(
     system: System, trajectory: EventTrajectory, stretches: int, length: float
 ) -> tuple[tuple[int, ...], ...]:
-    """The sides of switches of a trajectory on its first stretches."""
+    """The sides of switches of a trajectory on its first stretches.
+
+    An OrderError where it is no number.
+    """
     if not system.n_sides:
         return ((),) * stretches
     states = [trajectory.paths[0].state]
     states += [instant[-1].after for instant in instants_of(trajectory, length)]
-    sides = [tuple(map(round, state[-system.n_sides :].tolist())) for state in states]
-    return tuple(sides[:stretches])
+    sides = np.stack(states)[:stretches, -system.n_sides :]
+    if not np.isfinite(sides).all():
+        raise OrderError("a trajectory is not finite where the rates switch")
+    return tuple(tuple(map(round, each)) for each in sides.tolist())
 
 
 def _ids(instants: Sequence[Sequence[Occurrence]]) -> list[tuple[int, ...]]:
