@@ -118,9 +118,8 @@ def state_surfaces(
 
     of_peaks = (surface for _, surface in peaks(rates, moving))
     of_steps = (surface for _, surface in steps(rates, moving))
-    middles = (
-        middle for boundary, _ in boundaries(rates, _SIDES) for middle in extrema(boundary, moving)
-    )
+    smooth = (f for f, _ in boundaries(rates, _SIDES) if not f.has(*_SIDES, sp.Piecewise))
+    middles = (middle for boundary in smooth for middle in extrema(boundary, moving))
     sorts = (
         itertools.chain(of_peaks, middles),
         _zeros(rates, CONTINUOUS),
