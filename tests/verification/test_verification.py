@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.ir.observation import Observation
 from rankone.ir.request import Check, Domain, SolveRequest
+from rankone.support.budget import limited, memory_left
 from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 
@@ -62,3 +67,25 @@ def test_sizes_leave_the_corners_out(check: int) -> None:
     assert held.corners == (4 if check else 0)
     inside = np.delete(held.reference(np.linspace(0, 6, 201)), np.s_[1 : 1 + held.corners], axis=1)
     np.testing.assert_array_equal(held.sizes, np.abs(inside).max(axis=(1, 2)))
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_sizes_hold_a_block_at_a_time(observed: bool) -> None:
+    """Where little memory is left, a block is the states at one time: their maxima are as many."""
+    chain = {f"x{i}": f"k*(x{i - 1} - x{i})" if i else "-k*x0" for i in range(40)}
+    problem = ro.Problem.from_strings(chain, dict.fromkeys(chain, "1"), {"k": (1, 2)}, (0, 1))
+    system = ro.compile(problem).system
+    names, rows = tuple(chain), tuple(range(len(chain)))
+    quantities = Observation(names, names, rows, lambda t, u, p: 2.0 * u) if observed else None
+    request = SolveRequest(1e-3, Domain.of(system), Check(60), observed=quantities)
+    held = ReferenceSet.of(system, request)
+    expected = replace(held).states
+    state = 8 * len(held.reference.points) * len(system.states)
+    with limited(memory=10 * state):
+        assert held.reference.times_held == 1
+        tracemalloc.start()
+        sizes = replace(held).states
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < memory_left()
+    np.testing.assert_array_equal(sizes, expected)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -195,7 +195,7 @@ class ReferenceSet:
             states = np.concatenate([*blocks], axis=2)
             now = states[len(self.system.unknowns) - CLOCK_STATES]
             blocks = iter([np.where(now <= clock.horizon[1], states, 0.0)])
-        largest = np.max([np.abs(block).max(axis=2) for block in blocks], axis=0)
+        largest = _largest(blocks)
         sizes = np.asarray(self._interior(largest, axis=1).max(axis=1))
         if clock is not None and clock.markers:
             self._size_clock(sizes, times, states)
@@ -239,13 +239,8 @@ class ReferenceSet:
     def _of_quantities(self) -> Array:
         """Largest absolute value of each quantity that is observed; one for a vanishing one."""
         times = np.linspace(self.reference.start, self.end, _SIZE_SAMPLES)
-        largest = np.max(
-            [
-                np.abs(self.seen(part, self.reference(part))).max(axis=2)
-                for part in np.array_split(times, -(-times.size // self.reference.times_held))
-            ],
-            axis=0,
-        )
+        parts = np.array_split(times, -(-times.size // self.reference.times_held))
+        largest = _largest(self.seen(part, self.reference(part)) for part in parts)
         sizes = self._interior(largest, axis=1).max(axis=1)
         return np.where(sizes > 0.0, sizes, 1.0)
 
@@ -462,6 +457,14 @@ def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[
     near = _COINCIDENT * max(abs(start), abs(end))
     apart = (cut for cut in cuts if all(abs(cut - time) > near for time in jumps))
     return tuple(sorted([*apart, *jumps]))
+
+
+def _largest(blocks: Iterable[Array]) -> Array:
+    """Largest absolute values over all times, (n, m), of blocks (n, m, T): one is held at a time.
+
+    With little memory a block is a single time: then all their maxima are as much as all states.
+    """
+    return reduce(np.maximum, (np.abs(block).max(axis=2) for block in blocks))
 
 
 def times_within(start: float, end: float, shares: Array) -> Array:

@@ -8,6 +8,7 @@ from rankone.discretization import ChebyshevBasis
 from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers.cross.trajectories import Trajectories
+from rankone.support.budget import OutOfMemoryError, limited
 from rankone.tensors.cross import Samples
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks.integrator import StackedIntegrator
@@ -52,6 +53,8 @@ def test_trajectories_on_lines_are_read_from_the_reference():
     columns = read.basis.columns(read(lines))
     assert read.count == 0
     np.testing.assert_allclose(columns, read._integrated(lines), rtol=1e-6, atol=1e-8)
+    with limited(memory=8 * columns.size), pytest.raises(OutOfMemoryError):
+        read(lines)  # several copies of them while the basis grows
     assert read(lines[:2]).shape[1] == 2
     assert read.count > 0
 

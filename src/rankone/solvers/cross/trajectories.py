@@ -75,6 +75,7 @@ class Trajectories:
     def __call__(self, points: Array) -> Array:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
         if len(points) and np.array_equal(points, self.reference_set.lines):
+            self._reserve(len(points))
             return self._coefficients(self._on_lines())
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
