@@ -162,6 +162,17 @@ def test_what_workers_send_counts_as_memory(system, dense):
                 grouped.run(system, POINTS, (0.0, 1.0), TOLERANCES)
 
 
+def test_groups_that_fit_tell_what_all_need(system, dense):
+    """Those that are integrated tell it, and not the first steps of the next one."""
+    each = [sum(piece.nbytes for piece in group.pieces) for group in dense.groups]
+    for memory in (1.2 * each[0], 1.8 * each[0], 0.9 * sum(each)):
+        grouped = GroupedStacks(StackedIntegrator(), Workers(system))
+        with limited(memory=memory), pytest.raises(OutOfMemoryError) as caught:
+            grouped.run(system, POINTS, (0.0, 1.0), TOLERANCES)
+        assert caught.value.limit == memory
+        assert 0.7 * sum(each) < caught.value.needed < 1.3 * sum(each)
+
+
 def test_outputs_that_lose_digits_are_integrated_again_on_workers():
     """Their reference is finer than that of the states."""
     problem = ro.Problem.from_strings(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.support.budget import OutOfBudgetError, limited
+from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, limited
 from rankone.trajectories.integrator import Integrator, Tolerances
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.integrator import StackedIntegrator
@@ -53,3 +53,20 @@ def test_a_limit_tells_how_far_an_integration_came():
         StackedIntegrator().run(decay("-100*k*(x - cos(100*t))"), POINTS, [0.0, 2.0], TOLERANCES)
     assert 0.0 < out.value.reached.time < 2.0
     assert out.value.reached.steps > 5
+
+
+@pytest.mark.parametrize(
+    ("rates", "least"),
+    [({"x": "-1e6*k*(x - y)", "y": "-y"}, 0.0), ({"x": "k*cos(20*t)*y", "y": "-k*x"}, 0.5)],
+)
+def test_a_memory_limit_tells_how_much_all_steps_need(rates, least):
+    """In a transient, whose steps are short, no more than what is there."""
+    starts = {"x": 0, "y": 1}
+    system = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (0.5, 1.5)}, (0, 30))).system
+    integrator = StackedIntegrator(stiff=not least)
+    whole = integrator.run(system, POINTS, (0.0, 30.0), TOLERANCES)
+    total = sum(piece.nbytes for piece in whole.pieces)
+    for share in (0.2, 0.3, 0.5, 0.7, 0.9):
+        with limited(memory=share * total), pytest.raises(OutOfMemoryError) as caught:
+            integrator.run(system, POINTS, (0.0, 30.0), TOLERANCES)
+        assert max(share, least) * total < caught.value.needed < 2.0 * total

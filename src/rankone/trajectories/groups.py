@@ -8,7 +8,9 @@ all. So the bits do not depend on workers.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +18,7 @@ import numpy as np
 
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import hold
+from rankone.support.budget import OutOfMemoryError, hold, memory_left
 from rankone.trajectories.dense_paths import SingleTrajectories
 from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
 from rankone.trajectories.paths import Path
@@ -90,7 +92,8 @@ class GroupedStacks:
             return self.stack.run(system, points, edges, tolerances)
         if system is not self.workers.system:
             return GroupedTrajectories(tuple(_stacked(system, *task) for task in tasks))
-        groups = self.workers.map(_stacked, tasks)
+        with _expecting_all() as done:
+            groups = self.workers.map(_stacked, tasks, done=done)
         if self.workers.pool is not None:
             _hold([piece for group in groups for piece in group.pieces])
         return GroupedTrajectories(tuple(groups))
@@ -206,6 +209,26 @@ class GroupedTrajectories:
 def _divided(points: Array, size: int) -> list[Array]:
     """Points (m, d) in groups of this size at most."""
     return np.array_split(points, max(-(-len(points) // size), 1))
+
+
+@contextmanager
+def _expecting_all() -> Iterator[Callable[[float], None]]:
+    """Let an OutOfMemoryError say what all groups need, where some are integrated.
+
+    What is yielded is to be told the part that is done.
+    """
+    before, taken = memory_left(), 0.0
+
+    def done(share: float) -> None:
+        nonlocal taken
+        if before < math.inf:
+            taken = (before - memory_left()) / share
+
+    try:
+        yield done
+    except OutOfMemoryError as out:
+        needed = out.limit - before + taken
+        raise OutOfMemoryError(max(out.needed, needed), out.limit, out.reached) from out
 
 
 def _hold(pieces: Sequence[Path | Piece]) -> None:

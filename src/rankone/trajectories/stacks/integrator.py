@@ -7,6 +7,7 @@ pointwise right-hand side; by Radau where a trajectory is stiff.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -53,6 +54,8 @@ _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
+_TELLING_STEPS = 100  # Steps that tell how many are left: those of a transient are fewer
+_TELLING_SHARE = 0.01  # Part of the horizon after which fewer do
 _IMPLICIT_STEPS = 20  # Implicit steps at least, whatever the time that is left
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
@@ -231,8 +234,7 @@ class _DenseRecord:
 
     def add(self, solver: Stepper) -> None:
         piece = solver.dense_output().kept()
-        steps_left = (self.horizon[1] - solver.t) / solver.step_size
-        hold(piece, piece.nbytes, steps_left * piece.nbytes if self.parts > EARLY_STEPS else 0.0)
+        hold(piece, piece.nbytes, self._steps_left(solver) * piece.nbytes)
         self.times.append(solver.t)
         self.steps.append(piece)
         sizes = np.abs(solver.y if piece.parts == 1 else piece.at(piece.ends))
@@ -240,6 +242,22 @@ class _DenseRecord:
         self.largest, self.parts = np.maximum(self.largest, sizes), self.parts + piece.parts
         if self.parts <= EARLY_STEPS:
             self.early = self.largest
+
+    def _steps_left(self, solver: Stepper) -> float:
+        """Steps up to the end, if their length grows with a power of the time; 0 in a transient.
+
+        Steps in a transient grow, others keep their length. Of a step ``h t**(1 - p)`` the power
+        ``p`` is the mean length so far over the last one. A last one that is short, as after a
+        cut, tells less than the mean.
+        """
+        start, end = self.horizon
+        done, steps = float(solver.t - start), len(self.steps) + 1
+        if steps < _TELLING_STEPS and done < _TELLING_SHARE * (end - start):
+            return 0.0
+        mean = done / steps
+        last = max(float(solver.step_size), mean)
+        power = mean / last
+        return done / last * math.expm1(power * math.log((end - start) / done)) / power
 
     def trajectories(self, state: Array, avoided: float) -> StackedTrajectories:
         steps = tuple(self.times), tuple(self.steps)
