@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -27,29 +28,52 @@ from rankone.trajectories.stacks.integrator import StackedIntegrator, StackedTra
 from rankone.trajectories.stacks.steppers import Piece
 from rankone.trajectories.workers import Workers
 
+_Integrator = TypeVar("_Integrator", SingleIntegrator, StackedIntegrator)
 _SINGLES = 8  # Trajectories of one task where each is integrated alone
 _STACK_STATES = 15_000  # States of a group that fits the cache
 _LEAST_STACK = 32  # Fewest trajectories of a group: calls of NumPy dominate below
 
 
 @dataclass(frozen=True)
-class SinglesOnWorkers:
-    """A :class:`SingleIntegrator` whose trajectories of :meth:`run` are integrated by workers."""
+class _DenseOnWorkers(Generic[_Integrator]):
+    """An integrator of which :meth:`run` is divided among workers, and nothing else."""
 
-    single: SingleIntegrator
+    integrator: _Integrator
     workers: Workers
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        return self.integrator.sample(system, points, edges, tolerances, times)
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
+        return self.integrator.paths(system, points, spans, tolerances)
+
+
+@dataclass(frozen=True)
+class SinglesOnWorkers(_DenseOnWorkers[SingleIntegrator]):
+    """Trajectories one by one, of which each worker integrates some."""
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
     ) -> SingleTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
-        work = self.single, edges, tolerances
+        work = self.integrator, edges, tolerances
         if system is not self.workers.system or self.workers.pool is None:
-            return self.single.run(system, points, *work[1:])
+            return self.integrator.run(system, points, *work[1:])
         tasks = [(group, *work) for group in _divided(points, _SINGLES)]
         some = self.workers.map(_singles, tasks)
         if any(each.end < edges[-1] for each in some):  # the others end there as well
-            return self.single.run(system, points, *work[1:])
+            return self.integrator.run(system, points, *work[1:])
         paths = tuple(itertools.chain.from_iterable(each.paths for each in some))
         if len(tasks) > 1:
             _hold(paths)
@@ -57,39 +81,19 @@ class SinglesOnWorkers:
             paths, some[0].end, np.concatenate([each.state for each in some], 1)
         )
 
-    def sample(
-        self,
-        system: System,
-        points: Array,
-        edges: Sequence[float],
-        tolerances: Tolerances,
-        times: Array,
-    ) -> SampledTrajectories:
-        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
-        return self.single.sample(system, points, edges, tolerances, times)
-
-    def paths(
-        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
-    ) -> list[Path]:
-        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
-        return self.single.paths(system, points, spans, tolerances)
-
 
 @dataclass(frozen=True)
-class GroupedStacks:
-    """A :class:`StackedIntegrator` that takes trajectories of many states in groups."""
-
-    stack: StackedIntegrator
-    workers: Workers
+class GroupedStacks(_DenseOnWorkers[StackedIntegrator]):
+    """Stacks of trajectories of many states in groups."""
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
     ) -> StackedTrajectories | GroupedTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
         size = max(_STACK_STATES // system.n_differential, _LEAST_STACK)
-        tasks = [(group, self.stack, edges, tolerances) for group in _divided(points, size)]
+        tasks = [(group, self.integrator, edges, tolerances) for group in _divided(points, size)]
         if len(tasks) == 1:
-            return self.stack.run(system, points, edges, tolerances)
+            return self.integrator.run(system, points, edges, tolerances)
         if system is not self.workers.system:
             return GroupedTrajectories(tuple(_stacked(system, *task) for task in tasks))
         with _expecting_all() as done:
@@ -97,23 +101,6 @@ class GroupedStacks:
         if self.workers.pool is not None:
             _hold([piece for group in groups for piece in group.pieces])
         return GroupedTrajectories(tuple(groups))
-
-    def sample(
-        self,
-        system: System,
-        points: Array,
-        edges: Sequence[float],
-        tolerances: Tolerances,
-        times: Array,
-    ) -> SampledTrajectories:
-        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
-        return self.stack.sample(system, points, edges, tolerances, times)
-
-    def paths(
-        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
-    ) -> Sequence[Path]:
-        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
-        return self.stack.paths(system, points, spans, tolerances)
 
 
 @dataclass(frozen=True)
