@@ -15,7 +15,8 @@ def average(function, jumps, dimensions, most=256):
 
     total, weight = 0.0, 0.0
     for lines in refinements(dimensions, most):
-        points, weights = lines.rule(lambda *at, lines=lines: label(lines.at(*at)))
+        pieces = lines.pieces(lambda *at, lines=lines: label(lines.at(*at)))
+        points, weights = lines.rule(pieces, 4)
         total, weight = total + function(*points) @ weights, weight + weights.sum()
     return total / weight
 

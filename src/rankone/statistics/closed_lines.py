@@ -23,8 +23,6 @@ from rankone.support.arrays import Array
 Labels = Callable[[NDArray[np.intp], Array], NDArray[np.intp]]
 """Labels (M,) of the smooth pieces in which shares (M,) of segments (M,) lie."""
 
-_GAUSS = np.polynomial.legendre.leggauss(4)
-_NODES, _WEIGHTS = 0.5 * (1.0 + _GAUSS[0])[:, None], 0.5 * _GAUSS[1][:, None]
 FIRST_LINES = 16
 """Lines before the first refinement."""
 _PARTS = 4  # Parts of a line at least, so that Gauss's rule resolves what is smooth
@@ -36,6 +34,15 @@ _MOST_STEPS = 4  # Largest component of a direction, which is the number of time
 _LATTICE = 49851  # Multiplier of the Korobov lattice, the best of 400 for 2 to 5 coordinates
 _LATTICE_SIZE = 2**20
 _GOLDEN_RATIO = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces of ``segments`` (P,) of lines, and the shares of these where they begin and end."""
+
+    segments: NDArray[np.intp]
+    begins: Array
+    ends: Array
 
 
 @dataclass(frozen=True)
@@ -77,8 +84,8 @@ class Lines:
         start = self.starts[:, segments]
         return start + shares * (self.ends[:, segments] - start)
 
-    def rule(self, labels: Labels) -> tuple[Array, Array]:
-        """Points (D, M) and weights (M,) for a function that is smooth where labels are equal."""
+    def pieces(self, labels: Labels) -> Pieces:
+        """The pieces of segments on which labels are equal."""
         segments, breaks = self._breaks(labels)
         owners = np.concatenate([np.arange(self.lengths.size), segments])
         begins = np.concatenate([np.zeros(self.lengths.size), breaks])
@@ -86,10 +93,17 @@ class Lines:
         owners, begins = owners[order], begins[order]
         ends = np.append(begins[1:], 1.0)
         ends[np.append(owners[1:] != owners[:-1], True)] = 1.0
-        shares = begins + _NODES * (ends - begins)
-        weights = _WEIGHTS * ((ends - begins) * self.lengths[owners])
-        everywhere = np.broadcast_to(owners, shares.shape)
-        return self.at(everywhere.ravel(), shares.ravel()), weights.ravel()
+        return Pieces(owners, begins, ends)
+
+    def rule(self, pieces: Pieces, nodes: int) -> tuple[Array, Array]:
+        """Gauss's points (D, M) and weights (M,) on pieces: so many nodes on each."""
+        places, weights = np.polynomial.legendre.leggauss(nodes)
+        lengths = pieces.ends - pieces.begins
+        shares = pieces.begins + 0.5 * (1.0 + places)[:, None] * lengths
+        segments = np.broadcast_to(pieces.segments, shares.shape)
+        points = self.at(segments.ravel(), shares.ravel())
+        weights = 0.5 * weights[:, None] * (lengths * self.lengths[pieces.segments])
+        return points, weights.ravel()
 
     def on_all(self, shares: Array) -> Array:
         """Points (D, len(shares) * S) at shares of the way along each segment."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.statistics.closed_lines import FIRST_LINES, Lines, refinements
+from rankone.statistics.closed_lines import FIRST_LINES, Lines, Pieces, refinements
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
@@ -26,6 +26,8 @@ _POINTS_AT_ONCE = 2**14
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
 _BARYCENTRIC = np.sin(np.pi * (np.arange(9) + 0.5) / 9) * (-1.0) ** np.arange(9)
 _LASTING = 0.25  # Share of a change that is expected of the next one
+# Nodes of Gauss's rule on a smooth piece of a line: at first, and most of them
+_FEWEST_NODES, _MOST_NODES = 4, 64
 _MOST_PIECES = 10_000  # Smooth pieces of one evaluator
 
 
@@ -50,34 +52,83 @@ EFFECTS = Accuracy(1e-3, 1e-2, 4 * FIRST_LINES)
 
 @dataclass
 class _Average:
-    """A statistic at one time, from the states (rows, M) at the points of all lines so far."""
+    """A statistic at one time, from the states (rows, M) at the points of all lines so far.
 
+    ``nodes`` is the number on each smooth piece that resolves it, and ``unresolved`` what twice as
+    many would have changed.
+    """
+
+    of: Weighted
     states: list[Array] = field(default_factory=list)
     weights: list[Array] = field(default_factory=list)
     latest: Array | None = None
     changes: tuple[float, float] = (np.inf, np.inf)
     share: float = 1.0
+    nodes: int = 0
+    unresolved: float = 0.0
 
     @property
     def change(self) -> float:
         """The latest change, or what the one before lets expect: one may vanish by chance."""
         return max(self.changes)
 
-    def refine(self, of: Weighted) -> None:
-        """The statistic of those that still run, their share, and what the latest lines changed."""
-        states, weights = np.hstack(self.states), np.concatenate(self.weights)
+    @property
+    def error(self) -> float:
+        """About the error, in units of the statistic; zero before there is a second look."""
+        change = self.changes[0] if np.isfinite(self.changes[0]) else 0.0
+        return max(change, self.unresolved)
+
+    def add(self, values: Callable[[int], tuple[Array, Array]], settled: float) -> None:
+        """Take in states and weights on further lines, which ``values`` gives by nodes of a piece.
+
+        The first lines tell how many nodes are needed.
+        """
+        if self.nodes:
+            states, weights = values(self.nodes)
+        else:
+            states, weights = self._resolved(values, settled)
+        self.states.append(states)
+        self.weights.append(weights)
+
+    def _resolved(
+        self, values: Callable[[int], tuple[Array, Array]], settled: float
+    ) -> tuple[Array, Array]:
+        """States and weights by twice as many nodes as are enough."""
+        before, _, _ = self._running(*values(_FEWEST_NODES))
+        self.nodes = _FEWEST_NODES
+        while True:
+            states, weights = values(2 * self.nodes)
+            now, unit, _ = self._running(states, weights)
+            self.unresolved = _change(now, before, unit)
+            if self.unresolved <= settled or 2 * self.nodes == _MOST_NODES:
+                return states, weights
+            self.nodes, before = 2 * self.nodes, now
+
+    def _running(self, states: Array, weights: Array) -> tuple[Array | None, Array, float]:
+        """The statistic of those that still run, the unit of its changes, and their share."""
         runs = np.isfinite(states).all(axis=0)
         running = weights[runs]
-        self.share = float(running.sum() / weights.sum())
-        if not self.share:
-            return
-        statistic, unit = of(states[:, runs], running / running.sum())
-        if self.latest is not None:
-            apart = np.abs(statistic - self.latest)
-            ratios = np.divide(apart, unit, out=np.zeros_like(apart), where=unit > 0.0)
-            changes = (float(np.nan_to_num(ratios).max(initial=0.0)), _LASTING * self.changes[0])
-            self.changes = changes
+        share = float(running.sum() / weights.sum())
+        if not share:
+            return None, np.zeros(0), share
+        return *self.of(states[:, runs], running / running.sum()), share
+
+    def refine(self) -> None:
+        """The statistic from all lines, and what the latest ones changed."""
+        everything = np.hstack(self.states), np.concatenate(self.weights)
+        statistic, unit, self.share = self._running(*everything)
+        if self.latest is not None and statistic is not None:
+            self.changes = _change(statistic, self.latest, unit), _LASTING * self.changes[0]
         self.latest = statistic
+
+
+def _change(now: Array | None, before: Array | None, unit: Array) -> float:
+    """The largest change of a statistic in its units; zero where nothing runs."""
+    if now is None or before is None:
+        return 0.0
+    apart = np.abs(now - before)
+    ratios = np.divide(apart, unit, out=np.zeros_like(apart), where=unit > 0.0)
+    return float(np.nan_to_num(ratios).max(initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -100,14 +151,13 @@ class LineAverages:
         Its rows are the states at the first set of points, then those at the next one. It is NaN
         where nothing runs. A warning says how accurate it is if it does not settle.
         """
-        averages = [_Average() for _ in range(times.size)]
+        averages = [_Average(of) for _ in range(times.size)]
         for lines in refinements(dimensions, accuracy.most_lines):
             left = [k for k, each in enumerate(averages) if each.change > accuracy.settled]
-            self._add(lines, times[left], sets, [averages[k] for k in left])
+            self._add(lines, times[left], sets, [averages[k] for k in left], accuracy.settled)
             for k in left:
-                averages[k].refine(of)
-        reached = [each.changes[0] for each in averages if np.isfinite(each.changes[0])]
-        _warn_of_changes(max(reached, default=0.0), accuracy.warned)
+                averages[k].refine()
+        _warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
         count = len(sets(np.full((dimensions, 1), 0.5))) * self.rows.size
         shape = of(np.zeros((count, 1)), np.ones(1))[0].shape
         nothing = np.full(shape, np.nan)
@@ -116,7 +166,12 @@ class LineAverages:
         return table, np.array([each.share for each in averages])
 
     def _add(
-        self, lines: Lines, times: Array, sets: PointSets, averages: Sequence[_Average]
+        self,
+        lines: Lines,
+        times: Array,
+        sets: PointSets,
+        averages: Sequence[_Average],
+        settled: float,
     ) -> None:
         """Take the states at times (T,) at the points of lines into averages."""
         tables = []
@@ -127,9 +182,13 @@ class LineAverages:
             tables.append(deciders.reshape(len(deciders), _NODES.size, -1))
         for time, average in zip(times, averages, strict=True):
             at = np.array([time])
-            points, weights = lines.rule(lambda *places, at=at: self._pieces(at, tables, *places))
-            average.states.append(np.concatenate([self._states(at, p) for p in sets(points)]))
-            average.weights.append(weights)
+            pieces = lines.pieces(lambda *places, at=at: self._pieces(at, tables, *places))
+
+            def values(nodes: int, at: Array = at, pieces: Pieces = pieces) -> tuple[Array, Array]:
+                points, weights = lines.rule(pieces, nodes)
+                return np.concatenate([self._states(at, p) for p in sets(points)]), weights
+
+            average.add(values, settled)
 
     def _pieces(
         self, time: Array, tables: Sequence[Array], segments: NDArray[np.intp], shares: Array

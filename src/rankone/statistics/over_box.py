@@ -83,9 +83,10 @@ class StatisticsOverBox(SolutionCore):
             1e-3 of the standard deviation.
 
         Over solutions with events, which jump over the parameters at a time, averages are over
-        lines through the box that are divided where the solution jumps. Their number is doubled
-        until that changes the statistic by less than 1e-4 of the spread. A warning says how much it
-        changes still if 512 lines are not enough and that is more than 1e-3.
+        lines through the box that are divided where the solution jumps. The nodes of Gauss's rule
+        on each smooth piece, and the lines, are doubled until that changes the statistic by less
+        than 1e-4 of the spread. A warning says how much it changes still if 64 nodes or 512 lines
+        are not enough and that is more than 1e-3.
 
         Returns
         -------
