@@ -9,10 +9,13 @@ import rankone as ro
 from rankone.ir.events import Ending, EventOrder, Marker
 from rankone.ir.system import Clock
 from rankone.trajectories.choice import integrator_for, span_integrator_for
+from rankone.trajectories.events.crossings import Crossings
 from rankone.trajectories.events.event_order import follow
-from rankone.trajectories.events.periods import is_autonomous, may_repeat, repeats
-from rankone.trajectories.events.stretches import in_stretches, timed_events
+from rankone.trajectories.events.markers import ForeseenMarks
+from rankone.trajectories.events.periods import is_autonomous, repeating_from, repeats
+from rankone.trajectories.events.stretches import in_stretches, marker_event, timed_events
 from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.paths import joined
 
 END, COUNT = 24.0, 16
 ACCURACY = 1e-8
@@ -29,11 +32,12 @@ def system_of(rates=(), start=()):
     ).system
 
 
-def followed(system, accuracy=ACCURACY, periodic=True):
+def followed(system, accuracy=ACCURACY, repeats_from=8):
     """Trajectories at three points over sixteen crossings of x = 5."""
     timed = timed_events(system, (), (Marker(0, 5.0),))
     order = EventOrder(((0,),) * COUNT, Ending.EVENT)
-    clock = Clock(timed, order, (0.0, END), (), (Marker(0, 5.0),), periodic=periodic)
+    marker = Marker(0, 5.0)
+    clock = Clock(timed, order, (0.0, END), (), (marker,), repeats_from=repeats_from)
     tolerances = Tolerances(accuracy, accuracy * np.ones((system.n_differential, 1)))
     integrator = span_integrator_for(timed, accuracy=accuracy)
     return clock, follow(clock, integrator, POINTS, tolerances, COUNT)
@@ -41,7 +45,7 @@ def followed(system, accuracy=ACCURACY, periodic=True):
 
 def goes_on(clock, trajectories):
     integrator = span_integrator_for(clock.system, accuracy=ACCURACY)
-    return may_repeat(clock, integrator, POINTS, trajectories, ACCURACY)
+    return repeating_from(clock, integrator, POINTS, trajectories, ACCURACY)
 
 
 def test_prey_and_predators_go_round_as_if_they_were_integrated():
@@ -49,7 +53,7 @@ def test_prey_and_predators_go_round_as_if_they_were_integrated():
     _, trajectories = followed(system)
     assert all(each.period for each in trajectories)
     assert all(each.paths[-1].end < 0.7 * END for each in trajectories)
-    clock, integrated = followed(system, 0.01 * ACCURACY, periodic=False)
+    clock, integrated = followed(system, 0.01 * ACCURACY, repeats_from=0)
     assert goes_on(clock, integrated)
     times = np.linspace(0.0, END, 301)
     for there, here in zip(integrated, trajectories, strict=True):
@@ -59,6 +63,32 @@ def test_prey_and_predators_go_round_as_if_they_were_integrated():
         assert (np.abs(here(times) - exact) < 1e-6 * sizes).all()
         found = np.array([mark.time for mark in here.occurrences[:COUNT]])
         np.testing.assert_allclose(found, marks, atol=1e-7)
+
+
+def test_crossings_of_a_level_are_those_of_any_function():
+    """Steps on which a marker is far from its level are left out of the search."""
+    system = system_of()
+    _, trajectories = followed(system, repeats_from=0)
+    paths = [joined(each.paths) for each in trajectories]
+    fired, first = [frozenset()] * len(paths), np.ones(len(paths), dtype=bool)
+    crossings = Crossings(system, paths, POINTS, fired, first, 1e-9)
+    marker = marker_event(Marker(0, 5.0), "marker")
+    function = dataclasses.replace(marker, marker=None)
+    for ours, theirs in zip(crossings.of(0, marker), crossings.of(0, function), strict=True):
+        assert ours.size > COUNT - 2
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_quadratic_polynomials_foresee_marks():
+    points = np.random.default_rng(3).random((30, 2))
+    times = np.stack([1.0 + points[:, 0] ** 2, 5.0 + points[:, 0] * points[:, 1]], axis=1)
+    bounds = np.array([[0.0, 1.0], [0.0, 1.0]])
+    marks = ForeseenMarks.fitted(bounds, points, times, gap=2.0)
+    for count in (1, 2):
+        later = marks(points, count) - times[:, count - 1]
+        np.testing.assert_allclose(later, later[0], atol=1e-9)
+        assert 0.0 < later[0] < 0.5
+    np.testing.assert_array_equal(marks(points, 9), marks(points, 2))
 
 
 def test_states_over_stretches_are_in_the_order_of_their_times():

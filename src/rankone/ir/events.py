@@ -86,6 +86,8 @@ def overlap(name: str, place: str) -> ProblemError:
 
 OfPoints: TypeAlias = Callable[[Array], Array]
 """Maps points (m, d) to numbers (m,)."""
+OfMarks: TypeAlias = Callable[[Array, int], Array]
+"""Maps points (m, d) and a count of marks to the times (m,) by which they are passed."""
 
 
 @dataclass(frozen=True)

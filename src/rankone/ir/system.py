@@ -45,7 +45,7 @@ from rankone.ir.events import (
     EventOrder,
     ForcedOrder,
     Marker,
-    OfPoints,
+    OfMarks,
     OfTrajectory,
     SystemEvent,
 )
@@ -235,11 +235,12 @@ class System:
 class Clock:
     """The system over clock time that runs in stretches, and the order of its events.
 
-    Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``last_marks`` tells about
-    when trajectories at points (m, d) pass the last event, where nothing interrupts them. Where the
-    order is ``forced``, trajectories follow it also where others would come first. Where they are
-    ``periodic``, those that have come back go on as over their last period. ``swings`` are how many
-    times a state would go through its size over the horizon at its fastest.
+    Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``foreseen_marks`` tell
+    about when trajectories at points (m, d) have passed so many events, where none interrupts.
+    Where the order is ``forced``, trajectories follow it also where others would come first. Where
+    they repeat, from about so many marks on, those that have come back go on as over their last
+    period. ``swings`` are how many times a state would go through its size over the horizon at its
+    fastest.
     """
 
     system: System
@@ -247,9 +248,9 @@ class Clock:
     horizon: tuple[float, float]
     cuts: tuple[float, ...] = ()
     markers: tuple[Marker, ...] = ()
-    last_marks: OfPoints | None = None
+    foreseen_marks: OfMarks | None = None
     forced: ForcedOrder | None = None
-    periodic: bool = False
+    repeats_from: int = 0
     swings: float = 0.0
 
     @property

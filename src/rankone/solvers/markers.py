@@ -18,15 +18,21 @@ from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.markers import (
     SCOUTS,
-    LastMarks,
+    ForeseenMarks,
     chosen_markers,
     may_pay,
     swings_of,
     with_order,
 )
-from rankone.trajectories.events.periods import is_autonomous
+from rankone.trajectories.events.periods import is_autonomous, repeating_from
+from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.events.stretches import timed_events
-from rankone.trajectories.integrator import SeparateTrajectories, Spans, Tolerances
+from rankone.trajectories.integrator import (
+    SeparateTrajectories,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+)
 from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.workers import Workers
@@ -155,12 +161,22 @@ def _by_paths(
         return None
     clock, trajectories = marked
     count = len(clock.order.instants)
-    last = np.array([each.occurrences[count - 1].time for each in trajectories])
-    gap = float(last.max() - domain.horizon[0]) / count
-    last_marks = LastMarks.fitted(domain.bounds, points, last, gap)
+    times = np.array([[mark.time for mark in each.occurrences[:count]] for each in trajectories])
+    gap = float(times.max() - domain.horizon[0]) / count
+    foreseen_marks = ForeseenMarks.fitted(domain.bounds, points, times, gap)
     swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
-    clock = replace(clock, last_marks=last_marks, swings=swings)
-    stretched, there = over_stretches(clock, request)
-    whole, _ = over_stretches(replace(clock, periodic=False), request)
+    clock = replace(clock, foreseen_marks=foreseen_marks, swings=swings)
+    whole, there = over_stretches(replace(clock, repeats_from=0), request)
     reference_set = ReferenceSet.of(whole, there)  # integrated to the end, whatever repeats
+    repeats_from = _repeating_from(clock, chosen, reference_set)
+    clock = replace(clock, repeats_from=repeats_from)
+    stretched, _ = over_stretches(clock, request)
     return SolveStart(there, replace(reference_set, system=stretched), clock)
+
+
+def _repeating_from(clock: Clock, integrator: SpanIntegrator, reference_set: ReferenceSet) -> int:
+    """From which mark on the trajectories of a reference repeat, as accurate as they are."""
+    (dense,), points = reference_set.reference.batches, reference_set.reference.points
+    assert isinstance(dense, StretchTrajectories)
+    accuracy = reference_set.accuracy
+    return repeating_from(clock, integrator, points, dense.trajectories, accuracy)

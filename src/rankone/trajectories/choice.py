@@ -121,7 +121,7 @@ def following(integrator: str, taken: str, trajectories: int, clock: Clock | Non
     So a stall is met once. A few trajectories tell nothing of large stacks. A stack on the
     ``clock`` of markers, which is in phase, is not watched again.
     """
-    in_phase = clock is not None and clock.last_marks is not None and taken == "stack"
+    in_phase = clock is not None and clock.foreseen_marks is not None and taken == "stack"
     told = integrator == "auto" and trajectories >= _TELLING
     return taken if told and (in_phase or taken == "single") else integrator
 

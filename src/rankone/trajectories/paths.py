@@ -63,9 +63,13 @@ class Path:
         place = np.clip(place, 0, self.steps - 1)
         width = np.diff(self.breaks)[place]
         share = (2.0 * (times - self.breaks[place]) / width - 1.0)[:, None]
-        states = self.coefficients[-1, place]
-        for coefficient in self.coefficients[-2::-1]:
-            states = states * share + coefficient[place]
+        if times.size < self.steps and "coefficients" not in self.__dict__:
+            coefficients = step_coefficients(self.nodal[place])  # of few steps
+        else:
+            coefficients = self.coefficients[:, place]
+        states = coefficients[-1]
+        for coefficient in coefficients[-2::-1]:
+            states = states * share + coefficient
         return np.asarray(states.T)
 
     def largest(self, steps: int | None = None) -> Array:

@@ -21,6 +21,7 @@ from rankone.verification.reference import Reference
 _TIMES = 41  # Evenly spaced times of the horizon at which values are compared
 _SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
 _BEYOND = 0.02  # How far beyond where an order holds its errors count, in horizons
+_TOGETHER = 1 << 21  # Numbers of solutions that are read together
 _BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
 
 
@@ -55,12 +56,14 @@ def clock_errors(
     rows, time_error = slice(0, n), 0.0
     columns = np.ascontiguousarray(reference.points.T)
     borders = evaluator.borders(columns)
-    for k, (point, (batch, at)) in enumerate(zip(reference.points, _each(reference), strict=True)):
-        times = _compared(
-            batch.trajectories[at], clock.system, clock.horizon, batch.borders[at], rtol
-        )
+    all_times = [
+        _compared(batch.trajectories[at], clock.system, clock.horizon, batch.borders[at], rtol)
+        for batch, at in _each(reference)
+    ]
+    solutions = _curves(evaluator, all_times, columns, rows)
+    each = zip(reference.points, _each(reference), all_times, solutions, strict=True)
+    for k, (point, (batch, at), times, solution) in enumerate(each):
         exact = batch.at(at, times)
-        solution = evaluator.curves(times[:, None], point[:, None], rows)[:, :, 0]
         missing = np.isnan(exact)
         if missing.any() and not clock.terminal:
             errors[:, k] = np.inf
@@ -81,6 +84,20 @@ def clock_errors(
     before = exact[n] <= clock.horizon[1]  # the row behind the states is the clock
     at_shares = np.where(before, np.abs(found - exact[:n]), 0.0).max(axis=1)
     return ClockErrors(errors, largest, at_shares, time_error, off)
+
+
+def _curves(
+    evaluator: TimelineEvaluator, all_times: Sequence[Array], points: Array, rows: slice
+) -> Iterator[Array]:
+    """States (n, T) at the times (T,) of each of the points (d, m), which are read together."""
+    longest = max(times.size for times in all_times)
+    together = max(_TOGETHER // (longest * evaluator.count(rows)), 1)
+    for first in range(0, len(all_times), together):
+        some = all_times[first : first + together]
+        padded = np.stack([np.pad(times, (0, longest - times.size), "edge") for times in some], 1)
+        states = evaluator.curves(padded, points[:, first : first + together], rows)
+        for k, times in enumerate(some):
+            yield states[:, : times.size, k]
 
 
 def _off_constraints(system: System, times: Array, states: Array, point: Array) -> Array:

@@ -85,6 +85,22 @@ class _Steps:
         states = nodal.reshape(times.size, -1).T
         return _heights(event, times, states, parameters).reshape(-1, shares.size)
 
+    def telling(self, event: SystemEvent) -> _Steps:
+        """The first step of each path, and all others on which an event may take place.
+
+        Not one whose state stays on one side of the level of a marker, and far enough from it: what
+        is resolved there crosses nothing, and is never divided.
+        """
+        if (marker := event.marker) is None:
+            return self
+        charge(CALL + _LOOK_COST * self.nodal[:, :, 0].size)
+        heights = np.ascontiguousarray(self.nodal[:, :, marker.state].T) - marker.level
+        lowest, highest = heights.min(axis=0), heights.max(axis=0)
+        far = (lowest > 0.0) & (lowest > _LOW * highest)
+        far |= (highest < 0.0) & (highest < _LOW * lowest)
+        far &= np.diff(self.owner, prepend=-1) == 0
+        return self._chosen(np.flatnonzero(~far))
+
     def resolved(self, event: SystemEvent) -> tuple[_Steps, Array]:
         """Steps divided until polynomials resolve what crosses zero, where it may do so.
 
@@ -231,7 +247,7 @@ class Crossings:
         again at once if it was reset, goes on to the same side as before, and does not cross the
         surface on its way: a ball that comes to rest falls again.
         """
-        steps, heights = self._steps.resolved(event)
+        steps, heights = self._steps.telling(event).resolved(event)
         instants = [steps.begin[:0]] * len(self.paths)
         firsts = np.searchsorted(steps.owner, np.arange(len(self.paths)))
         was_here = np.array([k in fired for fired in self.fired])

@@ -114,11 +114,8 @@ def follow(
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
     events = clock.system.events
-    first_ends = None
     if clock.markers:
         begun = begin_in_step(clock, integrator, points, tolerances, count, begun)
-    elif clock.last_marks and not begun:
-        first_ends = np.maximum(clock.last_marks(points), end)
     followed = integrate_to_events(
         integrator,
         clock.system,
@@ -128,8 +125,7 @@ def follow(
         events,
         enough,
         begun,
-        first_ends,
-        count,
+        count=count,
     )
     early: list[int] = []
     for k, each in enumerate(followed):

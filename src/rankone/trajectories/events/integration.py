@@ -63,7 +63,8 @@ def integrate_to_events(
             some = [trajectories[k] for k in running]
             ends = np.array([each.next_end(b, count) for each in some])
             if first_ends is not None:
-                ends, first_ends = first_ends, None
+                told, first_ends = first_ends[running], None
+                ends = np.where(told > [each.end for each in some], told, ends)
             try:
                 paths = search.paths(integrator, some, points[running], ends)
                 search.advance_all(some, paths, points[running], ends.tolist())

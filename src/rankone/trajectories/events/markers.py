@@ -26,7 +26,7 @@ from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.instants import SAME_INSTANT
 from rankone.trajectories.events.integration import integrate_to_events
-from rankone.trajectories.events.periods import may_repeat, repeated, repeats
+from rankone.trajectories.events.periods import repeated, repeating_from, repeats
 from rankone.trajectories.events.stretches import marker_event
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
@@ -252,36 +252,37 @@ def _slopes(
 
 
 @dataclass(frozen=True)
-class LastMarks:
-    """About when trajectories pass the last marker: a quadratic polynomial of the parameters.
+class ForeseenMarks:
+    """About when trajectories pass their marks: quadratic polynomials of the parameters.
 
     Attributes
     ----------
     centre, half_width : ndarray (d,)
         Of the box.
-    coefficients : ndarray (monomials,)
-    margin : float
-        How much later it may be.
+    coefficients : ndarray (monomials, marks)
+    margins : ndarray (marks,)
+        How much later each may be.
     """
 
     centre: Array
     half_width: Array
     coefficients: Array
-    margin: float
+    margins: Array
 
     @classmethod
-    def fitted(cls, bounds: Array, points: Array, times: Array, gap: float) -> LastMarks:
-        """By least squares to times (m,) at points (m, d); markers are a ``gap`` apart."""
+    def fitted(cls, bounds: Array, points: Array, times: Array, gap: float) -> ForeseenMarks:
+        """By least squares to times (m, marks) at points (m, d); marks are a ``gap`` apart."""
         centre, half = bounds.mean(axis=1), 0.5 * np.ptp(bounds, axis=1)
         monomials = _monomials((points - centre) / half)
         coefficients = np.asarray(np.linalg.lstsq(monomials, times, rcond=None)[0], dtype=float)
-        missed = float(np.abs(monomials @ coefficients - times).max())
+        missed = np.abs(monomials @ coefficients - times).max(axis=0)
         return cls(centre, half, coefficients, _LATER * gap + _FURTHER * missed)
 
-    def __call__(self, points: Array) -> Array:
-        """Times (m,) at points (m, d)."""
+    def __call__(self, points: Array, count: int) -> Array:
+        """Times (m,) by which trajectories at points (m, d) have passed so many marks."""
+        mark = min(count, self.margins.size) - 1
         shares = (points - self.centre) / self.half_width
-        return np.asarray(_monomials(shares) @ self.coefficients + self.margin)
+        return np.asarray(_monomials(shares) @ self.coefficients[:, mark] + self.margins[mark])
 
 
 def _monomials(shares: Array) -> Array:
@@ -311,8 +312,8 @@ def with_order(
     short = reached < end
     if short and not all(repeats(each, _NEARLY, period) for each in begun):
         return None
-    clock = replace(clock, periodic=may_repeat(clock, integrator, points, begun, accuracy))
-    if short and not clock.periodic:
+    repeats_from = repeating_from(clock, integrator, points, begun, accuracy)
+    if short and not repeats_from:
         if end - start > _FURTHEST * (reached - start):
             return None
         if any(repeats(each, accuracy, period) for each in begun):  # next to what is unstable
@@ -331,7 +332,8 @@ def with_order(
     orders = {tuple(mark.event for mark in each.occurrences[:count]) for each in followed}
     if len(orders) > 1 or len(order := orders.pop()) < count:
         return None
-    return replace(clock, order=EventOrder(tuple((k,) for k in order), ending)), followed
+    in_order = EventOrder(tuple((k,) for k in order), ending)
+    return replace(clock, order=in_order, repeats_from=repeats_from), followed
 
 
 @dataclass(frozen=True)

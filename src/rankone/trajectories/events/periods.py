@@ -10,7 +10,7 @@ the states: Floquet multipliers tell (Guckenheimer & Holmes, Nonlinear Oscillati
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,21 +35,22 @@ _ROUNDING = 1e-14  # Change of a state that rests, over its size
 _MOST_GROWTH = 30.0  # Factor by which changes may grow over the periods that are left out
 
 
-def may_repeat(
+def repeating_from(
     clock: Clock,
     integrator: SpanIntegrator,
     points: Array,
     trajectories: Sequence[EventTrajectory],
     accuracy: float,
-) -> bool:
-    """Whether trajectories that repeat go on so to the end of the horizon.
+) -> int:
+    """The count of marks after which trajectories repeat, and go on so to the end of the horizon.
 
     Nothing but the states may decide how they go on, and some at points (m, d), which repeat to a
-    relative accuracy, tell that these are stable as soon as they do.
+    relative accuracy, tell that these are stable as soon as they do. It is 0 where none repeats, or
+    not stably.
     """
     system = clock.system
     if not clock.markers or len(system.events) > len(clock.markers) or not is_autonomous(system):
-        return False
+        return 0
     count = max(_CHANGED // (system.n_differential + 1), _FEWEST)
     places = {round(place) for place in np.linspace(0, len(trajectories) - 1, count).tolist()}
     repeating = [
@@ -58,10 +59,11 @@ def may_repeat(
         if (first := _first_repeated(trajectories[k], accuracy, clock.marks_per_period)) is not None
     ]
     if not repeating:
-        return False
+        return 0
     marks = [trajectories[k].occurrences[: first + 1] for k, first in repeating]
     growth = _growth(clock, integrator, points[[k for k, _ in repeating]], marks)
-    return bool((growth < _MOST_GROWTH).all())
+    stable = bool((growth < _MOST_GROWTH).all())
+    return 1 + max(first for _, first in repeating) if stable else 0
 
 
 def _growth(
@@ -116,20 +118,15 @@ def begin_in_step(
     """Trajectories at points (m, d), from some crossings of their markers to further ones.
 
     So they stay in phase, and a stack takes few common steps. They go on to the end of the horizon,
-    or until they repeat if the ``clock`` is periodic: then they go on to the end as they did, and
-    to a ``count`` of crossings. They may have ``begun``.
+    or until they repeat if the ``clock`` says so: then they go on to the end as they did, and to a
+    ``count`` of crossings. They may have ``begun``.
     """
     (start, end), events, period = clock.horizon, clock.system.events, clock.marks_per_period
     far = end if clock.order.ending is Ending.HORIZON else end + FAR * clock.length
-    some, first_ends = [*begun], None
-    stage = _AGREEING + period + 1  # after a first one on the way there
-    if not some:
-        last = clock.last_marks(points) if clock.last_marks else np.full(len(points), end)
-        first_ends = start + min((stage + 0.5) / max(count, 1), 1.0) * (last - start)
-        first_ends = np.minimum(first_ends, far)
+    some = [*begun]
 
     def settled(trajectory: EventTrajectory) -> bool:
-        return clock.periodic and repeats(trajectory, tolerances.relative, period)
+        return clock.repeats_from > 0 and repeats(trajectory, tolerances.relative, period)
 
     def has_passed(trajectory: EventTrajectory) -> bool:
         return len(trajectory.occurrences) >= count and trajectory.end >= end
@@ -138,7 +135,10 @@ def begin_in_step(
         some_passed = count > len(trajectory.occurrences) >= stage
         return some_passed or has_passed(trajectory) or settled(trajectory)
 
-    while True:
+    for stage in _stages(clock.repeats_from, period, bool(begun)):
+        foreseen = None
+        if not begun and stage <= _first_period(clock.repeats_from, period):
+            foreseen = np.minimum(_foreseen_ends(clock, points, stage, count), far)
         some = integrate_to_events(
             integrator,
             clock.system,
@@ -148,13 +148,43 @@ def begin_in_step(
             events,
             enough,
             some,
-            first_ends,
+            foreseen,
             min(stage, count),
         )
         if all(has_passed(each) or settled(each) or each.end >= far or each.ends for each in some):
             break
-        stage, first_ends = period * math.ceil(_MORE * stage / period), None
     return [repeated(each, period, count, end) if settled(each) else each for each in some]
+
+
+def _stages(repeats_from: int, period: int, begun: bool) -> Iterator[int]:
+    """Counts of marks at which trajectories are brought in phase again, without an end.
+
+    The first mark puts them in phase. Then they go to where they may repeat, if they do so from
+    some mark on, and a few periods further each time; others go half as far again.
+    """
+    if not begun:
+        yield 1
+    stage, rounds = _first_period(repeats_from, period), 1
+    while True:
+        yield stage
+        if repeats_from:
+            stage, rounds = stage + rounds * period, 2 * rounds
+        else:
+            stage = period * math.ceil(_MORE * stage / period)
+
+
+def _first_period(repeats_from: int, period: int) -> int:
+    """The count of marks after which trajectories may repeat, after a first one on the way."""
+    return max(repeats_from, _AGREEING + period + 1)
+
+
+def _foreseen_ends(clock: Clock, points: Array, marks: int, count: int) -> Array:
+    """Times (m,) by which trajectories at points (m, d) pass so many marks of a ``count``."""
+    if clock.foreseen_marks is not None:
+        return clock.foreseen_marks(points, marks)
+    start, end = clock.horizon
+    share = min((marks + 0.5) / max(count, 1), 1.0)
+    return np.full(len(points), start + share * (end - start))
 
 
 def repeats(trajectory: EventTrajectory, accuracy: float, period: int) -> bool:
@@ -215,6 +245,8 @@ def repeated(trajectory: EventTrajectory, marks: int, count: int, end: float) ->
     missing = math.ceil((count - len(passed)) / marks)
     rounds = range(1, max(missing, math.ceil((end - last) / period)) + 1)
     further = [
-        replace(each, time=each.time + k * period) for k in rounds for each in passed[-marks:]
+        Occurrence(each.event, each.time + k * period, each.before, each.after)
+        for k in rounds
+        for each in passed[-marks:]
     ]
     return replace(trajectory, paths=[begun], occurrences=[*passed, *further], period=period)

@@ -23,7 +23,7 @@ from rankone.ir.events import (
     EventOrder,
     ForcedOrder,
     Marker,
-    OfPoints,
+    OfMarks,
     OfTrajectory,
     SystemEvent,
 )
@@ -223,7 +223,7 @@ def in_stretches(clock: Clock) -> System:
             clock.cuts,
             clock.horizon,
             clock.markers,
-            clock.last_marks,
+            clock.foreseen_marks,
             clock.forced,
         ),
     )
@@ -238,7 +238,7 @@ class StretchSpecification:
     cuts: tuple[float, ...]
     horizon: tuple[float, float]
     markers: tuple[Marker, ...] = ()
-    last_marks: OfPoints | None = None
+    foreseen_marks: OfMarks | None = None
     forced: ForcedOrder | None = None
 
     @property
@@ -265,7 +265,7 @@ def _called(
         specification.horizon,
         cuts,
         markers,
-        specification.last_marks,
+        specification.foreseen_marks,
         specification.forced,
     )
     return function(in_stretches(clock), *arguments)
