@@ -30,6 +30,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=100, help="cases of each kind")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument("--method", default="auto", help="the method")
+    parser.add_argument("--one", action="store_true", help="ask for one unknown of each alone")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--show", action="store_true", help="also print the refused ones")
     given = parser.parse_args()
@@ -40,12 +41,12 @@ def main() -> int:
             counts: Counter[str] = Counter()
             seconds = []
             seeds = range(given.seed, given.seed + given.count)
-            attempt = partial(tried, kind=kind, method=given.method)
+            attempt = partial(tried, kind=kind, method=given.method, one=given.one)
             for seed, name, found in pool.imap_unordered(attempt, seeds):
                 counts[found.verdict] += 1
                 seconds.append(found.seconds)
                 if found.verdict not in ("ok", *(() if given.show else ("refused",))):
-                    again = f"--kind {kind} --seed {seed} --count 1 --show"
+                    again = f"--kind {kind} --seed {seed} --count 1 --show{' --one' * given.one}"
                     text = f"{found.kept:.3g} x rtol, {found.seconds:.1f} s; {found.message}"
                     print(f"{found.verdict}: {name} ({again}): {text}", flush=True)
             wrong += counts["wrong"] + counts["error"]

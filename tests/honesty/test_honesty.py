@@ -45,6 +45,17 @@ QUICK = {
 CASES = [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
 
 
+ONE = {("systems", 1): 0, ("products", 1): 1, ("general", 3): 1, ("doses", 3): 0}
+"""Cases of which one unknown alone is asked for, by position."""
+
+
+@pytest.mark.parametrize(("kind", "seed"), list(ONE))
+def test_the_statement_holds_for_one_unknown(kind, seed):
+    made = make(kind, seed)
+    asked = ONE[kind, seed] % len(made.unknowns)
+    assert judged(made, longest=np.inf, asked=asked, effort="low").verdict == "ok"
+
+
 def test_every_kind_is_tried():
     assert COUNTS.keys() == KINDS.keys()
 

@@ -59,15 +59,23 @@ class Verdict:
     message: str
 
 
-def tried(seed: int, kind: str, method: str) -> tuple[int, str, Verdict]:
-    """The seed, the name and the verdict of the case of a kind."""
+def tried(seed: int, kind: str, method: str, one: bool = False) -> tuple[int, str, Verdict]:
+    """The seed, the name and the verdict of the case of a kind, or of one of its unknowns."""
     made = case(kind, seed)
-    return seed, made.name, judged(made, method=method)
+    asked = seed % len(made.unknowns) if one else None
+    return seed, made.name, judged(made, asked=asked, method=method)
 
 
-def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
-    """Solve a case and judge the result; beyond this many seconds it is slow."""
+def judged(
+    case: Case, longest: float = LONGEST, asked: int | None = None, **options: object
+) -> Verdict:
+    """Solve a case and judge the result; beyond this many seconds it is slow.
+
+    Perhaps one unknown alone is asked for, by position.
+    """
     began = time.perf_counter()
+    if asked is not None:
+        options["unknowns"] = [case.unknowns[asked]]
     solution = None
     try:
         with warnings.catch_warnings():
@@ -94,6 +102,7 @@ def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
             exact, beside = truth(case, points, times), np.zeros((1, times.size), dtype=bool)
     except (TimeoutError, ro.RankoneError):
         return Verdict("unknown", np.nan, seconds, message)
+    exact = exact if asked is None else exact[[asked]]
     values = {str(symbol): p[:, None] for symbol, p in zip(case.box, points, strict=True)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ro.RankoneWarning)

@@ -110,6 +110,8 @@ def test_only_what_is_asked_for_is_checked():
         ({"outputs": {"q": "Heaviside(t - 1)*x"}}, "narrow, jumps"),
         ({"outputs": {"x": "y"}, "unknowns": ["x"]}, "both an output and among unknowns"),
         ({"outputs": {"q": "x"}, "unknowns": ["z"]}, "no unknown `z`"),
+        ({"outputs": {"x": "y"}}, "`x` has the name of an unknown, and is `y`"),
+        ({"outputs": {"x": "2*x"}}, "`x` has the name of an unknown"),
         ({"outputs": {"q": "x"}, "method": "train"}, "does not apply"),
         ({"outputs": {"q": "x"}, "markers": ["x - 3"]}, "does not apply"),
     ],

@@ -184,6 +184,16 @@ def test_a_solve_that_does_not_fit_is_refused():
         assert not refused.outcome.history
 
 
+def test_samples_that_do_not_fit_are_refused_with_what_they_need(monkeypatch):
+    monkeypatch.setattr("rankone.solvers.cross.trajectories._COPIES", 1e6)
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, (0, 2))
+    refused = ro.solve(problem, 1e-3, max_memory="50MB", method="cross")
+    assert refused.status is ro.Status.MEMORY_LIMIT
+    needed = re.search(r"it needs about ([\d.]+) (MB|GB), and max_memory is 50 MB", refused.message)
+    assert needed is not None
+    assert float(needed[1]) > (50 if needed[2] == "MB" else 0)
+
+
 SCRIPT = """
 import re
 import resource

@@ -19,6 +19,7 @@ from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
 from rankone.verification.resolution import Resolution
+from tests.benchmarks.many_states import truss
 from tests.problems import REFERENCE
 from tests.reference.published import PUBLISHED
 
@@ -224,3 +225,17 @@ def test_a_few_trajectories_show_the_sizes_of_states_from_zero_before_all(monkey
     without, wanted = work()
     assert with_pilots < 0.8 * without
     assert np.all(np.abs(states - wanted) <= 1e-4 * np.abs(wanted).max(axis=1, keepdims=True))
+
+
+@pytest.mark.slow
+def test_states_that_rounding_errors_hide_early_keep_nothing_from_the_end():
+    """Bars pass on what a push does to a tower at rest; tolerances like 1e-120 allow no steps."""
+    system = ro.compile(truss(6)).system
+    points = Domain.of(system).bounds.T
+    reference = integrate_reference(system, points, system.horizon, 1e-7)
+    assert reference.blown is None
+    assert reference.end == system.horizon[1]
+    finer = integrate_reference(system, points, system.horizon, 1e-10)
+    times = np.linspace(*system.horizon, 9)
+    sizes = np.abs(finer(times)).max(axis=(1, 2), keepdims=True)
+    assert np.abs((reference(times) - finer(times)) / sizes).max() < 1e-5

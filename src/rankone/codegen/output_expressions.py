@@ -272,6 +272,7 @@ def _parsed(
         **{word: sp.Symbol(word) for word in words},
         **{event: sp.Symbol(event) for event in (timeline.events if timeline else ())},
         metadata.time: t,
+        **{state: sp.Function(state)(t) for state in metadata.left_out},  # named in the error
         **shorthand,
         **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
         **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},

@@ -222,11 +222,12 @@ class OutputTranslator:
                 state = sp.Function(symbol.name)(sp.Symbol(self.metadata.time))
                 plain = plain.xreplace({symbol: self._source(name, state)})
                 continue
+            known = [*self.metadata.states, *names]
             raise OptionError(
                 f"the output {quote(name)} has {quote(symbol)}"
-                f"{did_you_mean(symbol.name, [*self.metadata.states, *names])}",
+                f"{self.metadata.hint(symbol.name, *names)}",
                 term=symbol,
-                remedy=f"the solution knows {listing([*self.metadata.states, *names])}",
+                remedy=f"the solution knows {listing(known, symbol.name)}",
             )
         if plain.has(sp.I, sp.nan, sp.zoo, sp.oo) or plain.is_extended_real is False:
             raise OptionError(
@@ -256,9 +257,9 @@ class OutputTranslator:
                 source = Source(states.index(held), order)
                 return self.sources.setdefault(source, sp.Dummy(f"s{len(self.sources)}"))
         raise OptionError(
-            f"the output {quote(name)} has {quote(unknown)}{did_you_mean(state, states)}",
+            f"the output {quote(name)} has {quote(unknown)}{self.metadata.hint(state)}",
             term=unknown,
-            remedy=f"the solution holds {listing(states)}",
+            remedy=f"the solution holds {listing(states, state)}",
         )
 
 

@@ -135,9 +135,9 @@ def state_name(solution: SolutionCore, key: object) -> str:
     name = name_of(key, solution.metadata.time)
     if name not in solution.states:
         raise OptionError(
-            f"there is no unknown {quote(name)}{did_you_mean(name, solution.states)}",
+            f"there is no unknown {quote(name)}{solution.metadata.hint(name)}",
             term=key,
-            remedy=f"choose from {listing(solution.states)}",
+            remedy=f"choose from {listing(solution.states, name)}",
         )
     return name
 
@@ -196,7 +196,7 @@ def _observable(solution: SolutionCore, entry: object) -> Formula:
     if formula.is_name:
         state_name(solution, formula.names[0])
     elif not set(formula.names) & set(solution.states):
-        near = [did_you_mean(name, solution.states) for name in formula.names]
+        near = [solution.metadata.hint(name) for name in formula.names]
         raise OptionError(
             f"{quote(entry)} depends on no unknown{next(filter(None, near), '')}",
             term=entry,

@@ -217,7 +217,7 @@ def measured_columns(
     for name in columns:
         if name in known or _is_sigma(name, names):
             continue
-        near = did_you_mean(name, [*solution.states, *solution.parameters, *GROUPS])
+        near = solution.metadata.hint(name, *solution.parameters, *GROUPS)
         if near:
             raise OptionError(
                 f"the column {quote(name)} of the table is unknown{near}",

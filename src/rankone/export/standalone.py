@@ -162,7 +162,7 @@ def solve(
         Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or another
         factor; and a time limit on the clock. The best solution so far is returned.
     unknowns : sequence of str, optional
-        The unknowns whose error has to be within the tolerance; by default all.
+        The unknowns to solve for, whose error has to be within the tolerance; by default all.
     integrator : {{"auto", "stack", "single", "compiled"}}
         How trajectories are integrated: stacked, each alone, or by heyoka; chosen by counted work.
     markers : {{"auto", None}}

@@ -46,7 +46,7 @@ class Trajectory:
         if name not in self.states:
             raise EvaluationError(
                 f"no unknown `{name}`{did_you_mean(name, self.states)}; "
-                f"the trajectory has {listing(self.states)}",
+                f"the trajectory has {listing(self.states, name)}",
                 term=state,
             )
         return self.states[name]

@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from rankone.agreement.comparison import LOST_SHARE
 from rankone.agreement.problems import DisagreementError, check_problem
@@ -44,7 +44,7 @@ from rankone.interface.stages import CompiledStages
 from rankone.interface.stretched import StretchedProblem
 from rankone.ir.forms import GeneralTerm
 from rankone.ir.observation import Observation
-from rankone.ir.request import Domain, SolveRequest
+from rankone.ir.request import SOLVE_ARGUMENTS, Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
 from rankone.solvers.engine import Engine
@@ -159,8 +159,9 @@ class CompiledProblem(CompiledStages):
             counts of trajectories, states and ranks; what does not fit ends the solve before it
             is begun, with a message that says how much it needs.
         unknowns : sequence, optional
-            The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
-            derivatives or names. By default all count, derivatives that are states too.
+            The unknowns to solve for, by functions ``x(t)``, their derivatives or names: the
+            solution holds these alone, and their error has to be within the tolerance. By default
+            all, derivatives that are states too.
         outputs : mapping of str to Expr or str, or definitions by name, optional
             Quantities to solve for in place of the unknowns, as :meth:`Solution.output` takes them:
             functions of unknowns, parameters and time. They are evaluated along trajectories; no
@@ -201,38 +202,9 @@ class CompiledProblem(CompiledStages):
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
-        observed = None
-        if outputs is not None:
-            observed = self._observation(outputs, unknowns, (method, markers), parameters, t_final)
-            method, unknowns, markers = "cross", None, None
-        if markers is not None and markers != "auto":
-            marked = compile_problem(with_markers(self.problem, markers))
-            solution = marked.solve(
-                rtol,
-                method=method,
-                parameters=parameters,
-                t_final=t_final,
-                progress=progress,
-                check=check,
-                cover=cover,
-                effort=effort,
-                max_seconds=max_seconds,
-                max_memory=max_memory,
-                unknowns=unknowns,
-                integrator=integrator,
-                on_failure=on_failure,
-                **options,
-            )
-            warn_of_missed_markers(markers, solution.outcome.timeline)
-            return solution
-        count = len(self.separated.coordinates) - 1
-        engines = engines_for(method, options, count, separated=self._has_operators)
-        form = self.form_for(str(method))
-        request = SolveRequest.of(
-            form.system,
-            [engine.options for engine in engines],
-            options,
+        asked = self.asked(
             rtol=rtol,
+            method=method,
             parameters=parameters,
             t_final=t_final,
             check=check,
@@ -241,12 +213,14 @@ class CompiledProblem(CompiledStages):
             max_seconds=max_seconds,
             max_memory=max_memory,
             unknowns=unknowns,
+            outputs=outputs,
             integrator=integrator,
-            markers=markers == "auto",
-            arguments=("method", "outputs", "progress", "on_failure"),
+            markers=markers,
+            **options,
         )
-        request = replace(request, observed=observed)
-        solution = self._solved(request, engines, form, progress)
+        solution = asked.compiled._solved(asked, progress)
+        if asked.compiled is not self:
+            warn_of_missed_markers(cast(Sequence[object], markers), solution.outcome.timeline)
         if on_failure == "raise" and not solution.success:
             verdict = solution.outcome.verdict
             raise ConvergenceError(
@@ -254,14 +228,43 @@ class CompiledProblem(CompiledStages):
             )
         return solution
 
-    def _solved(
+    def asked(
         self,
-        request: SolveRequest,
-        engines: Sequence[Engine],
-        form: CompiledStages | LiftedProblem | StretchedProblem,
-        progress: bool | Report,
-    ) -> Solution:
+        *,
+        method: str = "auto",
+        outputs: object = None,
+        unknowns: object = None,
+        markers: object = "auto",
+        **options: Any,
+    ) -> _Asked:
+        """What is asked by arguments of :meth:`solve`; an OptionError if one is not valid."""
+        observed = None
+        if outputs is not None:
+            chosen = method, markers
+            domain = options.get("parameters"), options.get("t_final")
+            observed = self._observation(outputs, unknowns, chosen, *domain)
+            method, unknowns, markers = "cross", None, None
+        if markers is not None and markers != "auto":
+            marked = compile_problem(with_markers(self.problem, markers))
+            return marked.asked(method=method, unknowns=unknowns, **options)
+        arguments = {name: options.pop(name) for name in SOLVE_ARGUMENTS if name in options}
+        count = len(self.separated.coordinates) - 1
+        engines = engines_for(method, options, count, separated=self._has_operators)
+        form = self.form_for(str(method))
+        request = SolveRequest.of(
+            form.system,
+            [engine.options for engine in engines],
+            options,
+            **arguments,
+            unknowns=unknowns,
+            markers=markers == "auto",
+            arguments=("method", "outputs", "progress", "on_failure"),
+        )
+        return _Asked(self, replace(request, observed=observed), engines, form)
+
+    def _solved(self, asked: _Asked, progress: bool | Report) -> Solution:
         """Solve in one of the forms; a BlowUpError where a trajectory blows up."""
+        request, engines, form = asked.request, asked.engines, asked.form
         if request.domain != Domain.of(form.system):
             self._check_gaps(request.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
@@ -286,7 +289,8 @@ class CompiledProblem(CompiledStages):
         solution = Solution(replace(outcome, timings=timings, notes=notes), metadata)
 
         def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
-            return self._solved(request.on_box(intervals, factor), engines, form, False)
+            smaller = replace(asked, request=request.on_box(intervals, factor))
+            return self._solved(smaller, False)
 
         raise_blow_up(solution, on_box)
         return solution
@@ -356,6 +360,16 @@ class CompiledProblem(CompiledStages):
         from rankone.export import export_solver
 
         return export_solver(self, path, method=method, overwrite=overwrite)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A solve whose arguments were checked: of a problem, in a form, by engines in turn."""
+
+    compiled: CompiledProblem
+    request: SolveRequest
+    engines: Sequence[Engine]
+    form: CompiledStages | LiftedProblem | StretchedProblem
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:

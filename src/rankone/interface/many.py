@@ -195,6 +195,7 @@ def solve_many(
     options = _checked_options(options, rtol)
     base = problem if isinstance(problem, CompiledProblem) else compile_problem(problem)
     solves = _solves(base, boxes, options)
+    base.asked(**options)  # before they are sent
     kept = None if checkpoint is None else Checkpoint.open(checkpoint, base, options)
     outcomes: dict[int, _Outcome] = {}
     with counting_bar(progress, len(solves)) as report:

@@ -8,13 +8,14 @@ import numpy as np
 
 from rankone.agreement.problems import ComparedPoints
 from rankone.codegen.output_expressions import quantities_of
+from rankone.discretization.coordinates import name_of
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, counted_states
 from rankone.ir.system import System
 from rankone.outputs.quantities import Quantities
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import quote
 
 _POINTS = 20  # Points at which generated functions are compared with their expressions
@@ -39,6 +40,13 @@ def observation_of(
         rows = counted_states(system, unknowns) or ()
         kept = {system.states[row]: system.states[row] for row in rows}
     asked = _named(outputs, kept)
+    for name, output in asked.items():
+        if name in system.unknowns and not _is_name(output, name):
+            raise OptionError(
+                f"the output {quote(name)} has the name of an unknown, and is {quote(output)}",
+                term=name,
+                remedy="give the output another name",
+            )
     compared = ComparedPoints.of(system, _POINTS)
     samples = compared.time, compared.parameters, compared.states
     quantities = quantities_of({**kept, **asked}, metadata, domain.horizon, samples)
@@ -49,6 +57,14 @@ def observation_of(
 
     rows = tuple(source.row for source in quantities.sources)
     return Observation(quantities.names, quantities.texts, rows, values)
+
+
+def _is_name(output: object, name: str) -> bool:
+    """Whether an output is the unknown of a name."""
+    try:
+        return name_of(output) == name
+    except EvaluationError:
+        return False
 
 
 def _named(outputs: object, kept: Mapping[str, object]) -> dict[str, object]:

@@ -194,7 +194,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         names = (self.metadata.time, *self.metadata.parameters)
         slabs = self.outcome.slabs_over_clock_time("to_canonical")
         form = partial(canonical_form, slabs, names, rtol=rtol, max_rank=max_rank)
-        return CanonicalForms(form, self.states, self.unknowns)
+        return CanonicalForms(form, self.states, self.unknowns, self.metadata.hint)
 
     @cached_property
     def modes(self) -> CanonicalForms:

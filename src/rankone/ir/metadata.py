@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from rankone.ir.observation import Observation
+from rankone.support.wording import did_you_mean
 
 _ONE_WORD = re.compile(r"[^\s/*^·⋅()+-]+")  # A unit that needs no brackets
 
@@ -41,7 +42,8 @@ class SolutionMetadata:
     ``definitions`` formulas by name, of states, coordinates and numbers. ``atol`` has absolute
     tolerances of states by name: errors are relative to the largest value plus that over ``rtol``.
     ``additive`` are parameters such as the amount of a dose: all states are proportional to each,
-    and the effects of several add up, each counted from its own time.
+    and the effects of several add up, each counted from its own time. ``left_out`` are the states
+    of the problem that the solve was not asked for.
     """
 
     states: tuple[str, ...]
@@ -65,22 +67,39 @@ class SolutionMetadata:
     definitions: tuple[tuple[str, str], ...] = ()
     atol: tuple[tuple[str, float], ...] = ()
     additive: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    def keeping(self, names: tuple[str, ...]) -> SolutionMetadata:
+        """The same of a solution that holds some of the states, or quantities beside them."""
+        kept = {*self.coordinates, *(name for name in names if name in self.states)}
+        return replace(
+            self,
+            states=names,
+            roles=(Role.UNKNOWN,) * len(names),
+            units=tuple(unit for unit in self.units if unit[0] in kept),
+            atol=tuple(size for size in self.atol if size[0] in kept),
+            left_out=tuple(name for name in self.states if name not in kept),
+        )
 
     def observing(self, observed: Observation) -> SolutionMetadata:
         """The same of a solution that holds what is observed in place of the states."""
-        coordinates = self.coordinates
-        kept = {*coordinates, *(name for name in observed.names if name in self.states)}
         return replace(
-            self,
-            states=observed.names,
-            roles=(Role.UNKNOWN,) * len(observed.names),
+            self.keeping(observed.names),
             equations=observed.texts,
             source=None,
-            units=tuple(unit for unit in self.units if unit[0] in kept),
             definitions=(),
             atol=(),
             additive=(),
         )
+
+    def hint(self, name: str, *others: str) -> str:
+        """What to say behind a name that is no state: that it was left out, or a similar one.
+
+        It may also have been meant for one of the ``others``.
+        """
+        if name in self.left_out:
+            return ", which `unknowns=` left out of the solve"
+        return did_you_mean(name, [*self.states, *others])
 
     def derivative(self, coordinate: str) -> SolutionMetadata:
         """The same of a solution that holds the derivatives of the states."""

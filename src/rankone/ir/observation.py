@@ -17,13 +17,20 @@ class Observation:
 
     ``rows`` are the states that they read. ``values`` takes times (T, 1), these states (k, T, m)
     and parameters (d, m), and gives for each quantity what broadcasts to (T, m). ``texts`` are
-    their definitions.
+    their definitions. They may be ``states_alone``: some of the states, as they are.
     """
 
     names: tuple[str, ...]
     texts: tuple[str, ...]
     rows: tuple[int, ...]
-    values: Callable[[Array, Array, Array], Sequence[Array]]
+    values: Callable[[Array, Array, Array], Sequence[Array] | Array]
+    states_alone: bool = False
+
+    @classmethod
+    def of_some(cls, states: Sequence[str], rows: Sequence[int]) -> Observation:
+        """Some of the states, by position."""
+        names = tuple(states[row] for row in rows)
+        return cls(names, names, tuple(rows), lambda times, seen, points: seen, True)
 
     def of_states(self, times: Array, states: Array, points: Array) -> Array:
         """The quantities (q, m, T) of all states (n, m, T) at times (T,), points (m, d)."""

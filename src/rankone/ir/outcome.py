@@ -124,7 +124,8 @@ class Outcome:
     end instead, the one that keeps most of it first. ``switching`` is the state whose rate switches
     to and fro where the reference trajectories came to an end. With events, the slabs are over the
     stretches of a ``timeline``, or of one branch after the other. ``pieces`` tile the box of a
-    solution that was joined of them, which has no slabs of its own.
+    solution that was joined of them, which has no slabs of its own. Where something was
+    ``observed``, slabs and errors are of that alone.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -140,6 +141,7 @@ class Outcome:
     notes: tuple[Note, ...] = ()
     timeline: Timeline | BranchedTimeline | None = None
     pieces: tuple[Piece, ...] = ()
+    observed: bool = False
 
     @property
     def is_solved(self) -> bool:
@@ -197,6 +199,32 @@ class Outcome:
                 "nothing, or evaluate the solution at points",
             )
         return self.slabs
+
+    def keeping(self, rows: tuple[int, ...], states: int) -> Outcome:
+        """The same of some of so many states alone, by position; guards and the clock stay."""
+        if self.observed:
+            return self
+        measured, timeline, switching = self.measured, self.timeline, self.switching
+        if measured is not None:
+            measured = replace(
+                measured,
+                interior=tuple(measured.interior[i] for i in rows),
+                corners=tuple(measured.corners[i] for i in rows if measured.corners),
+                counted=None,
+            )
+        if isinstance(timeline, BranchedTimeline):
+            timeline = replace(timeline, tolerances=tuple(timeline.tolerances[i] for i in rows))
+        return replace(
+            self,
+            slabs=tuple(
+                slab.with_first(slab.cores[0][[*rows, *range(states, len(slab.cores[0]))]])
+                for slab in self.slabs
+            ),
+            measured=measured,
+            switching=rows.index(switching) if switching in rows else None,
+            timeline=timeline,
+            observed=True,
+        )
 
     @property
     def error(self) -> float:

@@ -211,7 +211,7 @@ class Check:
 
     ``points`` in the interior are checked, none with 0. ``cover`` is "interior" or "box", whether
     success covers the corners too; None: it does where there are few parameters. ``states`` are
-    those whose error counts; None for all.
+    those that are asked for, whose error counts; None for all.
     """
 
     points: int = _USUAL_POINTS
@@ -234,7 +234,9 @@ class Check:
             raise OptionError(
                 f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
             )
-        return cls(points, cover, counted_states(system, unknowns))
+        states = counted_states(system, unknowns)
+        every = states is None or len(states) == len(system.unknowns)
+        return cls(points, cover, None if every else states)
 
 
 @dataclass(frozen=True)
@@ -381,7 +383,7 @@ def counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
             raise OptionError(
                 f"there is no unknown {quote(name)}{did_you_mean(name, states)}",
                 term=name,
-                remedy=remedy,
+                remedy=f"give some of {listing(states, name)}",
             )
     if not names:
         raise OptionError("no unknown is to count: unknowns is empty", remedy=remedy)

@@ -349,6 +349,11 @@ class MemoryNeeded(Note):
     needed: float
     limit: float
 
+    @classmethod
+    def of(cls, out: OutOfBudgetError) -> MemoryNeeded | None:
+        """What was needed, if a limit was that on memory."""
+        return cls(out.needed, out.limit) if isinstance(out, OutOfMemoryError) else None
+
     def sentence(self, status: Status) -> str:
         return f"it needs about {in_words(self.needed)}, and max_memory is {in_words(self.limit)}"
 

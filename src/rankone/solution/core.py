@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -27,7 +27,7 @@ from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
 from rankone.support.memory import checked_memory
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.wording import listing, quote
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import Rows, TrainEvaluator
 from rankone.tensors.pieces import PieceEvaluator
@@ -157,8 +157,8 @@ class SolutionCore:
         name = name_of(state, self.metadata.time)
         if name not in self.states:
             raise EvaluationError(
-                f"no unknown `{name}`{did_you_mean(name, self.states)}; "
-                f"the solution holds {listing(self.states)}",
+                f"no unknown `{name}`{self.metadata.hint(name)}; "
+                f"the solution holds {listing(self.states, name)}",
                 term=state,
             )
         return UnknownView(self, name)
@@ -244,7 +244,7 @@ class SolutionCore:
     def error(self) -> float:
         """Largest measured error over all states, relative to each one's size; NaN if unchecked.
 
-        Derivatives that became states count as well, unless ``unknowns`` said which do.
+        Derivatives that became states count as well, unless ``unknowns`` said what to solve for.
         """
         measured = self.outcome.measured
         return float("nan") if measured is None else measured.error
@@ -253,9 +253,8 @@ class SolutionCore:
     def errors(self) -> dict[str, float]:
         """Measured error of each state; NaN if unchecked."""
         measured = self.outcome.measured
-        if measured is None:
-            return _ByState.fromkeys(self.states, float("nan"))
-        return _ByState(zip(self.states, measured.interior, strict=True))
+        every = [float("nan")] * len(self.states) if measured is None else measured.interior
+        return _ByState(zip(self.states, every, strict=True), self.metadata)
 
     @property
     def corner_error(self) -> float:
@@ -363,10 +362,14 @@ class UnknownView:
 class _ByState(dict[str, float]):
     """Errors by the names of states; symbols are understood."""
 
+    def __init__(self, errors: Iterable[tuple[str, float]], metadata: SolutionMetadata) -> None:
+        super().__init__(errors)
+        self._hint = metadata.hint
+
     def __missing__(self, state: object) -> float:
         name = name_of(state)
         if name not in self:
-            raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
+            raise KeyError(f"no state {name}{self._hint(name)}; known are {listing(self, name)}")
         return self[name]
 
 

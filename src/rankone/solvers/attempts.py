@@ -35,7 +35,6 @@ from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
 from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,
-    OutOfMemoryError,
     limited,
     seconds_left,
     work_done,
@@ -211,7 +210,7 @@ def solve_in_attempts(
                 marcher = marcher_of()
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages)
-        best, records, met = _attempts(marcher, request.rtol, options, report, stages)
+        best, records, met, lacking = _attempts(marcher, request.rtol, options, report, stages)
     reference_set = marcher.reference_set
     status = best.status(reference_set, request.rtol)
     if met is not None and status is not Status.CONVERGED:
@@ -234,6 +233,8 @@ def solve_in_attempts(
         elif system.clock is None:
             end = float(best.result.slabs[-1].end) if best.result.slabs else None
             notes.append(StoppedAt(end))
+    if status is Status.MEMORY_LIMIT and lacking is not None:
+        notes.append(lacking)
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += Budget.of(stages.named, stages.budget)
@@ -257,6 +258,7 @@ def solve_in_attempts(
         switching=switching,
         cause=cause,
         notes=tuple(notes),
+        observed=reference_set.observed is not None,
     )
 
 
@@ -301,8 +303,8 @@ def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> O
         name = None if switching is None else system.states[switching]
         cause = ReferenceLimit(float(out.reached.time), out.reached.steps, name)
     notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
-    if isinstance(out, OutOfMemoryError):
-        cause, notes = None, [MemoryNeeded(out.needed, out.limit)]
+    if (lacking := MemoryNeeded.of(out)) is not None:
+        cause, notes = None, [lacking]
     if switching is None:
         notes.append(Remedy(_REMEDIES[status]))
     ended = Outcome((), status, None, (), stages.timings, stages.work, switching=switching)
@@ -331,8 +333,11 @@ def unknowns_notes(rtol: float, measured: Measured | None, states: Sequence[str]
 
 def _attempts(
     marcher: Marcher, rtol: float, options: Options, report: Report, stages: Stages
-) -> tuple[Attempt, list[SlabRecord], Status | None]:
-    """The best attempt, the records of all, and the limit of the solve that ended them."""
+) -> tuple[Attempt, list[SlabRecord], Status | None, MemoryNeeded | None]:
+    """The best attempt, the records of all, and the limit of the solve that ended them.
+
+    Last comes the memory that the last attempt lacked.
+    """
     records: list[SlabRecord] = []
     best: Attempt | None = None
     progress, met = Progress(), None
@@ -344,7 +349,8 @@ def _attempts(
             except MemoryError:
                 result = MarchResult(stopped=Status.MEMORY_LIMIT)
             except OutOfBudgetError as out:
-                result = MarchResult(stopped=Status.of_limit(out))
+                result = MarchResult()
+                result.stop(out)
         if marcher.reference_set.system.clock is not None and result.stopped and not result.whole:
             result.slabs = []  # without all stretches there is no clock time
         records += result.records
@@ -357,7 +363,7 @@ def _attempts(
                 if further is not None:
                     marcher.reference_set = before.with_points(further)
             except OutOfBudgetError as out:  # the attempt was not measured at all points
-                result.stopped = Status.of_limit(out)
+                result.stop(out)
             if marcher.reference_set is not before:
                 attempt = Attempt(result, marcher.reference_set.measured(result.slabs))
                 if best is not None:
@@ -381,7 +387,7 @@ def _attempts(
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return _restated(best, marcher.reference_set, rtol), records, met
+    return _restated(best, marcher.reference_set, rtol), records, met, result.lacking
 
 
 def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attempt:

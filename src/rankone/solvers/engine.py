@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 
+from rankone.ir.observation import Observation
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
@@ -41,7 +42,8 @@ class Engine:
     ``name`` is the ``method`` of ``rankone.solve``, ``record`` the class of the items of its
     history. ``marcher`` makes what it does in an attempt from a request, its reference set, and the
     workers that integrate trajectories. ``first_points`` (m, d) of a request are those whose
-    trajectories it begins with: the reference integrates them too.
+    trajectories it begins with: the reference integrates them too. An engine that ``observes``
+    interpolates what is asked for alone; others solve for all states.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Engine:
     record: type[SlabRecord]
     marcher: Callable[[SolveRequest, ReferenceSet, Workers], Marcher]
     first_points: Callable[[SolveRequest], Array] | None = None
+    observes: bool = False
 
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance.
@@ -166,6 +169,8 @@ class Engine:
     ) -> Outcome:
         """The outcome of attempts, perhaps over stretches between markers."""
         options = request.options_of(self.options)
+        if self.observes:
+            request = observing(system, request)
         first = None if self.first_points is None else self.first_points(request)
         start: SolveStart | None = None
         with ExitStack() as stack:
@@ -195,6 +200,19 @@ class Engine:
         """Solve a generated system directly, by default on the domain it was written for."""
         request = SolveRequest.of(system, [self.options], options, rtol=rtol, check=check)
         return self.solve(system, replace(request, domain=domain or request.domain), report)
+
+
+def observing(system: System, request: SolveRequest) -> SolveRequest:
+    """The request, with the states that are asked for observed where no other one is needed.
+
+    Over stretches the clock is, which other states end, and a check of jumps and of constraints
+    reads all of them.
+    """
+    rows = request.check.states
+    needed = system.clock is not None or system.jumps.times or system.constraints.names
+    if request.observed is not None or rows is None or needed:
+        return request
+    return replace(request, observed=Observation.of_some(system.unknowns, rows))
 
 
 def _is_better(one: Outcome, other: Outcome) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
 from rankone.ir.outcome import SlabRecord
-from rankone.ir.verdict import Status
+from rankone.ir.verdict import MemoryNeeded, Status
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 from rankone.support.progress import ProgressEvent, Report
@@ -30,10 +30,14 @@ class Span:
 
 @dataclass(frozen=True)
 class Trial:
-    """A slab that was tried, solved if ``record.accepted``, and the limits that it met."""
+    """A slab that was tried, solved if ``record.accepted``, and the limits that it met.
+
+    If one of them was the memory, ``lacking`` says how much it needs.
+    """
 
     record: SlabRecord
     limits: set[Status]
+    lacking: MemoryNeeded | None = field(default=None, kw_only=True)
 
 
 SomeSpan = TypeVar("SomeSpan", bound=Span)
@@ -69,7 +73,7 @@ class MarchResult:
     ``stopped`` says why the march ended early; with ``whole`` the slabs reach the end all the same.
     ``points`` (m, d) are further parameter points at which the error is measured, ``doubtful``
     (k, d) those at which the residual suggests an error above the tolerance. ``sampled`` operations
-    went into trajectories.
+    went into trajectories. ``lacking`` is the memory that was needed last beyond the limit.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
@@ -80,6 +84,12 @@ class MarchResult:
     doubtful: Array | None = None
     whole: bool = False
     sampled: float = 0.0
+    lacking: MemoryNeeded | None = None
+
+    def stop(self, out: OutOfBudgetError) -> None:
+        """End the march at a limit."""
+        self.stopped = Status.of_limit(out)
+        self.lacking = MemoryNeeded.of(out) or self.lacking
 
 
 @dataclass(frozen=True)
@@ -104,10 +114,11 @@ class March(Generic[SomeSpan, SomeTrial]):
                 kept = self.lengths.adapt(span, trial)
                 trains = self.solver.accept(span, trial) if kept else []
             except OutOfBudgetError as out:
-                result.stopped = Status.of_limit(out)
+                result.stop(out)
                 break
             result.records.append(replace(trial.record, accepted=kept))
             result.limits |= trial.limits
+            result.lacking = trial.lacking or result.lacking
             if kept:
                 result.slabs += trains
                 time = span.end

@@ -96,7 +96,7 @@ def _interrupted(system: System) -> bool:
 def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveStart | None:
     """The start over stretches, if markers pay for the trajectories of a reference."""
     system, reference = reference_set.system, reference_set.reference
-    (dense,), sizes = reference.batches, reference_set.states[:, None]
+    (dense,), sizes = reference.batches, reference_set.of_states[:, None]
     if reference.blown is not None or reference_set.cuts or reference.integrator == "compiled":
         return None  # compiled trajectories have no paths to look for crossings on
     separate = cast(SeparateTrajectories, dense)

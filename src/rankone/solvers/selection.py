@@ -55,7 +55,11 @@ def solve_with(
     if box != metadata.box or request.measures:
         distributions = moved_measures(distributions, intervals, dict(request.measures))
     asked = replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
-    return outcome, replace(asked, distributions=distributions)
+    asked = replace(asked, distributions=distributions)
+    if (rows := request.check.states) is None:
+        return outcome, asked
+    names = tuple(system.unknowns[row] for row in rows)
+    return outcome.keeping(rows, len(system.unknowns)), asked.keeping(names)
 
 
 def _best_outcome(

@@ -62,4 +62,5 @@ def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRe
     """The system and the request over the pseudo-time of its stretches."""
     domain, separated = request.domain, clock.system.separated_stretches
     system = in_stretches(clock) if separated is None else separated(clock, domain.box)
-    return system, replace(request, domain=Domain(system.horizon, domain.box, domain.scales))
+    domain = Domain(system.horizon, domain.box, domain.scales)
+    return system, replace(request, domain=domain, observed=None)

@@ -88,6 +88,15 @@ def _declared(default: object, check: Callable[[str, object], object]) -> Any:
     return field(default=default, metadata={"check": check})
 
 
+_PIECES = "ro.solve_many(problem, problem.split(k=4), "
+# Options of rankone.solve_many alone, and what to do
+_OF_SOLVE_MANY = {
+    "checkpoint": "finished pieces of the box are kept by "
+    f"{_PIECES}checkpoint='folder'); a finished solution by solution.save('u.npz')",
+    "boxes": f"several boxes are solved by {_PIECES}...)",
+}
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of an engine, checked; None is allowed where it is the default."""
@@ -125,6 +134,8 @@ class Options:
         """
         names = cls.names()
         for name in sorted(changes.keys() - names):
+            if name in _OF_SOLVE_MANY:
+                raise OptionError(f"solve does not take {name}=", remedy=_OF_SOLVE_MANY[name])
             beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
                 f"unknown option {name!r}{did_you_mean(name, [*names, *keywords])}",

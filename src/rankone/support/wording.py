@@ -11,6 +11,8 @@ from typing import Protocol
 
 _LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
 _LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
+_MOST_LISTED = 16  # Names of a list in a message: more are read by nobody
+_LISTED = 6  # Those of a longer list that are shown
 _MOST_ROWS = 40  # Rows of a table that fit on one screen
 _WIDEST_CELL = 32  # Characters of a cell, so that a row of three stays on one line
 _RIGHT = "coefficient"  # The column that is aligned on the right
@@ -50,9 +52,20 @@ def clip(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
-def listing(subjects: Iterable[object]) -> str:
-    """Quote several objects: ```a`, `b` and `c```."""
-    quoted = [quote(subject) for subject in subjects]
+def listing(subjects: Iterable[object], near: str | None = None) -> str:
+    """Quote several objects: ```a`, `b` and `c```.
+
+    Of many those that are most like ``near``, or else the first ones, and how many others.
+    """
+    listed = list(subjects)
+    if len(listed) > _MOST_LISTED:
+        first = listed[:_LISTED]
+        if near is not None:
+            by_text = {written(subject): subject for subject in listed}
+            closest = difflib.get_close_matches(near, by_text, n=_LISTED, cutoff=0.0)
+            first = [by_text[text] for text in closest]
+        return f"{', '.join(map(quote, first))} and {len(listed) - len(first)} others"
+    quoted = [quote(subject) for subject in listed]
     if len(quoted) < 2:
         return "".join(quoted)
     return f"{', '.join(quoted[:-1])} and {quoted[-1]}"

@@ -31,7 +31,7 @@ from rankone.discretization.coordinates import Coordinates, name_of, round_off
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, warn
 from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, listing
+from rankone.support.wording import listing
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train, block_diagonal
 
@@ -185,6 +185,8 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         Names of all states.
     unknowns : sequence of str
         States whose forms are computed at once.
+    hint : callable
+        What to say behind a name that is no state.
     """
 
     def __init__(
@@ -192,16 +194,17 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         form: Callable[[int, str], CanonicalForm],
         states: Sequence[str],
         unknowns: Sequence[str],
+        hint: Callable[[str], str],
     ) -> None:
         self._form, self._states, self._unknowns = form, tuple(states), tuple(unknowns)
+        self._hint = hint
         self._forms = {name: form(self._states.index(name), name) for name in unknowns}
 
     def __getitem__(self, state: object) -> CanonicalForm:
         name = name_of(state)
         if name not in self._states:
             raise KeyError(
-                f"no unknown {name}{did_you_mean(name, self._states)}; "
-                f"known are {listing(self._states)}"
+                f"no unknown {name}{self._hint(name)}; known are {listing(self._states, name)}"
             )
         if name not in self._forms:
             self._forms[name] = self._form(self._states.index(name), name)

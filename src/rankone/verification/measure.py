@@ -121,7 +121,7 @@ class ReferenceSet:
             bool(check.points),
             cuts,
             tuple(parameter_cuts),
-            check.states,
+            check.states if request.observed is None else None,
             request.integrator,
             request.rtol,
             on_lines,
@@ -129,7 +129,9 @@ class ReferenceSet:
             workers,
         )
         reference_set._check_sizes()
-        return reference_set if request.observed is None else reference_set._resolving()
+        if request.observed is None or request.observed.states_alone:
+            return reference_set
+        return reference_set._resolving()
 
     def _resolving(self) -> ReferenceSet:
         """The same, more accurate where quantities lose digits of the states.
@@ -211,6 +213,13 @@ class ReferenceSet:
         names = self.system.states[: self.system.n_differential]
         return np.array([absolute.get(name, 0.0) / (self.rtol or 1.0) for name in names])
 
+    @property
+    def _added_to_seen(self) -> Array | float:
+        """What they add to the sizes of what is solved for."""
+        if self.observed is None:
+            return self._added
+        return self._added[[*self.observed.rows]] if self.observed.states_alone else 0.0
+
     def _size_clock(self, sizes: Array, times: Array, states: Array) -> None:
         """Let an error of the clock, and of lengths of stretches, count by what it does to states.
 
@@ -233,7 +242,11 @@ class ReferenceSet:
     @property
     def states(self) -> Array:
         """The sizes of what is solved for: the differential states, or what is observed."""
-        return self.of_states if self.observed is None else self._of_quantities
+        if self.observed is None:
+            return self.of_states
+        if self.observed.states_alone:
+            return self.of_states[[*self.observed.rows]]
+        return self._of_quantities
 
     @cached_property
     def _of_quantities(self) -> Array:
@@ -287,7 +300,7 @@ class ReferenceSet:
                 errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
                 off = np.maximum(off, self._off_constraints(times, states))
                 at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
-                at_corners += self._added if self.observed is None else 0.0
+                at_corners += self._added_to_seen
                 largest = np.maximum(largest, at_corners)
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
@@ -375,13 +388,15 @@ class ReferenceSet:
 
     @property
     def zeros(self) -> tuple[NumericallyZero, ...]:
-        """The unknowns that are numerically zero."""
+        """The unknowns asked for that are numerically zero."""
         unknowns, rounded = self.system.unknowns, self.reference.rounded
+        asked = self.counted or range(len(unknowns))
         if self.observed is not None:
-            return ()
+            asked = self.observed.rows if self.observed.states_alone else ()
         return tuple(
-            NumericallyZero(unknowns[i], float(rounded[i]), float(self.states[i]))
-            for i in np.nonzero(self.reference.zero[: len(unknowns)])[0]
+            NumericallyZero(unknowns[i], float(rounded[i]), float(self.of_states[i]))
+            for i in asked
+            if self.reference.zero[i]
         )
 
     @property

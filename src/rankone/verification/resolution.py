@@ -43,6 +43,7 @@ _LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: bi
 _MOST_EXPONENT = 250.0  # Of e, by which a floor is lowered
 _COMPARED = 3  # Trajectories on which that is looked for
 _FINER_WORK = 4.0  # Most work for these, over that for all before
+_FINER_END = 0.5  # Part of the way that they have to come, to tell anything
 _FINER_SHARE = 0.05  # Most of what is left of the budget for them
 _PASSED_ON = 10.0  # Differences from there on, in tolerances, are errors that were passed on
 
@@ -140,6 +141,8 @@ class Resolution:
                 finer = integrate(self.points[:_COMPARED], absolute)
         except OutOfBudgetError:
             return False
+        if finer.end - self.start < _FINER_END * (dense.end - self.start):
+            return False  # rounding errors are larger: no steps are short enough
         times = np.linspace(self.start, min(finer.end, dense.end), _SAMPLES)
         change = np.abs(finer(times) - dense.of(slice(_COMPARED))(times)).max(axis=2)
         sizes = np.maximum(finer.largest, self.rounding.floor)

@@ -179,6 +179,7 @@ def test_limits_are_reported_never_hidden(options, status, monkeypatch):
     assert not solution.success
     assert solution.status is status
     assert status.value in solution.message
+    assert ("it needs about" in solution.message) == (status is ro.Status.MEMORY_LIMIT)
     if solution.outcome.slabs:
         assert solution.error > 1e-6 or solution.time[1] < 6.0
 
@@ -259,6 +260,7 @@ def test_rtol_out_of_range(rtol):
         ({"max_nodes": "many"}, "max_nodes='many'"),
         ({"max_sweeps": True}, "max_sweeps=True"),
         ({"cls": 1}, "unknown option 'cls'"),
+        ({"checkpoint": "run"}, "solve does not take checkpoint=; remedy: .*solve_many"),
         ({"progress": 3}, "progress"),
     ],
 )

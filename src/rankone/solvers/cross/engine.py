@@ -13,7 +13,7 @@ import numpy as np
 from rankone.discretization import BASES, Basis1D
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
-from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
+from rankone.ir.verdict import Cause, MemoryNeeded, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross import constants
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
@@ -136,6 +136,7 @@ class CrossMarcher:
             march = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
             march = self._stopped(Status.of_limit(out), grid)
+            march.lacking = MemoryNeeded.of(out)
         except TrajectoryEnds as ends:
             march = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
             self.ends = ends.time
@@ -349,4 +350,4 @@ def _first_points(request: SolveRequest) -> Array:
     return points if len(request.domain.box) <= FEW_PARAMETERS else points[:0]
 
 
-ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher, _first_points)
+ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher, _first_points, observes=True)

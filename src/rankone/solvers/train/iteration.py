@@ -9,7 +9,7 @@ import numpy as np
 
 from rankone.discretization import RadauCollocation
 from rankone.ir.outcome import SlabRecord
-from rankone.ir.verdict import Status
+from rankone.ir.verdict import MemoryNeeded, Status
 from rankone.solvers.train.inverse import SlabJacobian
 from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
 from rankone.solvers.train.nodes import ParameterNodes, after_jump
@@ -30,7 +30,7 @@ from rankone.solvers.train.options import (
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfMemoryError, memory_left
+from rankone.support.budget import OutOfMemoryError, memory_left, reserve
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
@@ -87,6 +87,17 @@ class Convergence:
         return self._since_restart >= 4 and self.contraction > SLOWEST_CONTRACTION and not limited
 
 
+def _lacking(count: float) -> MemoryNeeded | None:
+    """What is needed if so many bytes do not fit, or are more than any slab may take."""
+    if memory_left() == math.inf:
+        return MemoryNeeded(count, MOST_MEMORY) if count > MOST_MEMORY else None
+    try:
+        reserve(count)
+    except OutOfMemoryError as out:
+        return MemoryNeeded.of(out)
+    return None
+
+
 @dataclass
 class SlabIteration:
     """The slab solver of one attempt; the slabs accepted are ``guesses`` for the next attempt.
@@ -107,12 +118,14 @@ class SlabIteration:
         self._source = self.nodes.initial(self.scale)
         self._second_residual = 1e-2
         self._trials = 0
+        self._lacking: MemoryNeeded | None = None
 
     def solve(self, span: TrainSpan) -> TrainTrial:
         """Sweep on one slab, from an earlier attempt or from its initial values."""
         tolerance = self.accuracy.tolerance(span.start)
         sweeper = self._started(span)
         limits: set[Status] = set()
+        self._lacking = None
         spectra: list[Array] = []
         if self.nodes.bases:
             coarse = min(0.1 * self._second_residual, FIRST_SWEEP_FACTOR * tolerance)
@@ -129,7 +142,7 @@ class SlabIteration:
         place = self.attempt, span.start, span.end, solved, tolerance
         sizes = tuple(basis.size for basis in self.nodes.bases)
         record = SlabRecord(*place, residuals, sweeper.ranks, sizes)
-        return TrainTrial(record, limits, sweeper, spectra)
+        return TrainTrial(record, limits, sweeper, spectra, lacking=self._lacking)
 
     def accept(self, span: TrainSpan, trial: TrainTrial) -> list[SlabTrain]:
         """The slab as polynomial coefficients; the next begins at its end."""
@@ -186,8 +199,9 @@ class SlabIteration:
             current = convergence.next_tolerance
             try:
                 residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
-            except OutOfMemoryError:
+            except OutOfMemoryError as out:
                 limits.add(Status.MEMORY_LIMIT)
+                self._lacking = MemoryNeeded.of(out)
                 break
             convergence.add(residual)
             limited = max(sweeper.ranks) >= self.options.max_rank
@@ -195,8 +209,8 @@ class SlabIteration:
                 limits.add(Status.RANK_LIMIT)
             if convergence.hopeless(limited):
                 break
-            left = memory_left()
-            if sweeper.memory > (MOST_MEMORY if left == math.inf else left):
+            self._lacking = _lacking(sweeper.memory)
+            if self._lacking is not None:
                 limits.add(Status.MEMORY_LIMIT)
                 break
             sweeper.settle(0.2 * tolerance, 12)
