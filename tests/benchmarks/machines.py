@@ -7,6 +7,7 @@ worker, or half of all, the main process with dask's scheduler included, whichev
 
 ``... kill 20`` kills worker and main process 20 times at random moments, and starts the same
 command again until it ends: the bits have to be the same, and no finished file may change.
+``... kill 20 0 dask`` does so with a LocalCluster in place of the processes; 0 is the seed.
 
 ``... solve`` compares the stages of solves with 300 to 2,000 states here and on two processes.
 
@@ -27,6 +28,7 @@ import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -131,10 +133,17 @@ def speed() -> None:
         report("LocalCluster", executor, alone)
 
 
-def command(folder: str) -> None:
-    """What is killed: 16 pieces on two processes, with a checkpoint."""
+def command(folder: str, dask: bool) -> None:
+    """What is killed: 16 pieces on two processes, or a LocalCluster, with a checkpoint."""
     problem, boxes, rtol = double_well(*SHORT)
-    solutions = ro.solve_many(problem, boxes, rtol, executor=2, checkpoint=folder)
+    with ExitStack() as stack:
+        executor: Any = 2
+        if dask:
+            from distributed import Client, LocalCluster
+
+            options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+            executor = stack.enter_context(Client(stack.enter_context(LocalCluster(**options))))
+        solutions = ro.solve_many(problem, boxes, rtol, executor=executor, checkpoint=folder)
     print(bits(solutions), solutions.success, flush=True)
 
 
@@ -169,7 +178,7 @@ def wait(main: subprocess.Popen[str], rng: random.Random) -> None:
     time.sleep(rng.uniform(0.0, 15.0))
 
 
-def kill(count: int, seed: int = 0) -> None:
+def kill(count: int, seed: int = 0, where: str = "processes") -> None:
     """Kill a worker or the main process ``count`` times, and start the same command again."""
     rng = random.Random(seed)
     problem, boxes, rtol = double_well(*SHORT)
@@ -180,7 +189,7 @@ def kill(count: int, seed: int = 0) -> None:
         with tempfile.TemporaryDirectory() as folder:
             stamps: dict[str, int] = {}
             while True:
-                call = [sys.executable, __file__, "command", folder]
+                call = [sys.executable, __file__, "command", folder, where]
                 main = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
                 while main.poll() is None:
                     wait(main, rng)
@@ -349,9 +358,9 @@ def memory() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["command"]:
-        command(sys.argv[2])
+        command(sys.argv[2], dask=sys.argv[3] == "dask")
     elif sys.argv[1:2] == ["kill"]:
-        kill(int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+        kill(int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0, *sys.argv[4:])
     elif sys.argv[1:2] == ["stream"]:
         stream(int(float(sys.argv[2])), sys.argv[3])
     elif sys.argv[1:2] == ["evaluated"]:
