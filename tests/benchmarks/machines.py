@@ -9,7 +9,8 @@ worker, or half of all, the main process with dask's scheduler included, whichev
 command again until it ends: the bits have to be the same, and no finished file may change.
 ``... kill 20 0 dask`` does so with a LocalCluster in place of the processes; 0 is the seed.
 
-``... solve`` compares the stages of solves with 300 to 2,000 states here and on two processes.
+``... solve`` compares the stages of solves with 300 to 2,000 states here and on two processes, and
+``... reference`` the processor times of the reference alone, on processes that are warm.
 
 ``... memory`` compares peaks of solves and calls, beyond what the process had before, with
 ``max_memory``.
@@ -29,6 +30,7 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -39,8 +41,14 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
+from rankone.ir.request import Check, SolveRequest  # noqa: E402
+from rankone.solvers.cross import CrossOptions  # noqa: E402
+from rankone.support.budget import limited  # noqa: E402
 from rankone.support.memory import checked_memory, in_words  # noqa: E402
-from tests.benchmarks.many_states import CASES  # noqa: E402
+from rankone.trajectories.workers import Workers, open_workers  # noqa: E402
+from rankone.verification.measure import ReferenceSet  # noqa: E402
+from rankone.verification.reference import Reference  # noqa: E402
+from tests.benchmarks.many_states import CASES, Case  # noqa: E402
 
 
 def double_well(horizon: float, rtol: float) -> tuple[ro.Problem, list[Any], float]:
@@ -233,6 +241,48 @@ def solves() -> None:
         assert found[0] == found[1], "the bits differ"
 
 
+def relaxing() -> ro.Problem:
+    """An oscillator whose trajectories jump at times of their own: they are integrated alone."""
+    rates, start = {"x": "y", "y": "mu*(1 - x**2)*y - x"}, {"x": "2", "y": "0"}
+    return ro.Problem.from_strings(rates, start, {"mu": (80, 120)}, (0, 300))
+
+
+def references() -> None:
+    """Compare the processor times of references here and on two processes."""
+    problems = {name: CASES[name] for name in ("heat, 500", "epidemic, 1,000 nodes")}
+    problems["relaxation oscillator"] = Case(relaxing, 1e-3)
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        for name, case in problems.items():
+            system = ro.compile(case.problem()).system
+            how = "single" if len(system.states) < 64 else "auto"  # no stack is tried before
+            request = SolveRequest.of(system, [CrossOptions], {}, rtol=case.rtol, integrator=how)
+            times, found = np.linspace(*system.horizon, 9), []
+            for given in (None, executor):
+                with limited(), open_workers(system, given) as workers:
+                    if given is not None:  # they load the system
+                        integrated_by(workers, replace(request, check=Check(2)))
+                    before = dict(executor.map(processor_times, range(8)))
+                    began = time.process_time()
+                    reference = integrated_by(workers, request)
+                    here = time.process_time() - began
+                    after = dict(executor.map(processor_times, range(8)))
+                    used = [after[pid] - before.get(pid, 0.0) for pid in after]
+                    found.append((reference(times).tobytes(), here + max(used), used, here))
+            (bits_here, alone, *_), (bits_there, together, used, here) = found
+            assert bits_here == bits_there, "the bits differ"
+            spent = " + ".join(f"{each:.2f}" for each in [*used, here])
+            print(
+                f"{name}, {reference.integrator}: {alone:.2f} s here; {spent} s (workers, main): "
+                f"{alone / together:.2f} x with two free cores; the same bits",
+                flush=True,
+            )
+
+
+def integrated_by(workers: Workers, request: SolveRequest) -> Reference:
+    """The reference of a solve."""
+    return ReferenceSet.of(workers.system, request, None, workers).reference
+
+
 def peak() -> float:
     """Largest memory of this process so far, in bytes."""
     return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -369,6 +419,8 @@ if __name__ == "__main__":
         chain(int(sys.argv[2]), sys.argv[3] or None, *sys.argv[4:])
     elif sys.argv[1:2] == ["solve"]:
         solves()
+    elif sys.argv[1:2] == ["reference"]:
+        references()
     elif sys.argv[1:2] == ["memory"]:
         memory()
     else:

@@ -122,8 +122,23 @@ def test_parameters_that_the_data_do_not_tell_apart_are_named():
     assert calibration.x["a"] * calibration.x["b"] == pytest.approx(0.8, rel=0.2)
 
 
+@pytest.mark.slow
+def test_workers_take_starts_and_change_no_bit(kinetics):
+    experiment, _, _ = measured(concentrations(**TRUTH))
+    options = {"starts": 4, "seed": 3, "box": False}
+    here = ro.calibrate(kinetics, experiment, **options)
+    there = ro.calibrate(kinetics, experiment, executor=2, **options)
+    assert there.x == here.x
+    assert there.log_likelihood == here.log_likelihood
+    assert repr(there.starts) == repr(here.starts)
+
+
 def test_what_a_calibration_cannot_take_is_said(kinetics):
     experiment, _, _ = measured(concentrations(**TRUTH))
+    with pytest.raises(ro.OptionError, match="search='boxes' takes no executor"):
+        ro.calibrate(kinetics, experiment, search="boxes", executor=2)
+    with pytest.raises(ro.OptionError, match="executor='here' is not valid"):
+        ro.calibrate(kinetics, experiment, executor="here")
     with pytest.raises(ro.OptionError, match="search='gradient' is unknown"):
         ro.calibrate(kinetics, experiment, search="gradient")
     with pytest.raises(ro.OptionError, match="no list of experiments"):

@@ -271,3 +271,10 @@ def test_the_package_is_asked_for(file, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "petab.v1", None)
     with pytest.raises(ro.ProblemError, match=r"rankone\[petab\]"):
         ro.read_petab(file)
+
+
+@pytest.mark.slow
+def test_workers_take_starts_and_change_no_bit(problem):
+    here, there = problem.fit(starts=2), problem.fit(starts=2, executor=2)
+    assert there.x == here.x
+    assert there.log_likelihood == here.log_likelihood

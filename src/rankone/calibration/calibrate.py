@@ -19,6 +19,7 @@ from rankone.frontend.problem import Problem
 from rankone.interface.compiled import compile_problem
 from rankone.statistics.joint_distribution import by_name
 from rankone.support.errors import OptionError, check_kind
+from rankone.support.executors import checked_executor
 from rankone.support.options import checked_number
 from rankone.support.wording import count, listing, quote, shown
 
@@ -39,6 +40,7 @@ def calibrate(
     search: str = "trajectories",
     box: bool = True,
     rtol: float = 1e-5,
+    executor: Any = None,
 ) -> Calibration:
     """Parameters from data over bounds that are too wide for one solution.
 
@@ -67,6 +69,9 @@ def calibrate(
         Whether to solve around the optimum, if at most six parameters are identified.
     rtol : float
         Tolerance of solutions on boxes.
+    executor : int, concurrent.futures.Executor, distributed.Client or str, optional
+        Where starts go down on trajectories, as for :func:`rankone.solve_many`; the calibration is
+        the same to the bit. Boxes follow each other: ``search="boxes"`` takes no executor.
 
     Returns
     -------
@@ -85,6 +90,13 @@ def calibrate(
     if search not in _SEARCHES:
         raise OptionError(f"search={search!r} is unknown", remedy=f"use {listing(_SEARCHES)}")
     starts = checked_number("starts", starts, 1, MOST_STARTS)
+    wanted = None if executor is None else checked_executor("executor", executor)
+    if wanted is not None and search == "boxes":
+        raise OptionError(
+            "search='boxes' takes no executor: each box begins where the one before led",
+            term=executor,
+            remedy="leave out one of them",
+        )
     listed = [experiments] if isinstance(experiments, Experiment) else experiments
     if not isinstance(listed, list | tuple) or not listed:
         raise OptionError(
@@ -99,7 +111,7 @@ def calibrate(
     if search == "boxes":
         ways = _by_boxes(boxes, starts, seed)
     else:
-        ways = descents(likelihood, starts, seed)
+        ways = descents(likelihood, starts, seed, executor=wanted)
     return _result(boxes, ways, box)
 
 

@@ -50,6 +50,10 @@ class Dynamics:
         problem = records.model.with_numbers(settings.constant).problem(box, time=(0.0, end))
         self.compiled: CompiledProblem = compile_problem(problem)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is sent to workers: they write the functions of the derivatives anew."""
+        return {"inputs": self.inputs, "compiled": self.compiled}
+
     @property
     def system(self) -> System:
         """The generated module."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from rankone.calibration.comparison import Comparison, compared
@@ -11,15 +13,19 @@ from rankone.calibration.records import Records
 from rankone.calibration.result import Calibration
 from rankone.calibration.starts import MOST_STARTS, descents
 from rankone.calibration.uncertainty import covariance_at, spread_of
+from rankone.support.executors import checked_executor
 from rankone.support.options import checked_number
 
 _SCREENED = 10  # Random points, the best of which is a start
 
 
-def calibrated(records: Records, likelihood: OfFiles, starts: int, seed: int) -> Calibration:
+def calibrated(
+    records: Records, likelihood: OfFiles, starts: int, seed: int, executor: Any = None
+) -> Calibration:
     """The calibration from random starts; see :meth:`.CalibrationProblem.fit`."""
     starts = checked_number("starts", starts, 1, MOST_STARTS)
-    ways = descents(likelihood, starts, seed, _SCREENED)
+    wanted = None if executor is None else checked_executor("executor", executor)
+    ways = descents(likelihood, starts, seed, _SCREENED, wanted)
     comparisons = comparisons_of(records, likelihood, ways[0].at)
     return Calibration.of(likelihood, ways, comparisons=comparisons)
 

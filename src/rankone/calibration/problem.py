@@ -126,7 +126,7 @@ class CalibrationProblem:
         """
         return self._evaluated(values, self.estimated, rtol)
 
-    def fit(self, starts: int = 10, seed: int = 0) -> Calibration:
+    def fit(self, starts: int = 10, seed: int = 0, executor: Any = None) -> Calibration:
         """Estimate the parameters from random starts within their bounds.
 
         Nominal values of estimated parameters are not used. Each start of a latin hypercube, on
@@ -140,6 +140,9 @@ class CalibrationProblem:
             Number of random starts.
         seed : int
             Of the random numbers.
+        executor : int, concurrent.futures.Executor, distributed.Client or str, optional
+            Where starts go down, as for :func:`rankone.solve_many`; the calibration is the same to
+            the bit.
 
         Returns
         -------
@@ -155,7 +158,7 @@ class CalibrationProblem:
         """
         others = self.point(dict.fromkeys(self.estimated, 0.0))
         likelihood = OfFiles.of(self._evaluator, others)
-        return calibrated(self._records, likelihood, starts, seed)
+        return calibrated(self._records, likelihood, starts, seed, executor)
 
     def problem(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from rankone.calibration.descent import (
 )
 from rankone.support.arrays import Array
 from rankone.support.budget import limited
+from rankone.support.executors import ExecutorLike, open_pool
+from rankone.support.tasks import Shared
 
 MOST_STARTS = 10_000
 """Most random starts."""
@@ -44,26 +47,48 @@ def random_starts(count: int, n: int, seed: int) -> Array:
     return np.asarray((cells + generator.random((count, n))) / count)
 
 
-def descents(problem: Expandable, count: int, seed: int, screened: int = 1) -> list[Descent]:
+def descents(
+    problem: Expandable,
+    count: int,
+    seed: int,
+    screened: int = 1,
+    executor: ExecutorLike | None = None,
+) -> list[Descent]:
     """Descents from random starts, the best of them first.
 
     Of so many ``screened`` points for each, the best that are apart go a short way, and the best of
     these are the starts; where none are screened, one without trajectories is replaced by another
     random point. All go on for some iterations, the best for more. Unless half of them end at the
     same optimum, the best end then hops: it takes some coordinates of other ends, a few are drawn
-    anew, and where the way down from there leads lower, it stays.
+    anew, and where the way down from there leads lower, it stays. Points and ways are shared out to
+    the workers of an executor; hops, each of which begins where the one before led, are not.
     """
     generator = np.random.default_rng(seed)
     points = random_starts(count * screened, len(problem.names), seed)
     replacements = _REPLACEMENTS if screened == 1 else 0
-    tried = [_usable(problem, z, generator, replacements) for z in points]
-    ways = _promising(problem, tried, count) if screened > 1 else [_way(at) for at in tried]
-    _go_on(problem, ways)
-    agree = sum(way.at.cost <= ways[0].at.cost + _SAME_COST for way in ways)
-    if np.isfinite(ways[0].at.cost) and agree < _AGREEING_SHARE * count:
-        _hop(problem, ways, generator, _HOPS * count)
-        _go_on(problem, ways)
+    with nullcontext() if executor is None else open_pool(executor) as pool:
+        shared = Shared("what is calibrated", problem, pool)
+        first = shared.map(_expanded, [(z,) for z in points])
+        tried = [_usable(problem, at, generator, replacements) for at in first]
+        if screened > 1:
+            ways = _promising(shared, problem, tried, count)
+        else:
+            ways = [_way(at) for at in tried]
+        _go_on(shared, ways)
+        agree = sum(way.at.cost <= ways[0].at.cost + _SAME_COST for way in ways)
+        if np.isfinite(ways[0].at.cost) and agree < _AGREEING_SHARE * count:
+            _hop(problem, ways, generator, _HOPS * count)
+            _go_on(shared, ways)
     return ways
+
+
+def _expanded(problem: Expandable, z: Array) -> Expansion:
+    return problem.expanded(z)
+
+
+def _gone(problem: Expandable, way: Descent, iterations: int) -> Descent:
+    way.go(problem, iterations)
+    return way
 
 
 def _way(at: Expansion) -> Descent:
@@ -71,11 +96,12 @@ def _way(at: Expansion) -> Descent:
     return Descent(at, at.z, arrived=not np.isfinite(at.cost))
 
 
-def _promising(problem: Expandable, tried: Sequence[Expansion], count: int) -> list[Descent]:
+def _promising(
+    shared: Shared[Expandable], problem: Expandable, tried: Sequence[Expansion], count: int
+) -> list[Descent]:
     """So many ways that led lowest in a few iterations, of more that began apart."""
     ways = [_way(at) for at in _apart(problem, tried)[: _MORE * count]]
-    for way in ways:
-        way.go(problem, _FIRST_LEG)
+    ways = shared.map(_gone, [(way, _FIRST_LEG) for way in ways])
     ways.sort(key=lambda way: way.at.cost)
     costs = np.array([way.at.cost for way in ways])
     above = np.concatenate([[np.inf], np.diff(np.nan_to_num(costs, posinf=1e300))])
@@ -114,11 +140,14 @@ def _rank(problem: Expandable) -> Callable[[Expansion], tuple[bool, float]]:
     return rank
 
 
-def _go_on(problem: Expandable, ways: list[Descent]) -> None:
+def _go_on(shared: Shared[Expandable], ways: list[Descent]) -> None:
     """All go on for some iterations, the best for more; they are sorted in place."""
     for many, iterations in _LEGS:
-        for way in ways[:many]:
-            way.go(problem, iterations)
+        going = [k for k, way in enumerate(ways[:many]) if not way.arrived]
+        for k, way in zip(
+            going, shared.map(_gone, [(ways[k], iterations) for k in going]), strict=True
+        ):
+            ways[k] = way
         ways.sort(key=lambda way: way.at.cost)
 
 
@@ -167,12 +196,11 @@ def _different(ends: Sequence[Expansion]) -> list[Expansion]:
 
 
 def _usable(
-    problem: Expandable, z: Array, generator: np.random.Generator, replacements: int
+    problem: Expandable, at: Expansion, generator: np.random.Generator, replacements: int
 ) -> Expansion:
-    """The expansion at a start, or at the first random point that has one."""
-    at = problem.expanded(z)
+    """The expansion at a start, or at the first random point that has trajectories."""
     for _ in range(replacements):
         if np.isfinite(at.cost):
             return at
-        at = problem.expanded(generator.random(z.size))
+        at = problem.expanded(generator.random(at.z.size))
     return at

@@ -64,6 +64,11 @@ class IntegratedSolution(SolutionCore):
         sizes = np.where(start > 0.0, start, start.max(initial=0.0) or 1.0)
         return Tolerances(self.tolerance, _ABSOLUTE * sizes[:, None])
 
+    def __reduce__(self) -> tuple[object, ...]:
+        specification = self.system.specification  # the functions of a module do not pickle
+        assert specification is not None
+        return specification.call, (type(self), self.metadata, self.tolerance)
+
     @cached_property
     def _evaluator(self) -> None:  # type: ignore[override]
         return None
