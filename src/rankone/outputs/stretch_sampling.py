@@ -18,7 +18,8 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import differentiated
 from rankone.tensors.timeline import TimelineEvaluator
 
-_NUMBER_COST = 20.0  # Operations of a number of the functions of time
+_PLACE_COST, _SOURCE_COST = 160.0, 40.0  # Operations of a place on a stretch, and of a source there
+_NUMBER_COST = 20.0  # Operations of a number of the functions of clock time
 
 
 class StretchSampler(Sampler):
@@ -47,6 +48,7 @@ class StretchSampler(Sampler):
         if free and 1 not in self._trains:
             self._trains[1] = TrainEvaluator([slab.derivative() for slab in evaluator.slabs])
         self._late = 0.0
+        self._bordered = (np.empty(0),) * 3
 
     @property
     def span(self) -> tuple[float, float]:
@@ -125,8 +127,10 @@ class StretchSampler(Sampler):
 
     def _borders(self, points: Array) -> tuple[Array, Array]:
         """Clock times (stretches + 1, m) of borders, and the same within the horizon."""
-        borders = self.evaluator.borders(np.ascontiguousarray(points.T))
-        return borders, np.minimum(borders, self.evaluator.horizon[1])
+        if points is not self._bordered[0]:  # a chunk needs them several times
+            borders = self.evaluator.borders(np.ascontiguousarray(points.T))
+            self._bordered = points, borders, np.minimum(borders, self.evaluator.horizon[1])
+        return self._bordered[1:]
 
     def _place(self, times: Array) -> NDArray[np.intp]:
         """The stretch of each pseudo-time."""
@@ -143,7 +147,6 @@ class StretchSampler(Sampler):
 
     def _states(self, times: Array, points: Array) -> Array:
         """Sources at pseudo-times (T, m): shape (sources, T, m)."""
-        charge(20.0 * CALL + (1.0 + len(self.quantities.sources)) * _NUMBER_COST * times.size)
         borders, within = self._borders(points)
         stretch = self._place(times)
         # behind the horizon the states are those at its end
@@ -156,10 +159,12 @@ class StretchSampler(Sampler):
 
     def _read(self, stretch: NDArray[np.intp], share: Array, length: Array, points: Array) -> Array:
         """Sources in stretches, at shares of them."""
+        count = len(self.quantities.sources)
+        charge(20.0 * CALL + (_PLACE_COST + count * _SOURCE_COST) * stretch.size)
         last = np.nextafter(stretch + 1.0, 0.0)
         pseudo = np.clip(stretch + share, stretch, last)
         columns = np.ascontiguousarray(points.T)
-        sources = np.empty((len(self.quantities.sources), *pseudo.shape))
+        sources = np.empty((count, *pseudo.shape))
         lengths = np.where(length != 0.0, length, np.inf)
         kinds: dict[tuple[int, int | None], list[int]] = {}
         for i, source in enumerate(self.quantities.sources):

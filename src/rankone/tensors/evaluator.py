@@ -134,8 +134,12 @@ class _Dimension:
         contracted = np.empty((len(self.matrices[0][rows]), xi.size))
         for e in _occupied(element):
             here = slice(None) if element is None else np.flatnonzero(element == e)
-            products = (self.tensor[e, rows] @ contraction).take(of[here], 2)
-            contracted[:, here] = np.einsum("lnN,nN->lN", products, polynomials[:, here])
+            columns = of[here]
+            first, last = columns.min(), columns.max()
+            products = self.tensor[e, rows] @ contraction[:, first : last + 1]
+            contracted[:, here] = np.einsum(
+                "lnN,nN->lN", products.take(columns - first, 2), polynomials[:, here]
+            )
         return contracted
 
     def outer(self, points: Array, contraction: Array, rows: Rows | None = None) -> Array:
@@ -320,15 +324,35 @@ class TrainEvaluator:
             return self._at_all(times[:, 0], count, contractions, rows)
         if several == 1:
             return self.many(np.concatenate([times, points]), rows)[:, None]
+        states = np.empty((self.count(rows), count, several))
+        for begin in range(0, count, _POINTS):
+            columns = slice(begin, begin + _POINTS)
+            block = self._paired_curves(times[:, columns], points[:, columns], rows)
+            states[:, columns] = block
+        return states.swapaxes(1, 2)
+
+    def _paired_curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        """The same at times (T, N) of their own for some points: shape (rows, N, T)."""
+        several, count = times.shape
         paired = times.T.ravel()
         states = np.empty((self.count(rows), paired.size))
-        for train, owned in self._owned(paired, self._breaks):
-            most = _VALUES // (len(states) * train.time.degree)
-            for here in _chunks(owned, max(min(train.chunk, most), 1)):
-                columns, back = np.unique(here // several, return_inverse=True)
-                contraction = train.over_parameters(points.take(columns, 1))
-                states[:, here] = train.time.spread(paired[here], contraction, back, rows)
-        return states.reshape(len(states), count, several).swapaxes(1, 2)
+        for train, owned in self._owned(paired, self._slab_breaks):
+            column = owned // several
+            present = np.zeros(count, dtype=bool)
+            present[column] = True
+            of, chosen = (np.cumsum(present) - 1)[column], points[:, present]
+            contraction = np.concatenate(
+                [
+                    train.over_parameters(chosen[:, begin : begin + train.chunk])
+                    for begin in range(0, chosen.shape[1], train.chunk)
+                ],
+                axis=1,
+            )
+            most = max(_BUFFER // (len(states) * train.time.degree), 1)
+            for part in _chunks(np.arange(owned.size), most):
+                here = owned[part]
+                states[:, here] = train.time.spread(paired[here], contraction, of[part], rows)
+        return states.reshape(len(states), count, several)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid of 1 + d axes in any order: (rows, *sizes of the axes)."""
