@@ -82,11 +82,11 @@ def told(solution):
 
 def test_a_box_narrowed_as_told_converges(compiled):
     """Predator and prey with a budget that is far too small for the whole box."""
-    refused = compiled.solve(1e-4, method="cross", effort=0.02)
+    refused = compiled.solve(1e-4, method="cross", effort=0.007)
     assert refused.status is Status.WORK_LIMIT
     narrower = told(refused)
     assert f"predicted to converge if you narrow `{next(iter(narrower))}` to [" in refused.message
-    converged = compiled.solve(1e-4, method="cross", effort=0.02, parameters=narrower)
+    converged = compiled.solve(1e-4, method="cross", effort=0.007, parameters=narrower)
     assert converged.success
     assert not told(converged)
 

@@ -40,7 +40,7 @@ class Separable:
 @pytest.mark.parametrize("sizes", [(5, 6, 4), (20, 20, 20), (9, 9, 9, 9, 9)])
 def test_a_tensor_of_low_rank_is_found_exactly(sizes):
     samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
-    left = batched(left_points(sizes, 9, 0), 6, 3)
+    left = batched(left_points(sizes, 9, 0), 6)
     train, limited = interpolate(samples, bases, left, 1e-12, 50)
     assert not limited
     train = train.rounded(1e-10)
@@ -52,6 +52,43 @@ def test_a_tensor_of_low_rank_is_found_exactly(sizes):
     )
 
 
+@pytest.mark.parametrize("count", [20, 200, 600])
+def test_the_first_left_points_are_corners_and_the_others_are_even(count):
+    points = left_points((300, 20), count, 0)[1][:, 0]
+    for k in (16, 150, 300):
+        gaps = np.diff(np.unique(points[:k]))
+        assert gaps.max() < 3.2 * 300 / min(k, count)
+    if count < 300:
+        assert set(points[:2]) == {0, 299}
+    else:
+        assert np.array_equal(np.sort(points), np.arange(300))
+
+
+def test_many_left_points_begin_with_corners():
+    points = left_points((9, 9, 9, 9, 9), 160, 0)[-1]
+    at_corners = np.isin(points, [0, 8]).all(axis=1)
+    assert at_corners[:20].sum() == 16
+    assert len(np.unique(points[at_corners][:16], axis=0)) == 16
+    assert np.ptp(points[at_corners][:6], axis=0).min() == 8  # on both sides of every parameter
+
+
+def test_a_front_across_two_parameters_is_found_by_few_batches():
+    size = 200
+    bases = [ChebyshevBasis(0.0, 1.0, size)] * 2
+    x, sampled = bases[0].nodes, set[int]()
+
+    def front(indices):
+        sampled.update((indices[:, 0] * size + indices[:, 1]).tolist())
+        return np.tanh(20.0 * (x[indices[:, 0]] + x[indices[:, 1]] - 1.0))[None, :]
+
+    left = batched(left_points((size, size), size, 0), 12, 18, 27, 40, 60, 90, 135)
+    train, _ = interpolate(front, bases, left, 1e-7, size)
+    assert len(sampled) < 0.9 * size**2
+    unscaled = train.unscaled([basis.weights for basis in bases])
+    indices = np.random.default_rng(1).integers(0, size, (4000, 2))
+    assert np.abs(train.first @ unscaled.at_indices(indices) - front(indices)).max() < 1e-5
+
+
 def test_left_points_are_taken_until_further_ones_add_nothing():
     sizes = (20, 20, 20)
     samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
@@ -61,7 +98,7 @@ def test_left_points_are_taken_until_further_ones_add_nothing():
         sampled.append(len(indices))
         return samples(indices)
 
-    interpolate(noted, bases, batched(left_points(sizes, 12, 0), 2, 2), 1e-12, 50)
+    interpolate(noted, bases, batched(left_points(sizes, 12, 0), *range(2, 12, 2)), 1e-12, 50)
     # at the last bond of 20 nodes the second batch is enough; both are sampled in one call before
     assert sampled[:3] == [4 * 20, 2 * 20, 2 * 20]
     assert sampled[3] == 4 * 20 * 3

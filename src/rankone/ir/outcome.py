@@ -41,12 +41,13 @@ class Measured:
     corners of the box where ``cover`` is "box"; ``corners`` that over corners, empty without
     parameters. ``points`` trajectories were compared, made by the ``integrator`` with its
     ``method``; 95 % of those that count are no worse than ``quantile``, and ``worst`` is the worst
-    of them. ``counted`` are the states that success is for, None for all. ``drift`` is the largest
-    difference between lifted states and what they stand for, relative to their sizes; None where
-    none are lifted. ``time_error`` is the largest error of the time of an event, over the horizon,
-    and ``share_error`` the largest one of a state at equal shares of stretches, relative to its
-    size; both None without events. ``constraint_drift`` is how far states are from satisfying
-    algebraic equations, relative to their sizes, and a part of the errors; None without any.
+    of them; ``also_bad`` are the next ones at other places of the box. ``counted`` are the states
+    that success is for, None for all. ``drift`` is the largest difference between lifted states and
+    what they stand for, relative to their sizes; None where none are lifted. ``time_error`` is the
+    largest error of the time of an event, over the horizon, and ``share_error`` the largest one of
+    a state at equal shares of stretches, relative to its size; both None without events.
+    ``constraint_drift`` is how far states are from satisfying algebraic equations, relative to
+    their sizes, and a part of the errors; None without any.
     """
 
     interior: tuple[float, ...]
@@ -56,6 +57,7 @@ class Measured:
     cover: str = "interior"
     quantile: float | None = None
     worst: tuple[float, ...] = ()
+    also_bad: tuple[tuple[float, ...], ...] = ()
     counted: tuple[int, ...] | None = None
     drift: float | None = None
     integrator: str = "stack"

@@ -32,6 +32,8 @@ from rankone.tensors.train import Integers, Train
 FIRST_LEFT_POINTS = 12
 MOST_FIRST_LEFT_POINTS = 30  # Most of them in the first attempt, which takes what it needs
 LEFT_POINT_BATCHES = 8, 4  # Left points with which it begins and goes on
+# The same for later attempts, over the left points that they take at least
+LATER_BATCHES = 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0
 # Tolerance of row spaces, relative to the level of an attempt: an error there is amplified
 ROW_SPACE_SHARE = 0.025
 # Size of the highest modes, relative to the level, above which there are more nodes
@@ -59,9 +61,11 @@ FASTEST_DECAY = 1e-3  # Smallest ratio of successive modes used for a prediction
 EXPLAINED_RATIO = 20.0
 MAX_PREDICTED_RATIO = 3.0  # Largest number of nodes predicted, over the nodes it is predicted from
 ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the nodes of the lines
-# In one parameter elements may have this many times the nodes of a single element that does not
-# suffice. With more parameters steep places move, and elements must have fewer nodes.
+# With one parameter elements may have this many times the nodes of a single element that does not
+# suffice
 ELEMENT_COST_RATIO = 2.0
+# The same with more parameters, where a steep place moves with the others: lines show some of them
+MOVING_COST_RATIO = 0.25
 # Distance of points beside a border, in widths of the interval: there may be a jump
 BORDER_DISTANCE = 4e-9
 NARROWEST_ELEMENT = 1e-9  # Width of the smallest element, relative to the interval: it holds a jump
@@ -166,13 +170,17 @@ class AdaptiveInterpolation:
     def _left_points(self, bases: Sequence[Basis1D]) -> list[list[Integers]]:
         """Batches of left points: several in the first attempt, which takes as many as it needs."""
         sizes = [basis.size for basis in bases]
-        if self.bases is None and math.prod(sizes) > FULL_GRID_NODES:
+        if math.prod(sizes) <= FULL_GRID_NODES:
+            return batched(left_points(sizes, FULL_GRID_NODES, SEED))
+        if self.bases is None:
+            first, further = LEFT_POINT_BATCHES
             left = left_points(sizes, MOST_FIRST_LEFT_POINTS, SEED)
-            return batched(left, *LEFT_POINT_BATCHES)
-        left = left_points(sizes, self._left_count, SEED)
+            return batched(left, *range(first, MOST_FIRST_LEFT_POINTS, further))
+        ends = [round(ratio * self._left_count) for ratio in LATER_BATCHES]
+        left = left_points(sizes, ends[-1], SEED)
         if self.doubtful is not None:
             left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
-        return [[points] for points in left]
+        return batched(left, *ends)
 
     def _attempt_bases(
         self, columns: Columns, known_elements: Callable[[int], Sequence[KnownElements]]
@@ -249,7 +257,10 @@ class AdaptiveInterpolation:
         divided = list(bases)
         for j, basis in enumerate(bases):
             if basis.elements == 1 and basis.size > ELEMENT_NODE_RATIO * count:
-                allowed = basis.size * (ELEMENT_COST_RATIO if len(bases) == 1 else 1.0)
+                ratio = ELEMENT_COST_RATIO if len(bases) == 1 else MOVING_COST_RATIO
+                if len(bases) > 1 and basis.size == self.limits.max_nodes:
+                    ratio = 1.0  # one element cannot have more
+                allowed = ratio * basis.size
                 elements = self._elements(lines, j, replace(basis, degree=count), (), allowed)
                 divided[j] = elements or basis
         return tuple(divided)

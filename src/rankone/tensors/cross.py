@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg
 
 from rankone.discretization import Basis1D
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, spread
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr, svd
 from rankone.tensors.train import GRAM_RESOLUTION, Integers, Train, row_space
@@ -62,8 +62,10 @@ class Nodes(Protocol):
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """For each bond the left points: node indices of the parameters before it, (m, b).
 
-    There are ``count`` of them, or all where the whole grid is small. Most are corners of their
-    grid: products of many parameters are largest there, which random points hardly see.
+    There are ``count`` of them, or all where the whole grid is small. At first, most are corners of
+    their grid: products of many parameters are largest there, which points inside hardly see. The
+    others are evenly spread, however many of them are taken: a front that moves with a parameter is
+    seen by few of them.
     """
     generator = np.random.default_rng(seed)
     points = [np.zeros((1, 0), dtype=np.int64)]
@@ -71,41 +73,46 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     for b in range(1, len(sizes)):
         total = math.prod(sizes[:b])
         if full or total <= count:
-            columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
-        else:
-            corners = _corners(b, round(_CORNER_SHARE * count), generator)
-            others = count - len(corners)
-            shares = [np.arange(0.5, n) / n for n in (others, len(corners))]
-            order = np.argsort(np.concatenate(shares), kind="stable")
-            columns = [
-                np.concatenate([generator.integers(0, size, others), (size - 1) * corner])[order]
-                for size, corner in zip(sizes[:b], corners.T, strict=True)
-            ]
-        points.append(np.stack(columns, axis=1).astype(np.int64))
+            order = np.argsort(np.argsort(spread(total, 1, generator)[:, 0]))
+            points.append(np.stack(np.unravel_index(order, tuple(sizes[:b])), axis=1))
+            continue
+        grid = np.array(sizes[:b])
+        at_corners = (grid - 1) * _corners(b, round(_CORNER_SHARE * count), generator)
+        inside = (grid * spread(count - len(at_corners), b, generator)).astype(np.int64)
+        shares = (_CORNER_SHARE, at_corners), (1.0 - _CORNER_SHARE, inside)
+        places = [np.arange(0.5, len(each)) / share for share, each in shares]
+        order = np.argsort(np.concatenate(places), kind="stable")
+        points.append(np.concatenate([at_corners, inside])[order])
     return points
 
 
-def batched(left: Sequence[Integers], first: int, further: int) -> list[list[Integers]]:
-    """Left points in batches: ``first`` of them, then ``further`` at a time."""
-    return [np.split(points, range(first, len(points), further)) for points in left]
+def batched(left: Sequence[Integers], *ends: int) -> list[list[Integers]]:
+    """Left points in batches, which end after so many of them."""
+    return [np.split(points, [end for end in ends if end < len(points)]) for points in left]
 
 
 def with_points(left: Sequence[Integers], nodes: Sequence[Array], points: Array) -> list[Integers]:
-    """Left points, and for each bond the nodes that are nearest to further points (m, d)."""
+    """The nodes of each bond that are nearest to points (m, d), and left points behind them."""
     nearest = np.stack(
         [np.abs(x[None, :] - points[:, [j]]).argmin(axis=1) for j, x in enumerate(nodes)], axis=1
     )
     return [
-        np.unique(np.concatenate([indices, nearest[:, : indices.shape[1]]]), axis=0)
-        for indices in left
+        _distinct(np.concatenate([nearest[:, : indices.shape[1]], indices])) for indices in left
     ]
 
 
+def _distinct(points: Integers) -> Integers:
+    """Rows (m, b) without those that come a second time."""
+    _, first = np.unique(points, axis=0, return_index=True)
+    return points[np.sort(first)]
+
+
 def _corners(dimensions: int, count: int, generator: np.random.Generator) -> Integers:
-    """Corners of a unit cube, (m, dimensions): the ends of the diagonal and random ones, or all."""
-    if 2**dimensions <= count:
-        return np.stack(np.unravel_index(np.arange(2**dimensions), (2,) * dimensions), axis=1)
+    """Corners of a unit cube, (m, dimensions): the ends of the diagonal, and random ones or all."""
     ends = np.repeat([[0], [1]], dimensions, axis=1)
+    if 2**dimensions <= count:
+        every = np.stack(np.unravel_index(np.arange(2**dimensions), (2,) * dimensions), axis=1)
+        return np.concatenate([ends, generator.permutation(every[1:-1])])
     return np.concatenate([ends, generator.integers(0, 2, (count - 2, dimensions))])
 
 
@@ -169,38 +176,33 @@ class _Block:
 
         Its first batch, and the further ones until one is in the span of those before it.
         """
-        matrices, squares = list[Array](), 0.0
         rows = np.zeros((0, len(self.columns)))
         if len(self.batches) > 1:  # one call for the two that are needed in any case
             self.samples(_product(np.concatenate(self.batches[:2]), self.columns))
         for left in self.batches:
             weights = _weights(left, self.sizes)
             matrix = self._matrix(left, weights)
-            if matrices:
-                further = self._further(matrix, rows, tolerance, weights, max_rank)
-                if further is not None:
-                    return np.concatenate([rows, further])
-            matrices.append(matrix)
-            squares += float(np.sum(weights**2))
-            allowed = tolerance * math.sqrt(squares * len(self.columns))
-            matrix = np.concatenate(matrices) if len(matrices) > 1 else matrix
-            _, rows = row_space(matrix, allowed, max_rank, expected)
+            allowed = tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
+            if not len(rows):
+                _, rows = row_space(matrix, allowed, max_rank, expected)
+                continue
+            further, missed = self._further(matrix, rows, allowed, max_rank)
+            rows = np.concatenate([rows, further])
+            if missed <= _SPANNED * allowed or len(rows) >= min(max_rank, len(self.columns)):
+                break
         return rows
 
     def _further(
-        self, matrix: Array, rows: Array, tolerance: float, weights: Array, max_rank: int
-    ) -> Array | None:
-        """What a batch adds to a row space (r, N); None if it is far from the span."""
+        self, matrix: Array, rows: Array, allowed: float, max_rank: int
+    ) -> tuple[Array, float]:
+        """What a batch adds to a row space (r, N), and what the row space missed of it."""
         charge(2.0 * product(len(matrix), matrix.shape[1], len(rows)))
         remainder = matrix - (matrix @ rows.T) @ rows
         missed = float(np.linalg.norm(remainder))
-        allowed = tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
-        if missed > _SPANNED * allowed:
-            return None
         most = min(max_rank, len(self.columns)) - len(rows)
         if missed <= allowed or not most:
-            return rows[:0]
-        return row_space(remainder, allowed, most, len(remainder))[1]
+            return rows[:0], missed
+        return row_space(remainder, allowed, most, len(remainder))[1], missed
 
     def _matrix(self, left: Integers, weights: Array) -> Array:
         block = self.samples(_product(left, self.columns))

@@ -32,6 +32,7 @@ from rankone.verification.points import (
     covers_corners,
     inside_jumps,
     surface_points,
+    worst_apart,
 )
 from rankone.verification.reference import Reference, integrate_reference, reference_accuracy
 
@@ -362,6 +363,7 @@ class ReferenceSet:
         corner_errors = errors[:, corners].max(axis=1, initial=0.0)
         spread = counts.copy()
         spread[self._on_lines] = False
+        worst, *also_bad = worst_apart(self.domain, reference.points[counts], of_points)
         return Measured(
             interior=tuple(errors[:, counts].max(axis=1).tolist()),
             corners=tuple(corner_errors.tolist()) if self.corners else (),
@@ -369,7 +371,8 @@ class ReferenceSet:
             method=reference.method,
             cover="box" if self.whole_box else "interior",
             quantile=float(np.quantile(of_points[spread[counts]], SAFE_QUANTILE, method="higher")),
-            worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
+            worst=worst,
+            also_bad=tuple(also_bad),
             counted=self.counted,
             integrator=reference.integrator,
             constraint_drift=drift,

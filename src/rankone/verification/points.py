@@ -45,6 +45,9 @@ _MOST_ELEMENTS = 16  # Elements of a parameter in which the error is measured
 _MOST_SLABS = 4  # Slabs on which steep points are looked for
 _STEEP_CANDIDATES = 512  # Random points among which steep ones are chosen on each slab
 _STEEP_POINTS = 12  # Points chosen on each slab
+# Bad points beside the worst one: how many in all, and their least error over the largest one and
+# distance from each other, in widths of an interval
+_MOST_BAD, _BAD_SHARE, _BAD_DISTANCE = 3, 0.1, 0.1
 _SHIFT = 2e-3  # Change of parameters, in widths of their intervals, that shows steepness
 
 
@@ -305,6 +308,21 @@ def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
     unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, len(slab.bases)))
     points = Coverage.of_bases(slab.bases).points(unit)
     return np.asarray(points[np.argmax(_steepness([slab], points, sizes)[0])])
+
+
+def worst_apart(domain: Domain, points: Array, errors: Array) -> list[tuple[float, ...]]:
+    """The worst of points (m, d) by their errors (m,), and others that are bad and far from it."""
+    shares = np.empty(points.shape)
+    for j, (interval, scale) in enumerate(zip(domain.box, domain.first_coordinates, strict=True)):
+        lower, upper = scale.to_scale(np.array(interval))
+        shares[:, j] = (scale.to_scale(points[:, j]) - lower) / (upper - lower)
+    worst, bad = [int(np.argmax(errors))], errors > _BAD_SHARE * errors.max()
+    while len(worst) < _MOST_BAD:
+        bad &= np.abs(shares - shares[worst[-1]]).max(axis=1, initial=0.0) > _BAD_DISTANCE
+        if not bad.any():
+            break
+        worst.append(int(np.argmax(np.where(bad, errors, 0.0))))
+    return [tuple(points[k].tolist()) for k in worst]
 
 
 def _bounds(bases: Sequence[Basis1D]) -> tuple[Array, Array]:

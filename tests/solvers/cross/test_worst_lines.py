@@ -6,10 +6,12 @@ import pytest
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.ir.request import Domain
-from rankone.solvers.cross.worst_lines import worst_lines
+from rankone.solvers.cross.worst_lines import LineLimits, worst_lines
 
 BOX = ((0.0, 1.0), (0.0, 1.0))
 CORNER = np.array([[1.0, 1.0]])
+DOMAIN = Domain((0.0, 1.0), BOX)
+ONCE, OFTEN = LineLimits(1000, 0.0), LineLimits(1000, 1e4)
 
 
 def front(points):
@@ -34,7 +36,7 @@ def interpolation_error(size: int) -> float:
 
 @pytest.mark.parametrize("size", [10, 16, 24])
 def test_what_an_attempt_missed_is_about_the_error_at_its_worst_point(size):
-    lines = worst_lines(front, Domain((0.0, 1.0), BOX), bases(size, size), CORNER, 1e-4)
+    lines = worst_lines(front, DOMAIN, bases(size, size), CORNER, 1e-4, ONCE)
     error = interpolation_error(size)
     assert 0.3 * error < lines.missed < 5.0 * error
     assert lines.explain(error)
@@ -42,22 +44,31 @@ def test_what_an_attempt_missed_is_about_the_error_at_its_worst_point(size):
 
 
 def test_the_nodes_are_those_that_the_front_needs():
-    lines = worst_lines(front, Domain((0.0, 1.0), BOX), bases(50, 50), CORNER, 1e-4)
+    lines = worst_lines(front, DOMAIN, bases(50, 50), CORNER, 1e-4, ONCE)
     assert lines.nodes[0] == lines.nodes[1]
     assert interpolation_error(lines.nodes[0]) < 1e-4
-    assert interpolation_error(lines.nodes[0] - 12) > 1e-4
+    assert interpolation_error(lines.nodes[0] - 18) > 1e-4
+
+
+def test_lines_are_drawn_again_until_their_nodes_resolve_them():
+    coarse = bases(8, 8)
+    lines = worst_lines(front, DOMAIN, coarse, CORNER, 1e-4, OFTEN)
+    assert interpolation_error(lines.nodes[0]) < 1e-4
+    assert interpolation_error(lines.nodes[0] - 18) > 1e-4
+    once = worst_lines(front, DOMAIN, coarse, CORNER, 1e-4, ONCE)
+    assert max(once.nodes) < lines.nodes[0]
 
 
 def test_smooth_places_need_few_nodes():
     centre = np.array([[0.2, 0.2]])
-    lines = worst_lines(front, Domain((0.0, 1.0), BOX), bases(30, 30), centre, 1e-4)
+    lines = worst_lines(front, DOMAIN, bases(30, 30), centre, 1e-4, ONCE)
     assert max(lines.nodes) < 15
     assert lines.missed < 1e-6
 
 
 def test_bases_of_several_elements_are_kept():
     several = [ChebyshevBasis(0.0, 1.0, 5, breaks=(0.5,)), ChebyshevBasis(0.0, 1.0, 5)]
-    lines = worst_lines(front, Domain((0.0, 1.0), BOX), several, CORNER, 1e-4)
+    lines = worst_lines(front, DOMAIN, several, CORNER, 1e-4, ONCE)
     assert lines.nodes[0] == several[0].size
     assert lines.nodes[1] > 10
 

@@ -30,7 +30,10 @@ UNTIGHTENED_RATIO = 3
 FAR_ERROR_RATIO = 5.0  # An error above this many rtol is far from the goal
 # A costly attempt with an error far from the goal must have lowered it to this part
 FAST_ERROR_RATIO = 0.2
-WORST_POINTS = 3  # Latest worst points through which lines are drawn
+WORST_POINTS = 12  # Latest worst points, near which left points are
+# Part of the budget that lines through worst points may take where an attempt takes less
+LINES_BUDGET_SHARE = 0.01
+LINED_POINTS = 6  # Of them those through which lines are drawn
 
 LINES_FRACTION = 0.1  # Part of an attempt that the lines take on which nodes are chosen
 REPORTED_FRACTION = 0.005  # Smallest change of the fraction that is reported

@@ -24,11 +24,11 @@ from rankone.solvers.cross.trajectories import (
     TrajectoryEnds,
     sampling_choice,
 )
-from rankone.solvers.cross.worst_lines import WorstLines, worst_lines
+from rankone.solvers.cross.worst_lines import LineLimits, WorstLines, worst_lines
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, unlimited
+from rankone.support.budget import OutOfBudgetError, unlimited, work_left
 from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
@@ -254,6 +254,9 @@ class CrossMarcher:
         close = attempt.error < constants.FAR_ERROR_RATIO * self.rtol
         tighten = close or (progress.stalls > 0 and not grows)
         lines = self._worst_lines(attempt)
+        if self.worst:
+            doubtful = [] if adaptive.doubtful is None else [adaptive.doubtful]
+            adaptive.doubtful = np.concatenate([*doubtful, np.array(self.worst)])
         explained = lines is not None and not close and lines.explain(attempt.error)
         least = () if lines is None else lines.nodes
         adaptive.refine(attempt.error, tighten, least, explained)
@@ -265,13 +268,16 @@ class CrossMarcher:
         if self.trajectories is None or not bases or len(bases) < 2 or attempt.measured is None:
             return None
         if attempt.measured.worst:
-            latest = [attempt.measured.worst, *self.worst]
+            latest = [attempt.measured.worst, *attempt.measured.also_bad, *self.worst]
             self.worst = list(dict.fromkeys(latest))[: constants.WORST_POINTS]
         if not self.worst:
             return None
+        points, trajectories = np.array(self.worst[: constants.LINED_POINTS]), self.trajectories
+        each = max(trajectories.work / max(trajectories.count, 1), 1.0)
+        affordable = max(trajectories.count, constants.LINES_BUDGET_SHARE * work_left() / each)
+        limits = LineLimits(self.options.max_nodes, affordable)
         try:
-            trajectories, points = self.trajectories.uncounted, np.array(self.worst)
-            return worst_lines(trajectories, domain, bases, points, self.rtol)
+            return worst_lines(trajectories.uncounted, domain, bases, points, self.rtol, limits)
         except (OutOfBudgetError, TrajectoryEnds):
             return None
 

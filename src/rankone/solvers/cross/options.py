@@ -40,7 +40,7 @@ class CrossOptions(Options):
     basis: str = choice("chebyshev", BASES)
     time_nodes: int | None = integer(None, 4, 40)
     max_rank: int = integer(400)
-    max_nodes: int = integer(500, 4)
+    max_nodes: int = integer(1000, 4)
     max_slabs: int = integer(2000)
     max_trajectories: int = integer(4_000_000)
     max_attempts: int | None = integer(None)

@@ -20,7 +20,8 @@ from rankone.support.arrays import Array
 from rankone.tensors.adaptive import LinePoints, needed
 
 _LINE_RATIO = 1.5  # Nodes of a line over those of the attempt: they show what it missed
-_TAIL_SHARE = 0.3  # Sum of the modes left out on a line, over rtol, that nodes aim at
+_MORE_NODES = 2  # Nodes of a line over those that did not resolve it
+_TAIL_SHARE = 0.1  # Sum of the modes left out on a line, over rtol, that nodes aim at
 # Sum of the modes that an attempt left out, over its error, that explains the error
 _EXPLAINING_SHARE = 0.3
 
@@ -41,34 +42,52 @@ class WorstLines:
         return self.missed > _EXPLAINING_SHARE * error
 
 
+@dataclass(frozen=True)
+class LineLimits:
+    """The most nodes of a line, and the most trajectories on all of them after the first ones."""
+
+    nodes: int
+    trajectories: float
+
+
 def worst_lines(
     trajectories: Callable[[Array], Array],
     domain: Domain,
     bases: Sequence[Basis1D],
     points: Array,
     rtol: float,
+    limits: LineLimits,
 ) -> WorstLines:
     """Draw lines of each parameter through points (m, d) of the box.
 
-    The trajectories at points (k, d) are in units of the sizes of states: (n, T, k). Parameters
+    The trajectories at points (k, d) are in units of the sizes of states: (n, T, k). Lines that
+    their nodes do not resolve are drawn again with more, as far as the limits allow. Parameters
     with several elements keep their bases: these are halved where they do not suffice.
     """
-    finer = {
+    drawn = {
         j: replace(basis, degree=math.ceil(_LINE_RATIO * basis.size))
         for j, basis in enumerate(bases)
         if basis.elements == 1
     }
-    nodes, missed = [basis.size for basis in bases], 0.0
-    if not finer:
-        return WorstLines(tuple(nodes), missed)
+    nodes, missed, most = [basis.size for basis in bases], 0.0, limits.trajectories
     lines = LinePoints(domain.box, domain.first_coordinates, through=points)
-    states = trajectories(lines([(j, basis.nodes) for j, basis in finer.items()]))
-    ends = np.cumsum([len(points) * basis.size for basis in finer.values()])[:-1]
-    for (j, basis), on_lines in zip(finer.items(), np.split(states, ends, axis=2), strict=True):
-        modes = (on_lines.reshape(-1, basis.size) * np.sqrt(basis.weights)) @ basis.to_modal.T
-        tails = np.cumsum(np.abs(modes).max(axis=0)[::-1])[::-1]
-        small = np.flatnonzero(tails <= _TAIL_SHARE * rtol)
-        resolved = small.size > 1
-        nodes[j] = int(small[0]) if resolved else needed(tails, _TAIL_SHARE * rtol)
-        missed = max(missed, float(tails[bases[j].size]))
+    while drawn and most >= 0.0:
+        counts = [len(points) * basis.size for basis in drawn.values()]
+        states = trajectories(lines([(j, basis.nodes) for j, basis in drawn.items()]))
+        on_each = np.split(states, np.cumsum(counts)[:-1], axis=2)
+        finer = dict[int, Basis1D]()
+        for (j, basis), on_lines in zip(drawn.items(), on_each, strict=True):
+            modes = (on_lines.reshape(-1, basis.size) * np.sqrt(basis.weights)) @ basis.to_modal.T
+            tails = np.cumsum(np.abs(modes).max(axis=0)[::-1])[::-1]
+            missed = max(missed, float(tails[bases[j].size]))
+            small = np.flatnonzero(tails <= _TAIL_SHARE * rtol)
+            if small.size > 1:
+                nodes[j] = int(small[0])
+                continue
+            nodes[j] = needed(tails, _TAIL_SHARE * rtol)
+            if basis.size < limits.nodes:
+                degree = min(max(_MORE_NODES * basis.size, nodes[j]), limits.nodes)
+                finer[j] = replace(basis, degree=degree)
+        most -= len(points) * sum(basis.size for basis in finer.values())
+        drawn = finer
     return WorstLines(tuple(nodes), missed)
