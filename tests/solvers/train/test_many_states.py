@@ -12,7 +12,13 @@ from rankone.interface import stages
 from rankone.ir import forms
 from rankone.ir.system import Kernels
 from rankone.solvers.train import inverse
-from rankone.solvers.train.inverse import DenseInverse, SlabJacobian, SparseInverse
+from rankone.solvers.train.inverse import (
+    DenseInverse,
+    SchurInverse,
+    SlabJacobian,
+    SparseInverse,
+    inverse_of,
+)
 from rankone.solvers.train.slab import CONSTANT, LINEAR, term_groups
 from rankone.support.arrays import Array
 
@@ -34,6 +40,36 @@ def test_sparse_factors_invert_the_same_matrix() -> None:
     rates = np.einsum("kl,ilm->ikm", nodes.derivative, other.solve(x).reshape(n, 5, 3))
     back = (mass[:, None, None] * rates).reshape(x.shape) - other.jacobian(other.solve(x))
     np.testing.assert_allclose(back, x, atol=1e-11)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 12])
+def test_the_schur_form_solves_with_the_same_matrix(count: int) -> None:
+    rng = np.random.default_rng(2)
+    n, nodes = 9, RadauCollocation.of(count)
+    same = rng.standard_normal((n, n)) * (rng.random((n, n)) < 0.4)
+    same[range(n), range(n)] -= 3.0
+    mass = np.array([4.0] * 7 + [0.0] * 2)  # two auxiliary states
+    jacobian = SlabJacobian.of(np.repeat(same[:, :, None], count, axis=2))
+    assert jacobian.change == 0.0
+    one = DenseInverse(jacobian, mass, nodes)
+    other = SchurInverse(jacobian, mass, nodes)
+    x = rng.standard_normal((n * count, 3))
+    for name in ("jacobian", "solve", "adjoint"):
+        expected = getattr(one, name)(x)
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(getattr(other, name)(x), expected, atol=1e-12 * size)
+
+
+def test_a_jacobian_that_changes_much_over_a_slab_is_kept_at_all_nodes() -> None:
+    n, nodes = 700, RadauCollocation.of(3)
+    rows, mass = np.arange(n), np.full(n, 2.0)
+
+    def kind(change: float) -> type:
+        entries = -1.0 + change * np.linspace(-1.0, 1.0, 3) * np.ones((n, 1))
+        return type(inverse_of(SlabJacobian(n, rows, rows, entries), mass, nodes))
+
+    assert kind(0.1) is SchurInverse
+    assert kind(100.0) is SparseInverse
 
 
 def exchange(n: int) -> ro.Problem:

@@ -1,11 +1,15 @@
 """The Jacobian of one slab and S = (D M / h - A)^{-1}, as one matrix or by sparse factors.
 
 Rows and columns are pairs of state and time node, the nodes of a state side by side. Of many pairs
-the sparse matrix is factored instead, and no array has the square of their number as its size.
+sparse matrices are factored instead, and no array has the square of their number as its size. Where
+the Jacobian hardly changes over the slab, they are of the states alone, one for each pair of rows
+of the Schur form of D (Bickart, SIAM J. Numer. Anal. 14 (1977), 1022, of its Jordan form); else
+one matrix over all pairs is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +28,8 @@ from rankone.support.sparse import SparseFactors
 
 MOST_DENSE = 640
 """Pairs of state and time node up to which S is one matrix."""
+# Change of the Jacobian over the slab, times its length, that S may leave out: it costs no sweeps
+_LARGEST_CHANGE = 3.0
 _COPIES = 5  # Matrices over these pairs while S is set up
 _ENTRY_BYTES = 16.0  # An entry of a sparse matrix, with its row
 
@@ -62,6 +68,17 @@ class SlabJacobian:
         ratios = scale[self.columns] / scale[self.rows]
         return SlabJacobian(self.size, self.rows, self.columns, self.entries * ratios[:, None])
 
+    @property
+    def middle(self) -> Array:
+        """The entries (k,) at the node in the middle."""
+        return np.asarray(self.entries[:, self.entries.shape[1] // 2])
+
+    @property
+    def change(self) -> float:
+        """Largest sum of the changes of a row from the middle to another node."""
+        changes = np.abs(self.entries - self.middle[:, None]).max(axis=1, initial=0.0)
+        return float(np.bincount(self.rows, changes, self.size).max(initial=0.0))
+
     def dense(self) -> Array:
         """With all zeros: (K, n, n)."""
         full = np.zeros((self.entries.shape[1], self.size, self.size))
@@ -87,9 +104,11 @@ class SlabInverse(Protocol):
 
 def inverse_of(jacobian: SlabJacobian, mass: Array, collocation: RadauCollocation) -> SlabInverse:
     """The inverse for the masses (n,) of the states, divided by the length of the slab."""
-    small = jacobian.size * collocation.count <= MOST_DENSE
-    kind = DenseInverse if small else SparseInverse
-    return kind(jacobian, mass, collocation)
+    if jacobian.size * collocation.count <= MOST_DENSE:
+        return DenseInverse(jacobian, mass, collocation)
+    if jacobian.change <= _LARGEST_CHANGE * mass.max():
+        return SchurInverse(jacobian, mass, collocation)
+    return SparseInverse(jacobian, mass, collocation)
 
 
 class DenseInverse:
@@ -147,3 +166,100 @@ class SparseInverse:
 
     def cost(self, columns: int) -> float:
         return 2.0 * columns * float(self._jacobian.nnz)
+
+
+class SchurInverse:
+    """S of the Jacobian in the middle of the slab, by sparse factors for the Schur form of D.
+
+    With D = Q T Q^T and T of diagonal blocks of one or two rows, from the last block to the first
+    ``(T_kk M / h - A) y_k`` is known. A block ``[[a, b], [c, a]]`` with the eigenvalues a ± i w is
+    a complex matrix of the states: ``((a + i w) M / h - A) (y_1 + i w y_2 / c)``.
+    """
+
+    def __init__(self, jacobian: SlabJacobian, mass: Array, collocation: RadauCollocation) -> None:
+        n, self._mass = jacobian.size, mass
+        self._shape = n, collocation.count
+        place = jacobian.rows, jacobian.columns
+        self._jacobian = scipy.sparse.csr_matrix((jacobian.middle, place), (n, n))
+        self._triangular, self._vectors = scipy.linalg.schur(collocation.derivative)
+        self._blocks = [
+            _Block.of(self._triangular, rows, self._jacobian, mass)
+            for rows in _diagonal_blocks(self._triangular)
+        ]
+
+    def jacobian(self, x: Array) -> Array:
+        return np.asarray((self._jacobian @ x.reshape(self._shape[0], -1)).reshape(x.shape))
+
+    def solve(self, x: Array) -> Array:
+        return self._substituted(x, self._triangular, self._blocks[::-1], adjoint=False)
+
+    def adjoint(self, x: Array) -> Array:
+        return self._substituted(x, self._triangular.T, self._blocks, adjoint=True)
+
+    def _substituted(
+        self, x: Array, triangular: Array, blocks: Sequence[_Block], adjoint: bool
+    ) -> Array:
+        """Solutions for right-hand sides (n * K, m), block after block."""
+        n, count = self._shape
+        known = np.tensordot(self._vectors.T, x.reshape(n, count, -1), (1, 1))  # (K, n, m)
+        found = np.zeros_like(known)
+        mass = self._mass[:, None]
+        done: list[int] = []
+        for block in blocks:
+            right = known[block.rows]
+            if done:
+                right = right - mass * np.tensordot(
+                    triangular[np.ix_(block.rows, done)], found[done], 1
+                )
+            found[block.rows] = block.solve(right, adjoint)
+            done += block.rows
+        return np.asarray(np.tensordot(self._vectors, found, 1).swapaxes(0, 1).reshape(x.shape))
+
+    def cost(self, columns: int) -> float:
+        n, count = self._shape
+        return 2.0 * columns * (count * float(self._jacobian.nnz) + 3.0 * n * count**2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """A diagonal block of the Schur form: its rows, and the factors for them.
+
+    Of two rows the second solution is the imaginary part over ``ratio``.
+    """
+
+    rows: list[int]
+    factors: SparseFactors
+    ratio: float = 0.0
+
+    @staticmethod
+    def of(
+        triangular: Array, rows: list[int], jacobian: scipy.sparse.csr_matrix, mass: Array
+    ) -> _Block:
+        shift, ratio = float(triangular[rows[0], rows[0]]), 0.0
+        if len(rows) == 1:
+            matrix = scipy.sparse.diags(shift * mass) - jacobian
+            return _Block(rows, SparseFactors(matrix.tocsc()))
+        above, below = (float(triangular[i, j]) for i, j in (rows, rows[::-1]))
+        frequency = np.sqrt(-above * below)
+        ratio = frequency / below
+        matrix = scipy.sparse.diags((shift + 1j * frequency) * mass) - jacobian
+        return _Block(rows, SparseFactors(matrix.tocsc()), ratio)
+
+    def solve(self, right: Array, adjoint: bool) -> Array:
+        """Solutions (rows, n, m) for right-hand sides, or those of the transposed matrices."""
+        solve = self.factors.adjoint if adjoint else self.factors.solve
+        if len(self.rows) == 1:
+            return solve(right[0])[None]
+        ratio = -1.0 / self.ratio if adjoint else self.ratio
+        both = solve(right[0] + 1j * ratio * right[1])
+        return np.stack([both.real, both.imag / ratio])
+
+
+def _diagonal_blocks(triangular: Array) -> list[list[int]]:
+    """The rows of each diagonal block of a real Schur form, one or two."""
+    count, blocks, k = len(triangular), list[list[int]](), 0
+    while k < count:
+        pair = k + 1 < count and triangular[k + 1, k] != 0.0
+        blocks.append([k, k + 1] if pair else [k])
+        k += len(blocks[-1])
+    return blocks
