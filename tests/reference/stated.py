@@ -190,12 +190,17 @@ class Stated:
         """States (n, m, T) at the points and times."""
         return np.stack([self.trajectory(point, self.times) for point in self.points()], axis=1)
 
+    @cached_property
+    def sizes(self) -> Array:
+        """The largest value of each unknown at the points and times, (n,)."""
+        return np.asarray(np.abs(self.exact).max(axis=(1, 2)))
+
     def errors(self, solution: Solution) -> Array:
         """Largest error of each unknown over the unknown's size, (n,)."""
         points = self.points()
         of_names = dict(zip(self.parameters, points.T[..., None], strict=True))
         differences = np.abs(solution({**of_names, "t": self.times}) - self.exact)
-        return np.asarray(differences.max(axis=(1, 2)) / np.abs(self.exact).max(axis=(1, 2)))
+        return np.asarray(differences.max(axis=(1, 2)) / self.sizes)
 
 
 def around(factor: float, **centres: float) -> dict[str, tuple[float, float]]:

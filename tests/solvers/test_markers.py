@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import rankone as ro
 
@@ -101,4 +102,43 @@ def test_a_stiff_oscillator_that_jumps_once_or_twice_is_solved():
     assert solution.success
     assert solution.rank <= 20
     errors = against_trajectories(solution, made, np.linspace(0, 55, 2001))
+    assert (errors < 3e-4).all()
+
+
+@pytest.mark.slow
+def test_jumps_of_a_stiff_oscillator_are_right_within():
+    """At the steps of an accurate trajectory, most of which are within its jumps."""
+    rates = {"x": "v", "v": "mu*(1 - x**2)*v - w*x"}
+    box = {"mu": (80, 120), "w": (0.8, 1.2)}
+    made = ro.Problem.from_strings(rates, {"x": 2, "v": 0}, box, (0, 200))
+    solution = ro.solve(made, 1e-4)
+    assert solution.success
+    assert solution.rank <= 30
+    for mu, w in ((85.0, 0.83), (117.0, 1.15)):
+        exact = solve_ivp(
+            lambda t, u, mu=mu, w=w: [u[1], mu * (1 - u[0] ** 2) * u[1] - w * u[0]],
+            (0, 200),
+            [2.0, 0.0],
+            method="LSODA",
+            rtol=1e-12,
+            atol=1e-14,
+        )
+        errors = np.abs(solution(t=exact.t, mu=mu, w=w) - exact.y).max(axis=1)
+        assert (errors < 1e-4 * np.abs(exact.y).max(axis=1)).all()
+
+
+@pytest.mark.slow
+def test_slow_trajectories_cross_markers_after_the_end():
+    """Between one and three spikes of calcium before it (Goldbeter, Dupont & Berridge 1990)."""
+    pump, release = "65*z**2/(1 + z**2)", "vm*y**2/(4 + y**2)*z**4/(0.9**4 + z**4)"
+    rates = {
+        "z": f"1 + 7.3*beta - {pump} + {release} + y - 10*z",
+        "y": f"{pump} - {release} - y",
+    }
+    box = {"beta": (0.35, 0.5), "vm": (400, 600)}
+    made = ro.Problem.from_strings(rates, {"z": 0.1, "y": 1.5}, box, (0, 2))
+    solution = ro.solve(made, 1e-4)
+    assert solution.success
+    assert solution.rank <= 25
+    errors = against_trajectories(solution, made, np.linspace(0, 2, 801))
     assert (errors < 3e-4).all()

@@ -11,10 +11,11 @@ from rankone.ir.system import Clock
 from rankone.trajectories.choice import integrator_for, span_integrator_for
 from rankone.trajectories.events.crossings import Crossings
 from rankone.trajectories.events.event_order import follow
+from rankone.trajectories.events.integration import Ahead
 from rankone.trajectories.events.markers import ForeseenMarks
 from rankone.trajectories.events.periods import is_autonomous, repeating_from, repeats
 from rankone.trajectories.events.stretches import in_stretches, marker_event, timed_events
-from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.integrator import Spans, Tolerances
 from rankone.trajectories.paths import joined
 
 END, COUNT = 24.0, 16
@@ -84,11 +85,40 @@ def test_quadratic_polynomials_foresee_marks():
     times = np.stack([1.0 + points[:, 0] ** 2, 5.0 + points[:, 0] * points[:, 1]], axis=1)
     bounds = np.array([[0.0, 1.0], [0.0, 1.0]])
     marks = ForeseenMarks.fitted(bounds, points, times, gap=2.0)
-    for count in (1, 2):
-        later = marks(points, count) - times[:, count - 1]
-        np.testing.assert_allclose(later, later[0], atol=1e-9)
-        assert 0.0 < later[0] < 0.5
-    np.testing.assert_array_equal(marks(points, 9), marks(points, 2))
+    foreseen = marks(points, 2)
+    np.testing.assert_allclose(foreseen.times, times, atol=1e-9)
+    assert (foreseen.margins > 0.0).all()
+    assert foreseen.missed < 1e-9
+    assert marks(points, 1).times.shape == (30, 1)
+    assert marks(points, 9).times.shape == (30, 2)
+
+
+def test_paths_go_from_one_time_between_to_the_next():
+    system = system_of()
+    tolerances = Tolerances(ACCURACY, ACCURACY * np.ones((2, 1)))
+    starts, ends, columns = np.zeros(3), np.array([3.0, 3.5, 4.0]), POINTS.T.copy()
+    whole = Spans(starts, system.initial(columns), ends)
+    divided = dataclasses.replace(whole, between=np.array([[0.7, 2.0], [0.8, 2.2], [1.0, 2.5]]))
+    integrator = span_integrator_for(system, accuracy=ACCURACY)
+    paths = integrator.paths(system, POINTS, whole, tolerances)
+    parts = integrator.paths(system, POINTS, divided, tolerances)
+    for path, part, end, between in zip(paths, parts, ends, divided.between, strict=True):
+        assert part.end == end
+        assert np.isin(between, part.breaks).all()
+        times = np.linspace(0.0, end, 50)
+        np.testing.assert_allclose(part(times), path(times), rtol=1e-6)
+
+
+def test_marks_behind_a_trajectory_are_not_between():
+    marks, ends = np.array([[1.0, 2.0], [1.5, 2.5]]), np.array([2.2, 2.8])
+    ahead, others = Ahead(marks, ends), np.array([9.0, 9.0])
+    told, between = ahead.of([0, 1], np.zeros(2), others)
+    np.testing.assert_array_equal(told, ends)
+    np.testing.assert_array_equal(between, marks)
+    told, between = ahead.of([0, 1], np.array([0.0, 1.6]), others)
+    assert between is None
+    told, _ = ahead.of([1], np.array([3.0]), np.array([4.0]))
+    np.testing.assert_array_equal(told, [4.0])
 
 
 def test_states_over_stretches_are_in_the_order_of_their_times():

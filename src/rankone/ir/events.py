@@ -86,8 +86,22 @@ def overlap(name: str, place: str) -> ProblemError:
 
 OfPoints: TypeAlias = Callable[[Array], Array]
 """Maps points (m, d) to numbers (m,)."""
-OfMarks: TypeAlias = Callable[[Array, int], Array]
-"""Maps points (m, d) and a count of marks to the times (m,) by which they are passed."""
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """About the ``times`` (m, marks) of marks, and ``margins`` (marks,) by which they may be later.
+
+    They may be off by as much as was ``missed`` where they are known.
+    """
+
+    times: Array
+    margins: Array
+    missed: float
+
+
+OfMarks: TypeAlias = Callable[[Array, int], Foreseen]
+"""Maps points (m, d) and a count of marks to what is foreseen of these."""
 
 
 @dataclass(frozen=True)

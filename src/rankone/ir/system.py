@@ -231,6 +231,9 @@ class System:
         return start + coupled if coupled.size else start
 
 
+_STEEP = 100.0  # Swings on a stretch, at the fastest rate, from which the flow is steep
+
+
 @dataclass(frozen=True, eq=False)
 class Clock:
     """The system over clock time that runs in stretches, and the order of its events.
@@ -252,6 +255,11 @@ class Clock:
     forced: ForcedOrder | None = None
     repeats_from: int = 0
     swings: float = 0.0
+
+    @property
+    def steep(self) -> bool:
+        """Whether the flow is so steep somewhere that stacks have to pass its marks together."""
+        return self.swings > _STEEP * self.order.stretches
 
     @property
     def marks_per_period(self) -> int:

@@ -9,13 +9,14 @@ from typing import cast
 import numpy as np
 
 from rankone.ir.events import Ending, EventOrder
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
+from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.markers import (
     SCOUTS,
     ForeseenMarks,
@@ -160,23 +161,37 @@ def _by_paths(
     if marked is None:
         return None
     clock, trajectories = marked
-    count = len(clock.order.instants)
-    times = np.array([[mark.time for mark in each.occurrences[:count]] for each in trajectories])
-    gap = float(times.max() - domain.horizon[0]) / count
-    foreseen_marks = ForeseenMarks.fitted(domain.bounds, points, times, gap)
+    clock = _foreseeing(clock, domain, points, trajectories)
     swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
-    clock = replace(clock, foreseen_marks=foreseen_marks, swings=swings)
+    clock = replace(clock, swings=swings)
     whole, there = over_stretches(replace(clock, repeats_from=0), request)
     reference_set = ReferenceSet.of(whole, there)  # integrated to the end, whatever repeats
-    repeats_from = _repeating_from(clock, chosen, reference_set)
-    clock = replace(clock, repeats_from=repeats_from)
+    clock = _after_reference(clock, chosen, reference_set)
     stretched, _ = over_stretches(clock, request)
     return SolveStart(there, replace(reference_set, system=stretched), clock)
 
 
-def _repeating_from(clock: Clock, integrator: SpanIntegrator, reference_set: ReferenceSet) -> int:
-    """From which mark on the trajectories of a reference repeat, as accurate as they are."""
+def _foreseeing(
+    clock: Clock, domain: Domain, points: Array, trajectories: Sequence[EventTrajectory]
+) -> Clock:
+    """The clock that foresees the marks of others by those of trajectories at points (m, d)."""
+    count = len(clock.order.instants)
+    times = np.array([[mark.time for mark in each.occurrences[:count]] for each in trajectories])
+    gap = float(times.max() - domain.horizon[0]) / count
+    return replace(clock, foreseen_marks=ForeseenMarks.fitted(domain.bounds, points, times, gap))
+
+
+def _after_reference(
+    clock: Clock, integrator: SpanIntegrator, reference_set: ReferenceSet
+) -> Clock:
+    """The clock for other trajectories: the accurate ones of a reference tell what is ahead.
+
+    They tell from which mark on they repeat, too.
+    """
     (dense,), points = reference_set.reference.batches, reference_set.reference.points
     assert isinstance(dense, StretchTrajectories)
-    accuracy = reference_set.accuracy
-    return repeating_from(clock, integrator, points, dense.trajectories, accuracy)
+    accuracy, trajectories = reference_set.accuracy, dense.trajectories
+    clock = _foreseeing(clock, reference_set.domain, points, trajectories)
+    return replace(
+        clock, repeats_from=repeating_from(clock, integrator, points, trajectories, accuracy)
+    )

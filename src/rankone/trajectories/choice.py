@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
@@ -26,7 +27,7 @@ from rankone.trajectories.integrator import (
 )
 from rankone.trajectories.paths import Path
 from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
-from rankone.trajectories.shares import paths_over_shares
+from rankone.trajectories.shares import part_by_part, paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.stacks.newton import sparse_pattern
@@ -194,7 +195,7 @@ class WatchedStack:
         work = edges, tolerances
         with limited():
             try:
-                return self._watched(system, points, *work).run(system, points, *work)
+                return self._watched_run(system, points, *work).run(system, points, *work)
             except _StallError:
                 return self.single.run(system, points, *work)
 
@@ -210,7 +211,7 @@ class WatchedStack:
         work = edges, tolerances
         with limited():
             try:
-                return self._watched(system, points, *work).sample(system, points, *work, times)
+                return self._watched_run(system, points, *work).sample(system, points, *work, times)
             except _StallError:
                 return self.single.sample(system, points, *work, times)
 
@@ -218,19 +219,40 @@ class WatchedStack:
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:
         """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
-        return paths_over_shares(self.run, system, points, spans, tolerances)
+
+        def part(over: Spans) -> Sequence[Path]:
+            def pilots(some: NDArray[np.intp]) -> Sequence[Path]:
+                few = Spans(over.starts[some], over.states[:, some], over.ends[some])
+                alone = self.single.paths(system, points[some], few, tolerances)
+                each = zip(alone, few.starts, few.ends, strict=True)
+                return [path.over_shares(*span) for path, *span in each]
+
+            try:
+                run = self._watched(points, pilots).run
+                return paths_over_shares(run, system, points, over, tolerances)
+            except _StallError:
+                return self.single.paths(system, points, over, tolerances)
+
+        with limited():
+            return part_by_part(part, spans)
+
+    def _watched_run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> StackedIntegrator:
+        """The stack over edges, watched."""
+
+        def pilots(some: NDArray[np.intp]) -> Sequence[Path]:
+            return self.single.run(system, points[some], edges, tolerances).paths
+
+        return self._watched(points, pilots)
 
     def _watched(
-        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+        self, points: Array, pilots: Callable[[NDArray[np.intp]], Sequence[Path]]
     ) -> StackedIntegrator:
         """The stack, watched unless pilots would be all of it."""
         if len(points) <= _PILOTS:
             return self.stack
-
-        def pilots(some: Array) -> tuple[Path, ...]:
-            return self.single.run(system, some, edges, tolerances).paths
-
-        return replace(self.stack, watch=_Watch(points, pilots))
+        return replace(self.stack, watch=_Watch(len(points), pilots))
 
 
 class _StallError(Exception):
@@ -240,11 +262,11 @@ class _StallError(Exception):
 class _Watch:
     """Compares the work of a stack, after each step, with that of single trajectories."""
 
-    def __init__(self, points: Array, pilots: Callable[[Array], tuple[Path, ...]]) -> None:
-        self.points, self.pilots = points, pilots
+    def __init__(self, count: int, pilots: Callable[[NDArray[np.intp]], Sequence[Path]]) -> None:
+        self.count, self.pilots = count, pilots
         self.began, self.pilot_work = work_done(), 0.0
-        self.next_look = _UNWATCHED_WORK * len(points)
-        self.paths: tuple[Path, ...] = ()
+        self.next_look = _UNWATCHED_WORK * count
+        self.paths: Sequence[Path] = ()
         self.alone = math.inf
 
     def __call__(self, time: float) -> None:
@@ -253,7 +275,7 @@ class _Watch:
             return
         self.next_look = _NEXT_LOOK * spent
         if not self.paths:
-            self._integrate_pilots(min(_PILOTS / len(self.points) / _PATIENCE, 1.0) * spent)
+            self._integrate_pilots(min(_PILOTS / self.count / _PATIENCE, 1.0) * spent)
             if not self.paths:
                 self.next_look = _NEXT_PILOTS * spent
         if spent > _PATIENCE * self.alone and self._left(time) * spent > self.alone:
@@ -262,11 +284,11 @@ class _Watch:
     def _integrate_pilots(self, most: float) -> None:
         """Integrate some trajectories alone, unless that is more work than single ones may take."""
         before = work_done()
-        some = self.points[np.linspace(0, len(self.points) - 1, _PILOTS).astype(int)]
+        some = np.linspace(0, self.count - 1, _PILOTS).astype(np.intp)
         try:
             with limited(most):
                 self.paths = self.pilots(some)
-                self.alone = (work_done() - before) * len(self.points) / len(some)
+                self.alone = (work_done() - before) * self.count / len(some)
         except OutOfWorkError:
             pass  # at the next look they may take more
         self.pilot_work += work_done() - before

@@ -37,12 +37,14 @@ class Tolerances:
 class Spans:
     """Where and how each of m trajectories begins, and when it ends.
 
-    ``starts`` and ``ends`` are times (m,), and ``states`` (n, m) those at the starts.
+    ``starts`` and ``ends`` are times (m,), and ``states`` (n, m) those at the starts. At the times
+    (m, k) ``between`` them trajectories are about alike, so that a stack passes them together.
     """
 
     starts: Array
     states: Array
     ends: Array
+    between: Array | None = None
 
 
 class DenseTrajectories(Protocol):

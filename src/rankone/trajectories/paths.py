@@ -92,6 +92,10 @@ class Path:
         breaks = start + (end - start) * self.breaks
         return Path(np.where(self.breaks == 1.0, end, breaks), self.nodal, self.state)
 
+    def over_shares(self, start: float, end: float) -> Path:
+        """A path over times as one over the share of the way between two of them."""
+        return Path((self.breaks - start) / (end - start), self.nodal, self.state)
+
 
 @dataclass(frozen=True)
 class Paths:

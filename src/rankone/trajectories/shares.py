@@ -19,7 +19,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import function_cost
 from rankone.trajectories.integrator import SeparateTrajectories, Spans, Tolerances
-from rankone.trajectories.paths import Path
+from rankone.trajectories.paths import Path, joined
 
 # Integrates a system at points over edges, such as :meth:`Integrator.run`
 SeparateRun: TypeAlias = Callable[
@@ -31,9 +31,27 @@ def paths_over_shares(
     run: SeparateRun, system: System, points: Array, spans: Spans, tolerances: Tolerances
 ) -> list[Path]:
     """The paths of spans; see :meth:`SpanIntegrator.paths`."""
-    times = zip(spans.starts, spans.ends, strict=True)
-    paths = share_paths(run, system, points, spans, tolerances)
-    return [path.over_times(*span) for path, span in zip(paths, times, strict=True)]
+
+    def part(over: Spans) -> list[Path]:
+        times = zip(over.starts, over.ends, strict=True)
+        paths = share_paths(run, system, points, over, tolerances)
+        return [path.over_times(*span) for path, span in zip(paths, times, strict=True)]
+
+    return part_by_part(part, spans)
+
+
+def part_by_part(part: Callable[[Spans], Sequence[Path]], spans: Spans) -> list[Path]:
+    """The paths of spans, of which ``part`` gives one from each time between them to the next."""
+    if spans.between is None:
+        return [*part(spans)]
+    parts = list[Sequence[Path]]()
+    starts, states = spans.starts, spans.states
+    for ends in [*spans.between.T, spans.ends]:
+        parts.append(part(Spans(starts, states, ends)))
+        if any(path.end < end for path, end in zip(parts[-1], ends, strict=True)):
+            break
+        starts, states = ends, np.stack([path.state for path in parts[-1]], axis=1)
+    return [joined(each) for each in zip(*parts, strict=True)]
 
 
 def share_paths(

@@ -78,17 +78,28 @@ class EventTrajectory:
         return self.end + stretch if far else edge
 
     def _until_passed(self, count: int) -> float:
-        """About how long it takes to pass so many further marks: as over the last period."""
-        period_marks = CROSSINGS * len({each.event for each in self.occurrences})
-        marks = np.array([each.time for each in self.occurrences[-1 - period_marks :]])
-        if marks.size <= period_marks:
-            gap = (self.end - float(self.paths[0].breaks[0])) / marks.size
+        """About how long it takes to pass so many further marks."""
+        ahead = self.marks_ahead(count + 1)
+        if ahead is None:
+            gap = (self.end - float(self.paths[0].breaks[0])) / len(self.occurrences)
             return gap * (count + _MARGIN)
-        period, further = float(marks[-1] - marks[0]), np.arange(count + 1)
-        rounds = further // period_marks + 1
-        ahead = marks[1:][further % period_marks] + rounds * period - self.end
-        until = float(ahead[-2] + _MARGIN * (ahead[-1] - ahead[-2]))
+        until = float(ahead[-2] + _MARGIN * (ahead[-1] - ahead[-2])) - self.end
+        period = self.occurrences[-1].time - self.occurrences[-1 - self._marks_per_period].time
         return max(until, _MARGIN * period)
+
+    def marks_ahead(self, count: int) -> Array | None:
+        """About when it passes so many further marks, as over the last period; None without one."""
+        per_period = self._marks_per_period
+        marks = np.array([each.time for each in self.occurrences[-1 - per_period :]])
+        if marks.size <= per_period:
+            return None
+        period, further = float(marks[-1] - marks[0]), np.arange(count)
+        rounds = further // per_period + 1
+        return np.asarray(marks[1:][further % per_period] + rounds * period)
+
+    @property
+    def _marks_per_period(self) -> int:
+        return CROSSINGS * len({each.event for each in self.occurrences})
 
     @property
     def fired(self) -> frozenset[int]:

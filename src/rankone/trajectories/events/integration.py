@@ -31,6 +31,30 @@ _COPIES = 2  # Copies of a path: alone, and joined with those before it
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
 
+@dataclass(frozen=True)
+class Ahead:
+    """What is foreseen of m trajectories: their next ``marks`` (m, k), and ``ends`` (m,).
+
+    They stop at the ends. Either may be left open.
+    """
+
+    marks: Array | None = None
+    ends: Array | None = None
+
+    def of(self, some: list[int], starts: Array, ends: Array) -> tuple[Array, Array | None]:
+        """The ends of some trajectories, and the marks on the way there from their starts.
+
+        Those that are beyond the foreseen ends already, or have none, go on to other ``ends``.
+        """
+        if self.ends is not None:
+            ends = np.where(self.ends[some] > starts, self.ends[some], ends)
+        if self.marks is None:
+            return ends, None
+        marks = self.marks[some]
+        gaps = np.diff(marks, axis=1, prepend=starts[:, None], append=ends[:, None])
+        return ends, marks if (gaps > 0.0).all() else None
+
+
 def integrate_to_events(
     integrator: Spanning,
     system: System,
@@ -40,16 +64,16 @@ def integrate_to_events(
     events: Sequence[SystemEvent],
     enough: Callable[[EventTrajectory, float], bool] | None = None,
     begun: Sequence[EventTrajectory] = (),
-    first_ends: Array | None = None,
+    ahead: Ahead | None = None,
     count: int = 0,
 ) -> list[EventTrajectory]:
     """The trajectories at points (m, d), with events.
 
     They go on from those that have ``begun``, if any. States are reset at the edges where the
     system jumps, and after that by events. A trajectory is followed no further once it is
-    ``enough`` on the way to the next edge. The first integration is to the ``first_ends`` (m,), if
-    these are told; ``count`` is how many events are asked for at least. An OutOfBudgetError says
-    which time all trajectories have reached.
+    ``enough`` on the way to the next edge. The first integration is as told by what is ``ahead``,
+    if it is; ``count`` is how many events are asked for at least. An OutOfBudgetError says which
+    time all trajectories have reached.
     """
     search = _Search(system, Instants(tuple(events), edges[-1] - edges[0]), tolerances)
     trajectories = [each.copy() for each in begun] or search.begin(points, edges[0])
@@ -62,11 +86,11 @@ def integrate_to_events(
         ]:
             some = [trajectories[k] for k in running]
             ends = np.array([each.next_end(b, count) for each in some])
-            if first_ends is not None:
-                told, first_ends = first_ends[running], None
-                ends = np.where(told > [each.end for each in some], told, ends)
+            between, told, ahead = None, ahead, None
+            if told is not None:
+                ends, between = told.of(running, np.array([each.end for each in some]), ends)
             try:
-                paths = search.paths(integrator, some, points[running], ends)
+                paths = search.paths(integrator, some, points[running], ends, between)
                 search.advance_all(some, paths, points[running], ends.tolist())
             except OutOfBudgetError as out:
                 raise out.at(_reached(some, out.reached)) from out
@@ -153,11 +177,12 @@ class _Search:
         trajectories: Sequence[EventTrajectory],
         points: Array,
         ends: Array,
+        between: Array | None,
     ) -> Sequence[Path]:
         """The trajectories from where they are to their ends, or as far as they go."""
         starts = np.array([each.end for each in trajectories])
         states = np.stack([each.state for each in trajectories], axis=1)
-        spans = Spans(starts, states, ends)
+        spans = Spans(starts, states, ends, between)
         paths = integrator.paths(self.system, points, spans, self.tolerances)
         _hold(paths)
         return paths

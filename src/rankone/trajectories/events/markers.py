@@ -9,6 +9,7 @@ fast in turns, a second marker gives each of both a stretch of its own.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Ending, EventOrder, Marker
+from rankone.ir.events import Ending, EventOrder, Foreseen, Marker
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -38,9 +39,11 @@ SCOUTS = slice(9)
 """Trajectories that are looked at first, corners of the box among them."""
 _SCOUTED = 0.4  # Part of the spread that they have to show, roughly, before all are looked at
 _FEWEST, _FRONT = 3, 10.0  # Crossings that each has to pass, and least slope where they are fewer
-_LATER, _FURTHER = 0.1, 2.0  # Margins after the last marker: in gaps, and in errors of the fit
+_LATER, _FURTHER = 0.1, 2.0  # Margins after a mark that is foreseen: in gaps, and in errors
+_MOST_DEGREE = 8  # Of the polynomials that foresee marks
 _TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
 _SECOND_TRANSVERSAL = 0.2  # The same for a second marker
+_LEVELS, _MUCH_STEEPER = (0.5, 0.2, 0.8), 4.0  # Shares of the range of a state that are tried
 _SPIKE = 0.1  # Least gap between crossings, over the mean one, below which both are on one spike
 _HIGH_RANK = 8  # Rank of a few trajectories above which a second marker is looked for
 _LOWER_RANK = 0.8  # Largest rank with it, over the one without
@@ -92,7 +95,7 @@ def chosen_markers(
     for state, lower, upper in _spans(paths):
         if further * _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
             continue
-        candidate = _candidate(system, paths, points, state, (lower, upper), _TRANSVERSAL)
+        candidate = _steepest(system, paths, points, state, (lower, upper))
         if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
     best = min(candidates, key=lambda each: (each.on_spikes, -each.steepness), default=None)
@@ -205,6 +208,28 @@ def _rough_spread(paths: Sequence[Path], state: int, lower: float, upper: float)
     return float((np.ptp(common, axis=0) * slopes.min(axis=0)).max()) / (upper - lower)
 
 
+def _steepest(
+    system: System,
+    paths: Sequence[Path],
+    points: Array,
+    state: int,
+    span: tuple[float, float],
+) -> _Candidate | None:
+    """The candidate of a state: the middle of its range, or another level if it is much steeper.
+
+    A spike that falls slowly behind its peak is steep in both directions at its foot.
+    """
+    candidates = [
+        _candidate(system, paths, points, state, span, _TRANSVERSAL, share) for share in _LEVELS
+    ]
+    middle, *others = candidates
+    known = [each for each in others if each is not None]
+    best = max(known, key=lambda each: each.steepness, default=None)
+    if middle is None or best is None:
+        return middle or best
+    return best if best.steepness > _MUCH_STEEPER * middle.steepness else middle
+
+
 def _candidate(
     system: System,
     paths: Sequence[Path],
@@ -212,10 +237,11 @@ def _candidate(
     state: int,
     span: tuple[float, float],
     transversal: float,
+    share: float = 0.5,
 ) -> _Candidate | None:
-    """How trajectories cross the middle of the range of a state that all run through."""
+    """How trajectories cross a level of a state, a share of the range that all run through."""
     lower, upper = span
-    level = 0.5 * (lower + upper)
+    level = lower + share * (upper - lower)
     if len({bool(path.nodal[0, 0, state] > level) for path in paths}) > 1:
         return None
     marker = Marker(state, level)
@@ -233,7 +259,8 @@ def _candidate(
     width = upper - lower
     gaps = (common[:, -1:] - paths[0].breaks[0]) / fewest
     steepness = float((np.abs(slopes) * gaps / width).min())
-    if not steepness >= (transversal if fewest >= _FEWEST else _FRONT):
+    several = fewest >= _FEWEST or max(map(len, times)) >= _FEWEST
+    if not steepness >= (transversal if several else _FRONT):
         return None
     passing = width / np.abs(slopes).min(axis=0)
     return _Candidate(marker, times, float((np.ptp(common, axis=0) / passing).max()), steepness)
@@ -253,43 +280,60 @@ def _slopes(
 
 @dataclass(frozen=True)
 class ForeseenMarks:
-    """About when trajectories pass their marks: quadratic polynomials of the parameters.
+    """About when trajectories pass their marks: polynomials of the parameters.
 
     Attributes
     ----------
     centre, half_width : ndarray (d,)
         Of the box.
     coefficients : ndarray (monomials, marks)
-    margins : ndarray (marks,)
-        How much later each may be.
+    missed : ndarray (marks,)
+        The largest errors where they are known.
+    margin : float
+        How much later they may be besides.
+    degree : int
+        The total degree.
     """
 
     centre: Array
     half_width: Array
     coefficients: Array
-    margins: Array
+    missed: Array
+    margin: float
+    degree: int
 
     @classmethod
     def fitted(cls, bounds: Array, points: Array, times: Array, gap: float) -> ForeseenMarks:
-        """By least squares to times (m, marks) at points (m, d); marks are a ``gap`` apart."""
+        """By least squares to times (m, marks) at points (m, d); marks are a ``gap`` apart.
+
+        Of the highest degree for which there are twice as many points as monomials, or of two.
+        """
         centre, half = bounds.mean(axis=1), 0.5 * np.ptp(bounds, axis=1)
-        monomials = _monomials((points - centre) / half)
+        count, dimensions, degree = len(points), bounds.shape[0], 2
+        while 2 * math.comb(dimensions + degree + 1, dimensions) <= count and degree < _MOST_DEGREE:
+            degree += 1
+        monomials = _monomials((points - centre) / half, degree)
         coefficients = np.asarray(np.linalg.lstsq(monomials, times, rcond=None)[0], dtype=float)
         missed = np.abs(monomials @ coefficients - times).max(axis=0)
-        return cls(centre, half, coefficients, _LATER * gap + _FURTHER * missed)
+        return cls(centre, half, coefficients, missed, _LATER * gap, degree)
 
-    def __call__(self, points: Array, count: int) -> Array:
-        """Times (m,) by which trajectories at points (m, d) have passed so many marks."""
-        mark = min(count, self.margins.size) - 1
+    def __call__(self, points: Array, count: int) -> Foreseen:
+        """The first marks at points (m, d), no more than are known."""
         shares = (points - self.centre) / self.half_width
-        return np.asarray(_monomials(shares) @ self.coefficients[:, mark] + self.margins[mark])
+        times = _monomials(shares, self.degree) @ self.coefficients[:, :count]
+        missed = self.missed[:count]
+        return Foreseen(np.asarray(times), self.margin + _FURTHER * missed, float(missed.max()))
 
 
-def _monomials(shares: Array) -> Array:
-    """Those of degree two at most of shares (m, d), (m, monomials)."""
-    with_one = np.column_stack([np.ones(len(shares)), shares])
-    pairs = np.triu_indices(with_one.shape[1])
-    return np.asarray(with_one[:, pairs[0]] * with_one[:, pairs[1]])
+def _monomials(shares: Array, degree: int) -> Array:
+    """Products of Chebyshev polynomials of shares (m, d), by total degree: (m, monomials)."""
+    dimensions = shares.shape[1]
+    polynomials = np.polynomial.chebyshev.chebvander(shares, degree)  # (m, d, degree + 1)
+    columns = []
+    for chosen in itertools.combinations_with_replacement(range(dimensions + 1), degree):
+        degrees = np.bincount(chosen, minlength=dimensions + 1)[:dimensions]
+        columns.append(polynomials[:, np.arange(dimensions), degrees].prod(axis=1))
+    return np.stack(columns, axis=1)
 
 
 def with_order(

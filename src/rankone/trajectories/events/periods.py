@@ -15,17 +15,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.ir.events import Ending
+from rankone.ir.events import Ending, Foreseen
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
-from rankone.trajectories.events.integration import integrate_to_events
+from rankone.trajectories.events.integration import Ahead, integrate_to_events
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import Path, joined
+from rankone.trajectories.single import SingleIntegrator
 
 FAR = 4.0
 """Horizons beyond the horizon up to which events are waited for."""
 _AGREEING = 3  # Crossings in a row that agree with those one period before
+# Error of marks that are foreseen, in times of a swing, above which less accurate trajectories tell
+# them, and the tolerance of these times the swings over the horizon
+_PHASE, _ROUGH = 100.0, 0.1
 _MORE = 1.5  # Factor from the crossings before they are compared first to those at the next time
 # Multipliers are those of a few trajectories, so many in all with the changed ones, over a period,
 # by relative changes of the states and at a relative tolerance
@@ -135,10 +139,8 @@ def begin_in_step(
         some_passed = count > len(trajectory.occurrences) >= stage
         return some_passed or has_passed(trajectory) or settled(trajectory)
 
-    for stage in _stages(clock.repeats_from, period, bool(begun)):
-        foreseen = None
-        if not begun and stage <= _first_period(clock.repeats_from, period):
-            foreseen = np.minimum(_foreseen_ends(clock, points, stage, count), far)
+    foreseen = None if begun else _foreseen(clock, points, tolerances, count, far)
+    for stage in _stages(clock, count, bool(begun)):
         some = integrate_to_events(
             integrator,
             clock.system,
@@ -148,7 +150,7 @@ def begin_in_step(
             events,
             enough,
             some,
-            foreseen,
+            _ahead(clock, foreseen, some, min(stage, count), far) if foreseen else None,
             min(stage, count),
         )
         if all(has_passed(each) or settled(each) or each.end >= far or each.ends for each in some):
@@ -156,35 +158,84 @@ def begin_in_step(
     return [repeated(each, period, count, end) if settled(each) else each for each in some]
 
 
-def _stages(repeats_from: int, period: int, begun: bool) -> Iterator[int]:
+def _stages(clock: Clock, count: int, begun: bool) -> Iterator[int]:
     """Counts of marks at which trajectories are brought in phase again, without an end.
 
     The first mark puts them in phase. Then they go to where they may repeat, if they do so from
-    some mark on, and a few periods further each time; others go half as far again.
+    some mark on, and a few periods further each time; others go half as far again. Where the flow
+    is steep they are in phase at each mark, and all of the ``count`` are foreseen.
     """
-    if not begun:
+    if not begun and not clock.steep:
         yield 1
-    stage, rounds = _first_period(repeats_from, period), 1
+    period = clock.marks_per_period
+    stage, rounds = _first_period(clock), 1
+    if clock.steep and not begun and not clock.repeats_from:
+        stage = count
     while True:
         yield stage
-        if repeats_from:
+        if clock.repeats_from:
             stage, rounds = stage + rounds * period, 2 * rounds
         else:
             stage = period * math.ceil(_MORE * stage / period)
 
 
-def _first_period(repeats_from: int, period: int) -> int:
+def _first_period(clock: Clock) -> int:
     """The count of marks after which trajectories may repeat, after a first one on the way."""
-    return max(repeats_from, _AGREEING + period + 1)
+    return max(clock.repeats_from, _AGREEING + clock.marks_per_period + 1)
 
 
-def _foreseen_ends(clock: Clock, points: Array, marks: int, count: int) -> Array:
-    """Times (m,) by which trajectories at points (m, d) pass so many marks of a ``count``."""
-    if clock.foreseen_marks is not None:
-        return clock.foreseen_marks(points, marks)
-    start, end = clock.horizon
-    share = min((marks + 0.5) / max(count, 1), 1.0)
-    return np.full(len(points), start + share * (end - start))
+def _foreseen(
+    clock: Clock, points: Array, tolerances: Tolerances, count: int, far: float
+) -> Foreseen:
+    """What the clock foresees of a ``count`` of marks, or else marks that are evenly spaced.
+
+    Where the flow is so steep that this is too rough, the marks are those of less accurate
+    trajectories.
+    """
+    if clock.foreseen_marks is None:
+        gap = clock.length / count
+        times = np.tile(clock.horizon[0] + gap * np.arange(1, count + 1), (len(points), 1))
+        return Foreseen(times, np.full(count, 0.5 * gap), clock.length)
+    foreseen = clock.foreseen_marks(points, count)
+    swing = clock.length / max(clock.swings, 1.0)
+    rough = max(_ROUGH / max(clock.swings, 1.0), tolerances.relative)
+    if not clock.steep or foreseen.missed <= _PHASE * swing or rough <= tolerances.relative:
+        return foreseen
+    start, system = clock.horizon[0], clock.system
+
+    def enough(trajectory: EventTrajectory, _edge: float) -> bool:
+        return len(trajectory.occurrences) >= count
+
+    looser = tolerances.times(rough / tolerances.relative)
+    ahead = Ahead(None, np.minimum(foreseen.times[:, -1] + foreseen.margins[-1], far))
+    alone = SingleIntegrator()
+    trajectories = integrate_to_events(
+        alone, system, points, (start, far), looser, system.events, enough, (), ahead, count
+    )
+    if any(len(each.occurrences) < count for each in trajectories):
+        return foreseen
+    times = np.array([[mark.time for mark in each.occurrences[:count]] for each in trajectories])
+    return replace(foreseen, times=times)
+
+
+def _ahead(
+    clock: Clock, foreseen: Foreseen, some: Sequence[EventTrajectory], stage: int, far: float
+) -> Ahead | None:
+    """What is ahead of trajectories up to so many marks.
+
+    First as it is foreseen; then as over the last period of each of them. Marks are told where the
+    flow is steep.
+    """
+    if stage <= _first_period(clock) or not some:
+        marks = foreseen.times[:, :stage]
+        ends = np.minimum(marks[:, -1] + foreseen.margins[stage - 1], far)
+        return Ahead(None if some or not clock.steep else marks, ends)
+    further = stage - np.array([len(each.occurrences) for each in some])
+    if not clock.steep or further.min() != further.max() or further[0] < 1:
+        return None
+    each_ahead = [each.marks_ahead(int(further[0])) for each in some]
+    known = [marks for marks in each_ahead if marks is not None]
+    return Ahead(np.array(known)) if len(known) == len(some) else None
 
 
 def repeats(trajectory: EventTrajectory, accuracy: float, period: int) -> bool:

@@ -225,6 +225,8 @@ def in_stretches(clock: Clock) -> System:
             clock.markers,
             clock.foreseen_marks,
             clock.forced,
+            clock.repeats_from,
+            clock.swings,
         ),
     )
 
@@ -240,6 +242,8 @@ class StretchSpecification:
     markers: tuple[Marker, ...] = ()
     foreseen_marks: OfMarks | None = None
     forced: ForcedOrder | None = None
+    repeats_from: int = 0
+    swings: float = 0.0
 
     @property
     def namespace(self) -> dict[str, UserFunction]:
@@ -267,5 +271,7 @@ def _called(
         markers,
         specification.foreseen_marks,
         specification.forced,
+        specification.repeats_from,
+        specification.swings,
     )
     return function(in_stretches(clock), *arguments)
