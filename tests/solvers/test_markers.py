@@ -142,3 +142,29 @@ def test_slow_trajectories_cross_markers_after_the_end():
     assert solution.rank <= 25
     errors = against_trajectories(solution, made, np.linspace(0, 2, 801))
     assert (errors < 3e-4).all()
+
+
+def growth(end, x0=(1e-3, 0.1), **more):
+    """A culture that uses up its food, sooner or later, and is inhibited by much of it."""
+    uptake = "0.5*s/(ks + s + s**2/ki)"
+    return ro.Problem.from_strings(
+        {"x": f"{uptake}*x", "s": f"-2*{uptake}*x"},
+        {"x": "x0", "s": "10"},
+        {"ks": (0.05, 5), "ki": (2, 200), "x0": x0},
+        (0, end),
+        **more,
+    )
+
+
+@pytest.mark.slow
+def test_a_front_that_many_meet_after_the_horizon_is_a_marker():
+    made = growth(30)
+    solution = ro.solve(made, 1e-3)
+    assert solution.success
+    assert solution.rank < 40
+    assert solution.timeline.stretches == 2
+    errors = against_trajectories(solution, made, np.linspace(0, 30, 301), count=12)
+    assert (errors < 3e-3).all()
+    last = solution.event_times("marker_0", ks=5.0, ki=2.0, x0=1e-3)
+    assert np.isnan(last).all()  # it comes three horizons later
+    assert np.isfinite(solution.event_times("marker_0", ks=0.05, ki=200.0, x0=0.1)).all()

@@ -17,6 +17,7 @@ from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.late_fronts import late_front
 from rankone.trajectories.events.markers import (
     SCOUTS,
     ForeseenMarks,
@@ -44,6 +45,7 @@ from rankone.verification.measure import ReferenceSet
 _FIRST_LOOK = 2e8
 _PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
 _PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be enough
+_LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 
@@ -133,7 +135,29 @@ def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
             continue
         if found is not None:
             return found
-    return None
+    return _by_late_front(system, request, points, paths)
+
+
+def _by_late_front(
+    system: System, request: SolveRequest, points: Array, paths: Sequence[Path]
+) -> SolveStart | None:
+    """The start over the stretches before and behind a front that many meet after the horizon."""
+    if not is_autonomous(system):
+        return None
+    horizon = request.domain.horizon
+    _, tolerances = pilots(system, request.domain, _PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    try:
+        with limited(_LATE_SHARE * work_left()):
+            found = late_front(system, points, paths, horizon, chosen, tolerances)
+    except OutOfWorkError:
+        return None
+    if found is None:
+        return None
+    marker, order = found
+    clock = Clock(timed_events(system, (), (marker,)), order, horizon)
+    stretched, there = over_stretches(clock, request)
+    return SolveStart(there, ReferenceSet.of(stretched, there), clock)
 
 
 def _by_paths(

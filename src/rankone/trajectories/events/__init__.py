@@ -14,5 +14,6 @@
 ``forced``              those that follow an order wherever it holds or not
 ``orders``              orders that hold in parts of a box, each continued to all of it
 ``markers``             crossings that all pass in step, where they get out of phase
+``late_fronts``         a crossing that all pass once, many of them after the horizon
 ======================  =====================================================================
 """

@@ -18,7 +18,8 @@ from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.periods import FAR, begin_in_step
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
-_SPARE = 0.05  # Length of a last stretch beyond what all known trajectories need, over that
+SPARE = 0.05
+"""Length of a last stretch beyond what all known trajectories need, over that."""
 SAME_INSTANT = 1e-11
 """Part of the horizon within which events are at one instant."""
 REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
@@ -90,7 +91,7 @@ def event_order(
         return some.order
     last = min(instants_of(each, length)[len(instants) - 1][0].time for each in reached)
     sides = sides_of(system, reached[longest], len(instants) + 1, length)
-    return EventOrder(instants, Ending.LENGTH, (1.0 + _SPARE) * (end - last), sides)
+    return EventOrder(instants, Ending.LENGTH, (1.0 + SPARE) * (end - last), sides)
 
 
 def follow(

@@ -120,7 +120,7 @@ def _second(
     system: System, paths: Sequence[Path], points: Array, first: _Candidate
 ) -> Marker | None:
     """A second marker beside the ``first`` one, if trajectories then are of a lower rank."""
-    alone = _rank(paths, _in_order((first,), len(paths)))
+    alone = rank_of(paths, _in_order((first,), len(paths)))
     if alone <= _HIGH_RANK:
         return None
     ranks: list[tuple[float, Marker]] = []
@@ -130,7 +130,7 @@ def _second(
         other = _candidate(system, paths, points, state, (lower, upper), _SECOND_TRANSVERSAL)
         order = None if other is None else _in_order((first, other), len(paths))
         if other is not None and order is not None:
-            ranks.append((_rank(paths, order), other.marker))
+            ranks.append((rank_of(paths, order), other.marker))
     rank, marker = min(ranks, key=lambda each: each[0], default=(math.inf, None))
     return marker if rank <= _LOWER_RANK * alone else None
 
@@ -155,7 +155,7 @@ def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
     return None if of_two.size and of_two.min() <= _APART * gaps.mean() else common
 
 
-def _rank(paths: Sequence[Path], crossings: Array | None) -> float:
+def rank_of(paths: Sequence[Path], crossings: Array | None) -> float:
     """The rank of some trajectories over stretches between their crossings (m, k)."""
     if crossings is None:
         return math.inf
