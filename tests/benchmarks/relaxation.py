@@ -1,10 +1,10 @@
 """Integrate references of relaxation oscillators: python tests/benchmarks/relaxation.py
 
-The oscillators of tests/reference/relaxation.py jump at times of their own, which are rarely
-solved. What counts is that the reference, about 100 trajectories, ends within a third of the
-budget, and that its trajectories are right: *ok*. The error kept is that of some of them against
-LSODA, away from jumps. ``--solve`` solves the oscillators instead. For the columns see
-tests/benchmarks/suite.py.
+The oscillators of tests/reference/relaxation.py jump at times of their own. What counts is that the
+reference, about 100 trajectories, ends within a third of the budget, and that its trajectories are
+right: *ok*. The error kept is that of some of them against LSODA, away from jumps. ``--solve``
+solves the oscillators instead, with errors over the largest value of each unknown, which it may
+have in a jump alone. For the columns see tests/benchmarks/suite.py.
 """
 
 import sys
