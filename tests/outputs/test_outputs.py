@@ -239,8 +239,6 @@ def decaying():
 @pytest.mark.parametrize(
     ("narrow", "effort"),
     [
-        (sp.exp(-(((k - 1.2345) / 1e-5) ** 2)), 0.05),
-        (1 / (1 + ((a - 0.98765) / 1e-6) ** 2), 0.05),
         (u * sp.exp(-(((t - 0.7777) / 1e-5) ** 2)), 0.05),
         (sp.exp(-(((k - a) / 1e-4) ** 2)), 0.05),
         pytest.param(sp.exp(-(((t - k) / 1e-4) ** 2)), 0.05, marks=pytest.mark.slow),
@@ -255,6 +253,17 @@ def test_what_is_narrow_is_not_missed(narrow, effort):
     output = decaying().output({"q": narrow}, effort=effort)
     assert not output.success
     assert output.error > output.rtol
+
+
+@pytest.mark.parametrize(
+    ("parameter", "middle", "width"), [(k, 1.2345, 1e-5), (a, 0.98765, 1e-6)], ids=str
+)
+def test_what_is_narrow_in_one_parameter_is_resolved(parameter, middle, width):
+    output = decaying().output({"q": 1 / (1 + ((parameter - middle) / width) ** 2)}, effort=0.05)
+    shares = np.linspace(-20.0, 20.0, 401)
+    point = {k: 1.0, a: 1.0, parameter: middle + width * shares}
+    assert output.success
+    np.testing.assert_allclose(output["q"](point), 1 / (1 + shares**2), atol=2 * output.rtol)
 
 
 @pytest.mark.parametrize(

@@ -112,17 +112,34 @@ class _Dimension:
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree)
         occupied = _occupied(element)
-        matrices = [self.matrices[e] for e in occupied]
-        if rows is not None:
-            matrices = [matrix[rows] for matrix in matrices]
         if len(occupied) == 1:
-            return np.asarray(matrices[0] @ _columnwise_kronecker(polynomials, contraction))
-        contracted = np.empty((len(matrices[0]), xi.size))
-        for e, matrix in zip(occupied, matrices, strict=True):
+            return self._applied(occupied[0], polynomials, contraction, rows)
+        contracted = np.empty((self.left if rows is None else self.count(rows), xi.size))
+        for e in occupied:
             here = np.flatnonzero(element == e)
             columns = None if contraction is None else contraction.take(here, 1)
-            contracted[:, here] = matrix @ _columnwise_kronecker(polynomials.take(here, 1), columns)
+            contracted[:, here] = self._applied(e, polynomials.take(here, 1), columns, rows)
         return contracted
+
+    def _applied(
+        self, e: int, polynomials: Array, contraction: Array | None, rows: Rows | None
+    ) -> Array:
+        """An element's matrix, or some of its rows, times the products of both: (left, N).
+
+        The contraction comes first where that leaves fewer numbers.
+        """
+        tensor = self.tensor[e] if rows is None else self.tensor[e, rows]
+        left = len(tensor)
+        if contraction is None or left >= self.right:
+            products = _columnwise_kronecker(polynomials, contraction)
+            return np.asarray(tensor.reshape(left, -1) @ products)
+        products = tensor.reshape(-1, self.right) @ contraction
+        products = products.reshape(left, self.degree, -1)
+        return np.asarray(np.einsum("lnN,nN->lN", products, polynomials))
+
+    def count(self, rows: Rows) -> int:
+        """How many rows some are."""
+        return len(self.matrices[0][rows])
 
     def spread(self, points: Array, contraction: Array, of: NDArray[np.intp], rows: Rows) -> Array:
         """Multiply the core, at points (N,), with the columns ``of`` the contraction (right, M).
@@ -131,7 +148,7 @@ class _Dimension:
         """
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree)
-        contracted = np.empty((len(self.matrices[0][rows]), xi.size))
+        contracted = np.empty((self.count(rows), xi.size))
         for e in _occupied(element):
             here = slice(None) if element is None else np.flatnonzero(element == e)
             columns = of[here]
@@ -406,4 +423,4 @@ class TrainEvaluator:
 
     def count(self, rows: Rows) -> int:
         """How many states some rows are."""
-        return len(self.trains[0].time.matrices[0][rows])
+        return self.trains[0].time.count(rows)

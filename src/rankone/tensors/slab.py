@@ -64,11 +64,28 @@ class SlabTrain:
         """Product of the cores of the parameters at points (d, M): shape (r_1, M)."""
         charge(sum(_CORE_COST(points.shape[1] * core.size) for core in self.cores[1:]))
         charge(_MODE_COST * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
-        modes = [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
+        count = points.shape[1]
+        widest = max((_entries(core) for core in self.cores[1:]), default=1)
+        step = max(_ENTRIES_AT_ONCE // widest, 1)
+        if count <= step:
+            return self._over_parameters(points)
+        parts = np.array_split(points, -(-count // step), axis=1)
+        return np.concatenate([self._over_parameters(part) for part in parts], axis=1)
+
+    def _over_parameters(self, points: Array) -> Array:
+        """The same at so few points that the products of modes and columns are held at once."""
         columns = np.ones((1, points.shape[1]))
-        for core, at_points in zip(reversed(self.cores[1:]), reversed(modes), strict=True):
-            products = np.multiply(at_points.T[:, None], columns).reshape(-1, points.shape[1])
-            columns = core.reshape(len(core), -1) @ products
+        for core, basis, row in zip(
+            reversed(self.cores[1:]), reversed(self.bases), reversed(points), strict=True
+        ):
+            left, size, right = core.shape
+            modes = basis.modal_values(row).T
+            if left < right:
+                of_modes = (core.reshape(-1, right) @ columns).reshape(left, size, -1)
+                columns = np.einsum("lnm,nm->lm", of_modes, modes)
+            else:
+                products = np.multiply(modes[:, None], columns).reshape(size * right, -1)
+                columns = core.reshape(left, -1) @ products
         return columns
 
     def with_slopes(self, points: Array, free: Sequence[int]) -> Array:
@@ -129,6 +146,12 @@ class SlabTrain:
     def _time_modes(self, times: Array) -> Array:
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
         return legendre_values(xi, self.cores[0].shape[1])
+
+
+def _entries(core: Array) -> int:
+    """Numbers that a core (left, modes, right) is multiplied by, or makes, at a point."""
+    left, size, right = core.shape
+    return int(size * min(left, right))
 
 
 def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
