@@ -7,13 +7,16 @@ import subprocess
 import sys
 import textwrap
 import time
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
+from scipy.interpolate import CubicSpline
 
 import rankone as ro
+from rankone.interface.checkpoint import problem_digest
 from rankone.interface.many import solve_many
 
 TIMES = np.linspace(0, 2, 5)
@@ -96,7 +99,7 @@ def test_a_damaged_manifest_is_written_again(tmp_path, solved):
     [
         (problem("-2*k*u", name="twice"), {}, r"problem decay \(.*not of twice \("),
         (problem(name="decay").set(k=1.0), {}, "is of the problem decay"),
-        (problem(name="decay").vary(k=(1, 2)), {}, "another box, horizon or detail"),
+        (problem(name="decay").vary(k=(1, 2)), {}, "another box, horizon, function or detail"),
         (problem(name="decay"), {"rtol": 1e-5}, "rtol=0.0001, not 1e-05"),
         (problem(name="decay"), {"method": "train"}, "method=None, not 'train'"),
     ],
@@ -125,16 +128,136 @@ def test_conditions_are_told_apart(tmp_path, solved):
     assert len(solved) == 2
 
 
-def test_functions_of_the_user_count_by_their_code(tmp_path):
-    def of(function):
-        t, k = sp.symbols("t k")
-        u = sp.Function("u")(t)
-        f = ro.function("f", function, lambda x: np.ones_like(x))
-        return ro.Problem([sp.Eq(u.diff(t), -k * f(u))], (t, 0, 2), {k: (1, 2)}, {u: 1})
+def with_function(value):
+    """A problem with a function of the user."""
+    t, k = sp.symbols("t k")
+    u = sp.Function("u")(t)
+    f = ro.function("f", value, lambda x: np.ones_like(x))
+    return ro.Problem([sp.Eq(u.diff(t), -k * f(u))], (t, 0, 2), {k: (1, 2)}, {u: 1})
 
-    solve_many(of(lambda x: 1.0 * x), [{}], 1e-4, checkpoint=tmp_path)
-    with pytest.raises(ro.StorageError, match="another box, horizon or detail"):
-        solve_many(of(lambda x: 2.0 * x), [{}], 1e-4, checkpoint=tmp_path)
+
+def scaled(factor, x):
+    return factor * x
+
+
+class Line:
+    """A callable object that counts by its state."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def __call__(self, x):
+        return self.factor * x
+
+    def value(self, x):
+        return self(x)
+
+
+def enclosed(held):
+    return lambda x: held(x)
+
+
+def spline(factor):
+    nodes = np.linspace(-1, 2, 4)
+    return CubicSpline(nodes, factor * nodes)
+
+
+def with_default(factor):
+    return lambda x, factor=factor: factor * x
+
+
+def with_cache(factor):
+    slope = cache(partial(scaled, factor))
+    return lambda x: slope(1.0) * x
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda factor: (lambda x: 1.0 * x) if factor == 1.0 else (lambda x: 2.0 * x),
+        spline,
+        Line,
+        with_default,
+        lambda factor: partial(scaled, factor),
+        lambda factor: Line(factor).value,
+        lambda factor: enclosed(spline(factor)),
+        lambda factor: enclosed(partial(scaled, factor)),
+        with_cache,
+        lambda factor: enclosed(enclosed(Line(factor).value)),
+        lambda factor: enclosed(Line(np.full((), factor))),
+    ],
+    ids=[
+        *("code", "spline", "object", "default", "partial", "method"),
+        *("closure-spline", "closure-partial", "closure-cache"),
+        *("closure-method", "closure-object"),
+    ],
+)
+def test_functions_of_the_user_count_by_their_code_and_state(function):
+    first = problem_digest(ro.compile(with_function(function(1.0))))
+    assert first == problem_digest(ro.compile(with_function(function(1.0))))
+    assert first != problem_digest(ro.compile(with_function(function(2.0))))
+
+
+@pytest.mark.parametrize("function", [spline, lambda factor: partial(scaled, factor)])
+def test_the_folder_of_another_function_is_refused(tmp_path, solved, function):
+    solve_many(with_function(function(1.0)), [{}], 1e-3, checkpoint=tmp_path)
+    solve_many(with_function(function(1.0)), [{}], 1e-3, checkpoint=tmp_path)
+    assert len(solved) == 1
+    with pytest.raises(ro.StorageError, match="another box, horizon, function or detail"):
+        solve_many(with_function(function(2.0)), [{}], 1e-3, checkpoint=tmp_path)
+
+
+DIGEST = """
+    import math
+    from functools import cache, partial
+    import numpy as np
+    from scipy.interpolate import CubicSpline
+    from rankone.interface.digests import function_digest
+
+    class Held:
+        def __call__(self, x):
+            return x
+
+    def enclosed():
+        import numpy
+        nodes = np.linspace(0, 1, 5)
+        spline, words, held = CubicSpline(nodes, nodes**2), {"a", "b", "c", "d"}, Held()
+
+        def again(x, depth):
+            return again(x, depth - 1) if depth else numpy.interp(x, nodes, spline(nodes))
+
+        def f(x):
+            if str(x) in {"one", "two", "three", "four"} or len(words) == 3:
+                return later
+            return again(held(x), 2) + math.pi
+
+        if nodes.size == 0:
+            later = 0
+        return partial(f)
+
+    print(function_digest("f", enclosed()))
+"""
+
+
+def test_closures_are_the_same_in_two_processes():
+    """With other hashes, and other addresses; sets and functions that call themselves included."""
+
+    def printed(seed):
+        call = [sys.executable, "-c", text]
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        return subprocess.run(call, env=environment, capture_output=True, text=True, check=True)
+
+    text = textwrap.dedent(DIGEST)
+    assert printed("1").stdout == printed("2").stdout != ""
+
+
+def test_functions_whose_state_cannot_be_read(tmp_path):
+    with open(tmp_path / "file", "w") as file:
+        held = with_function(lambda x: x if file else -x)
+        text = "checkpoint= cannot tell function `f` from another.*leave out checkpoint="
+        with pytest.raises(ro.OptionError, match=text):
+            solve_many(held, [{}], 1e-4, checkpoint=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_folders_that_cannot_be_used(tmp_path):

@@ -129,6 +129,39 @@ def test_wrong_arguments(problem, boxes, options, error, text):
         ro.solve_many(problem, boxes, 1e-4, **options)
 
 
+@pytest.mark.parametrize(
+    ("boxes", "output", "exact"),
+    [
+        ([{"c": 1.0}, {"c": 2.0}], "x/c", [np.exp(-0.3), np.exp(-0.3) / 2]),
+        (
+            [{"k": (0.1, 0.5)}, {"k": (0.5, 1)}],
+            "sqrt(k)*x",
+            [np.sqrt(0.3) * np.exp(-0.3), np.sqrt(0.75) * np.exp(-0.75)],
+        ),
+    ],
+)
+def test_outputs_that_the_boxes_allow_and_the_problem_does_not(boxes, output, exact):
+    base = ro.Problem.from_strings(
+        {"x": "-k*x"}, {"x": "1"}, {"k": (-1, 1)}, (0, 1), constants={"c": 0.0}
+    )
+    with pytest.raises(ro.OptionError):
+        ro.solve(base, 1e-5, outputs={"q": output})
+    many = ro.solve_many(base, boxes, 1e-5, outputs={"q": output})
+    at = [0.5 * sum(box["k"]) if "k" in box else 0.3 for box in boxes]
+    values = [solution(1.0, k=k)[0] for solution, k in zip(many, at)]
+    np.testing.assert_allclose(values, exact, rtol=1e-4)
+
+
+def test_outputs_that_no_box_allows_are_not_sent():
+    base = ro.Problem.from_strings(
+        {"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, (0, 1), constants={"c": 1.0}
+    )
+    sent = ThreadPoolExecutor(1)
+    sent.shutdown()  # raises when something is sent
+    with pytest.raises(ro.OptionError, match="division by zero in the output `q`"):
+        ro.solve_many(base, [{"c": 0.0}], 1e-5, outputs={"q": "x/c"}, executor=sent)
+
+
 def test_functions_that_cannot_be_sent():
     t, k = sp.symbols("t k")
     u = sp.Function("u")(t)

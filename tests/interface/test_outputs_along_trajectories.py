@@ -97,10 +97,23 @@ def test_only_what_is_asked_for_is_checked():
     np.testing.assert_allclose(solution(times, k=1.0), exact, rtol=0, atol=1e-4)
 
 
+def test_rows_are_in_the_order_of_the_problem():
+    rates = {"x5": "-k*x5", "x50": "-2*k*x50"}
+    problem = ro.Problem.from_strings(rates, {"x5": "1", "x50": "1"}, {"k": (1, 2)}, (0, 1))
+    solution = ro.solve(problem, rtol=1e-3, unknowns=["x50", "x5"])
+    assert solution.states == ("x5", "x50")
+    np.testing.assert_allclose(solution(1.0, k=1.0), np.exp([-1.0, -2.0]), rtol=1e-2)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"outputs": {}}, "not a mapping"),
+        ({"outputs": {}}, "outputs is empty"),
+        ({"outputs": []}, "outputs is empty"),
+        ({"outputs": {"q": "x"}, "unknowns": []}, "unknowns is empty"),
+        ({"unknowns": []}, "unknowns is empty"),
+        ({"outputs": {"1q": "x"}}, "the name `1q` of an output is not an identifier"),
+        ({"outputs": {"q": "x", "a b": "x"}}, "the name `a b` of an output is not"),
         ({"outputs": 3}, "not a mapping"),
         ({"outputs": {"q": "z"}}, "unknown name `z`"),
         ({"outputs": {"a": "x"}}, "name of a coordinate"),

@@ -12,6 +12,7 @@
 ``many``        solves on many boxes, side by side
 ``observed``    outputs of a solve: quantities that are evaluated along its trajectories
 ``checkpoint``  finished solves in a folder
+``digests``     functions of the user told apart by their code and state
 ``solution``    the solution with its statistics, outputs, fits, exports and files
 ==============  ====================================================================================
 """

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from types import CodeType
 from typing import Any
 
 import numpy as np
 
 from rankone.interface.compiled import CompiledProblem
+from rankone.interface.digests import function_digest
 from rankone.interface.solution import Solution, load
 from rankone.support import __version__
 from rankone.support.errors import StorageError, warn
@@ -97,30 +97,16 @@ def keep(path: Path, solution: Solution) -> None:
 
 
 def problem_digest(compiled: CompiledProblem) -> str:
-    """SHA-256 of all that a problem says; functions of the user count by their names and code."""
-    functions = {name: _code(f) for name, f in sorted(compiled.user_functions.items())}
+    """SHA-256 of all that a problem says; functions of the user count by their code and state."""
+    functions = {
+        name: function_digest(name.removeprefix("f_"), getattr(guarded, "value", guarded))
+        for name, guarded in sorted(compiled.user_functions.items())
+    }
     return _digest(json.dumps([plain(compiled.metadata()), functions], sort_keys=True))
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _code(wrapped: Callable[..., object]) -> str:
-    """What a function of the user is known by: its name, what Python runs, and what it holds."""
-    function = getattr(wrapped, "value", wrapped)
-    name = getattr(function, "__qualname__", type(function).__qualname__)
-    cells = [repr(cell.cell_contents) for cell in getattr(function, "__closure__", None) or ()]
-    held = repr(getattr(function, "__defaults__", None)), cells
-    code = _of_code(getattr(function, "__code__", None))
-    return f"{getattr(function, '__module__', '')}.{name} {code} {held}"
-
-
-def _of_code(code: CodeType | None) -> str:
-    if code is None:
-        return ""
-    constants = [_of_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
-    return f"{code.co_code.hex()} {constants} {code.co_names}"
 
 
 def _plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -170,7 +156,7 @@ def _check_same(place: Path, written: Mapping[str, Any], asked: Mapping[str, Any
         )
     if written["digest"] != asked["digest"]:
         same = written["problem"] == asked["problem"]
-        other = "another box, horizon or detail of it" if same else asked["problem"]
+        other = "another box, horizon, function or detail of it" if same else asked["problem"]
         raise StorageError(
             f"checkpoint `{place}` is of the problem {written['problem']}, not of {other}",
             remedy=_OTHER_FOLDER,

@@ -161,7 +161,7 @@ class CompiledProblem(CompiledStages):
         unknowns : sequence, optional
             The unknowns to solve for, by functions ``x(t)``, their derivatives or names: the
             solution holds these alone, and their error has to be within the tolerance. By default
-            all, derivatives that are states too.
+            all, derivatives that are states too. Rows are in the order of the problem.
         outputs : mapping of str to Expr or str, or definitions by name, optional
             Quantities to solve for in place of the unknowns, as :meth:`Solution.output` takes them:
             functions of unknowns, parameters and time. They are evaluated along trajectories; no
@@ -202,7 +202,7 @@ class CompiledProblem(CompiledStages):
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
-        asked = self.asked(
+        asked = self._asked(
             rtol=rtol,
             method=method,
             parameters=parameters,
@@ -228,7 +228,7 @@ class CompiledProblem(CompiledStages):
             )
         return solution
 
-    def asked(
+    def _asked(
         self,
         *,
         method: str = "auto",
@@ -246,7 +246,7 @@ class CompiledProblem(CompiledStages):
             method, unknowns, markers = "cross", None, None
         if markers is not None and markers != "auto":
             marked = compile_problem(with_markers(self.problem, markers))
-            return marked.asked(method=method, unknowns=unknowns, **options)
+            return marked._asked(method=method, unknowns=unknowns, **options)
         arguments = {name: options.pop(name) for name in SOLVE_ARGUMENTS if name in options}
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=self._has_operators)
@@ -370,6 +370,11 @@ class _Asked:
     request: SolveRequest
     engines: Sequence[Engine]
     form: CompiledStages | LiftedProblem | StretchedProblem
+
+
+def check_arguments(compiled: CompiledProblem, options: Mapping[str, Any]) -> None:
+    """Raise an OptionError if an argument of :meth:`CompiledProblem.solve` is not valid."""
+    compiled._asked(**options)
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:

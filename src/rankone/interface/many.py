@@ -15,7 +15,7 @@ import numpy as np
 from rankone.discretization.coordinates import name_of
 from rankone.frontend.problem import Problem
 from rankone.interface.checkpoint import Checkpoint, finished, keep
-from rankone.interface.compiled import CompiledProblem, compile_problem
+from rankone.interface.compiled import CompiledProblem, check_arguments, compile_problem
 from rankone.interface.solution import Solution
 from rankone.ir.request import Domain
 from rankone.ir.verdict import Status
@@ -195,7 +195,7 @@ def solve_many(
     options = _checked_options(options, rtol)
     base = problem if isinstance(problem, CompiledProblem) else compile_problem(problem)
     solves = _solves(base, boxes, options)
-    base.asked(**options)  # before they are sent
+    check_arguments(solves[0].compiled, solves[0].options)  # before they are sent
     kept = None if checkpoint is None else Checkpoint.open(checkpoint, base, options)
     outcomes: dict[int, _Outcome] = {}
     with counting_bar(progress, len(solves)) as report:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from rankone.support.wording import quote
 
 _POINTS = 20  # Points at which generated functions are compared with their expressions
 _ASK_SOLUTION = "name the unknowns in it in unknowns=, and ask that solution: .output(...)"
+_EXAMPLE = 'give for example outputs={"energy": x**2 / 2}, or the name of a definition'
 
 
 def observation_of(
@@ -41,6 +42,7 @@ def observation_of(
         kept = {system.states[row]: system.states[row] for row in rows}
     asked = _named(outputs, kept)
     for name, output in asked.items():
+        _check_name(name, {*system.unknowns, *dict(metadata.definitions)})
         if name in system.unknowns and not _is_name(output, name):
             raise OptionError(
                 f"the output {quote(name)} has the name of an unknown, and is {quote(output)}",
@@ -67,18 +69,30 @@ def _is_name(output: object, name: str) -> bool:
         return False
 
 
+def _check_name(name: object, held: Set[str]) -> None:
+    """Raise an OptionError for a name that is neither an identifier nor in the problem."""
+    if isinstance(name, str) and name.strip() and not name.isidentifier() and name not in held:
+        raise OptionError(
+            f"the name {quote(name)} of an output is not an identifier",
+            term=name,
+            remedy="use letters, digits and underscores, with no digit first",
+        )
+
+
 def _named(outputs: object, kept: Mapping[str, object]) -> dict[str, object]:
     """Outputs by name, as a mapping or as names of definitions; none has the name of a kept one."""
     if isinstance(outputs, str):
         outputs = {outputs: outputs}
     elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
         outputs = {name: name for name in outputs}
-    if not isinstance(outputs, Mapping) or not outputs:
+    if not isinstance(outputs, Mapping):
         raise OptionError(
             f"outputs={outputs!r} is not a mapping from names to expressions",
             term=outputs,
-            remedy='give for example outputs={"energy": x**2 / 2}, or the name of a definition',
+            remedy=_EXAMPLE,
         )
+    if not outputs:
+        raise OptionError("outputs is empty", remedy=_EXAMPLE)
     for name in outputs:
         if name in kept:
             raise OptionError(

@@ -386,5 +386,5 @@ def counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
                 remedy=f"give some of {listing(states, name)}",
             )
     if not names:
-        raise OptionError("no unknown is to count: unknowns is empty", remedy=remedy)
+        raise OptionError("unknowns is empty", remedy=remedy)
     return tuple(sorted({states.index(name) for name in names}))
