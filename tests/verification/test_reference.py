@@ -1,5 +1,6 @@
 """Reference trajectories: stacking, stiffness, blow-up, initial values, the error measure."""
 
+import itertools
 import math
 
 import numpy as np
@@ -239,3 +240,34 @@ def test_states_that_rounding_errors_hide_early_keep_nothing_from_the_end():
     times = np.linspace(*system.horizon, 9)
     sizes = np.abs(finer(times)).max(axis=(1, 2), keepdims=True)
     assert np.abs((reference(times) - finer(times)) / sizes).max() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("unknowns", "atol"), [(["x0", "x5"], None), (None, 1e-12)])
+def test_a_long_chain_from_rest_is_that_of_poisson(unknowns, atol):
+    names = [f"x{i}" for i in range(260)]
+    rhs = {"x0": "-k*x0"} | {
+        name: f"k*{before} - k*{name}" for before, name in itertools.pairwise(names)
+    }
+    first = dict.fromkeys(names, 0) | {"x0": 1}
+    absolute = atol and dict.fromkeys(names, atol)
+    problem = ro.Problem.from_strings(rhs, first, {"k": (0.7, 1.4)}, (0, 4), atol=absolute)
+    solution = ro.solve(problem, rtol=1e-4, unknowns=unknowns)
+    assert solution.success
+    times, asked = np.linspace(0, 4, 21), [names.index(name) for name in solution.unknowns]
+    exact = [poisson.pmf(np.array(asked)[:, None], k * times) for k in np.linspace(0.7, 1.4, 6)]
+    sizes = np.max(np.abs(exact), axis=(0, 2))[:, None] + (atol or 0.0) / 1e-4
+    for k, states in zip(np.linspace(0.7, 1.4, 6)[1:-1], exact[1:-1], strict=True):
+        assert (np.abs(np.array(solution(times, k=k)) - states) < 1e-4 * sizes).all()
+
+
+@pytest.mark.slow
+def test_products_of_tiny_states_refuse_only_a_solve_that_asks_for_them():
+    names = [f"x{i}" for i in range(150)]
+    rhs = {name: f"k*x0*({before} - {name})" for before, name in itertools.pairwise(names)}
+    rhs["x0"] = f"-k*x0*({' + '.join(names[:-1])})"
+    first = dict.fromkeys(names, 0) | {"x0": 1}
+    problem = ro.Problem.from_strings(rhs, first, {"k": (0.8, 1.2)}, (0, 0.5))
+    with pytest.raises(ro.ConvergenceError, match="atol of the Problem"):
+        ro.solve(problem, rtol=1e-3)
+    assert ro.solve(problem, rtol=1e-3, unknowns=["x0", "x1"]).success

@@ -384,15 +384,23 @@ class NarrowBox(Note):
 
 @dataclass(frozen=True)
 class NumericallyZero(Note):
-    """An unknown that stays below what rounding errors reach, and the size that stands for it."""
+    """An unknown that stays below what can be resolved, and the size that stands for it.
+
+    So do ``further`` unknowns, of the same numbers.
+    """
 
     unknown: str
     rounding: float
     size: float
+    further: int = 0
     text = (
-        "`{unknown}` is numerically zero: it stays below {rounding:.1e}, which rounding errors "
-        "reach; its error counts relative to {size:.1e}"
+        "`{unknown}` is numerically zero: it stays below {rounding:.1e}, where rounding errors or "
+        "underflow hide it; its error counts relative to {size:.1e}"
     )
+
+    def sentence(self, status: Status) -> str:
+        same = f" (the same holds for {self.further} more)" if self.further else ""
+        return super().sentence(status) + same
 
 
 @dataclass(frozen=True)

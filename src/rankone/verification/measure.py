@@ -115,7 +115,14 @@ class ReferenceSet:
             domain,
             accuracy,
             integrate_reference(
-                system, points, domain.horizon, accuracy, cuts, request.integrator, workers
+                system,
+                points,
+                domain.horizon,
+                accuracy,
+                cuts,
+                request.integrator,
+                workers,
+                _asked(system, check.states, request.observed),
             ),
             corners,
             covers_corners(request),
@@ -158,14 +165,21 @@ class ReferenceSet:
                 remedy="loosen rtol, or make it an unknown with an equation of its own",
             )
         points, edges = self.reference.points, (self.domain.horizon, accuracy, self.cuts)
-        finer = integrate_reference(self.system, points, *edges, self.taken, self.workers)
+        more = self.taken, self.workers, self.asked
+        finer = integrate_reference(self.system, points, *edges, *more)
         return replace(self, accuracy=accuracy, reference=finer)
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
         edges = self.domain.horizon, self.accuracy, self.cuts
-        further = integrate_reference(self.system, points, *edges, self.taken, self.workers)
+        more = self.taken, self.workers, self.asked
+        further = integrate_reference(self.system, points, *edges, *more)
         return replace(self, reference=self.reference.joined(further), checked=True)
+
+    @property
+    def asked(self) -> tuple[int, ...] | None:
+        """The states that somebody asks for, None for all."""
+        return _asked(self.system, self.counted, self.observed)
 
     @property
     def taken(self) -> str:
@@ -396,10 +410,13 @@ class ReferenceSet:
         asked = self.counted or range(len(unknowns))
         if self.observed is not None:
             asked = self.observed.rows if self.observed.states_alone else ()
+        alike: dict[tuple[float, float], list[str]] = {}
+        for i in asked:
+            if self.reference.zero[i]:
+                numbers = float(rounded[i]), float(self.of_states[i])
+                alike.setdefault(numbers, []).append(unknowns[i])
         return tuple(
-            NumericallyZero(unknowns[i], float(rounded[i]), float(self.of_states[i]))
-            for i in asked
-            if self.reference.zero[i]
+            NumericallyZero(names[0], *numbers, len(names) - 1) for numbers, names in alike.items()
         )
 
     @property
@@ -431,13 +448,25 @@ class ReferenceSet:
         system = self.system
         if system.separated and max((len(states) for *_, states in system.terms), default=0) < 2:
             return
-        for name, size in zip(system.states, self.of_states, strict=False):
-            if not _LEAST_SIZE < size < 1.0 / _LEAST_SIZE:
+        asked = range(len(self.of_states)) if self.asked is None else self.asked
+        for i, size in enumerate(self.of_states):
+            small = size <= _LEAST_SIZE and i in asked  # products of others vanish beside the rest
+            if small or not size < 1.0 / _LEAST_SIZE:
+                atol = "give it an absolute tolerance, atol of the Problem, or "
                 raise ConvergenceError(
-                    f"`{name}` is of the size {size:.1e}: its products are not floating-point "
-                    "numbers",
-                    remedy="change its unit",
+                    f"`{system.states[i]}` is of the size {size:.1e}: its products are not "
+                    "floating-point numbers",
+                    remedy=f"{atol if small else ''}change its unit",
                 )
+
+
+def _asked(
+    system: System, counted: tuple[int, ...] | None, observed: Observation | None
+) -> tuple[int, ...] | None:
+    """The states that somebody asks for, or that quantities asked for read; None for all."""
+    if system.clock is not None:
+        return None
+    return counted if observed is None else observed.rows
 
 
 def _points_of(

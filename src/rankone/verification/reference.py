@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -66,6 +66,7 @@ class Reference:
     For each state, (n,): ``floor`` is the size below which its relative accuracy ends, where that
     is lower than usual since it is amplified later, else infinite; ``rounded`` the rounding errors
     of states that are tiny beside the others, else 0; ``zero`` says which are numerically zero.
+    ``least`` are the least absolute tolerances.
     """
 
     points: Array
@@ -74,6 +75,7 @@ class Reference:
     floor: Array
     rounded: Array
     zero: NDArray[np.bool_]
+    least: Array
     blown: int | None = None
     large: bool = False
     switching: int | None = None
@@ -147,6 +149,7 @@ class Reference:
             floor=np.minimum(self.floor, second.floor),
             rounded=np.where(both_rounded, np.maximum(self.rounded, second.rounded), 0.0),
             zero=self.zero & second.zero,
+            least=np.minimum(self.least, second.least),
             blown=blown,
         )
 
@@ -164,13 +167,15 @@ def integrate_reference(
     cuts: Sequence[float] = (),
     integrator: str = "auto",
     workers: Workers | None = None,
+    asked: Collection[int] | None = None,
 ) -> Reference:
     """Integrate the system over a horizon at all points (m, d), by the option ``integrator``.
 
-    ``workers`` take part where trajectories are integrated one by one or have many states. The
-    integration begins anew at the cuts: ascending times at which the time factors jump, kink or
-    are narrow. It is a ConvergenceError if not a single step can be made; an OutOfBudgetError says
-    how far the integration came.
+    ``asked`` are the states that somebody asks for, None for all. ``workers`` take part where
+    trajectories are integrated one by one or have many states. The integration begins anew at the
+    cuts: ascending times at which the time factors jump, kink or are narrow. It is a
+    ConvergenceError if not a single step can be made; an OutOfBudgetError says how far the
+    integration came.
     """
     start, end = horizon
     reserve(8.0 * _NUMBERS_OF_STATE * len(points) * system.n_differential)
@@ -186,13 +191,14 @@ def integrate_reference(
         workers=workers or Workers(system),
     )
     chosen = choose(integrator)
-    resolution = Resolution(system, points, start, end, rtol, initial)
+    resolution = Resolution(system, points, start, end, rtol, initial, asked)
 
     def integrated(points: Array, absolute: Array) -> DenseTrajectories:
         return chosen.run(system, points, edges, Tolerances(rtol, absolute, longest))
 
     if resolution.presumes and initial.size >= _MANY_NUMBERS:
-        pilots = Resolution(system, points[:_PILOTS], start, end, rtol, initial[:, :_PILOTS])
+        first = initial[:, :_PILOTS]
+        pilots = Resolution(system, points[:_PILOTS], start, end, rtol, first, asked)
         few = integrated(pilots.points, pilots.absolute)
         if few.has_begun and pilots.refined(few):
             resolution.follow(pilots)
@@ -218,8 +224,12 @@ def integrate_reference(
 def _reference(resolution: Resolution, dense: DenseTrajectories) -> Reference:
     """The trajectories, and why they end where they do."""
     rounding, floor = resolution.rounding, resolution.floor[:, 0]
-    rounded, zero = rounding.floor[:, 0], rounding.zero[:, 0]
-    reference = Reference(resolution.points, (dense,), dense.end, floor, rounded, zero)
+    rounded, zero, least = rounding.floor[:, 0], rounding.zero[:, 0], resolution.least[:, 0]
+    largest = dense.largest.max(axis=1)
+    hidden = least / resolution.rtol  # sizes to which no tolerance is relative
+    lost = (largest > 0.0) & (largest < hidden) & (resolution.tolerated[:, 0] == 0.0)
+    rounded, zero = np.where(lost, np.maximum(rounded, hidden), rounded), zero | lost
+    reference = Reference(resolution.points, (dense,), dense.end, floor, rounded, zero, least)
     if resolution.end - dense.end <= LAST_GAP * np.spacing(abs(resolution.end)):
         return reference
     system, points, time, state = resolution.system, resolution.points, dense.end, dense.state

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -39,6 +39,8 @@ _SAMPLES = 8  # Times at which rounding errors and the growth of small states ar
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
+_LEAST_TOLERANCE = 1e-290  # Least absolute tolerance: floating-point numbers end at 1e-308
+_UNSEEN = 1e-100  # Size of a state that nobody asks for, over the largest, that is not resolved
 _LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
 _MOST_EXPONENT = 250.0  # Of e, by which a floor is lowered
 _COMPARED = 3  # Trajectories on which that is looked for
@@ -60,11 +62,19 @@ class Resolution:
     """How far down each state is resolved; an integration shows whether that was far enough.
 
     For each state, (n, 1): the size that it has at ``first`` and the one that it is presumed to
-    have, the floor of a ``Reference``, and the absolute tolerance.
+    have, the floor of a ``Reference``, and the absolute tolerance. ``asked`` are the states that
+    somebody asks for, None for all. Others are resolved for what they do to these.
     """
 
     def __init__(
-        self, system: System, points: Array, start: float, end: float, rtol: float, initial: Array
+        self,
+        system: System,
+        points: Array,
+        start: float,
+        end: float,
+        rtol: float,
+        initial: Array,
+        asked: Collection[int] | None = None,
     ) -> None:
         self.system, self.points, self.rtol = system, points, rtol
         self.start, self.end, self.horizon = start, end, end - start
@@ -72,7 +82,11 @@ class Resolution:
         self.rounding = self._rounding([(start, initial)], size)
         self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
         self.floor = np.full((len(initial), 1), np.inf)
-        self.absolute = np.maximum(rtol * NEGLIGIBLE * self.size, self.rounding.floor)
+        self.asked = np.isin(np.arange(len(initial)), [*asked]) if asked is not None else None
+        absolute = dict(system.atol)
+        names = system.states[: len(initial)]
+        self.tolerated = np.array([[absolute.get(name, 0.0)] for name in names])
+        self.absolute = self._absolute(NEGLIGIBLE * self.size)
 
     def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
         stack = self.system, self.points, self.horizon
@@ -87,8 +101,26 @@ class Resolution:
         """Begin with sizes and floors that a few of the trajectories have shown, and a margin."""
         self.size = np.where(self.first > 0.0, np.maximum(self.size, pilots.size), pilots.size)
         self.floor = pilots.floor
-        finest = _MARGIN * self.rtol * np.minimum(NEGLIGIBLE * self.size, self.floor)
-        self.absolute = np.maximum(finest, self.rounding.floor)
+        self.absolute = self._absolute(_MARGIN * np.minimum(NEGLIGIBLE * self.size, self.floor))
+
+    def _absolute(self, finest: Array) -> Array:
+        """The absolute tolerances at which states are relative down to the sizes ``finest``."""
+        least = np.maximum(self.least, self.rounding.floor)
+        return np.asarray(np.maximum(self.rtol * finest, least))
+
+    @property
+    def least(self) -> Array:
+        """The least absolute tolerances, (n, 1).
+
+        A state counts as no smaller than its tolerance of the problem or, if nobody asks for it,
+        than a tiny part of the largest, unless it is amplified: then it has a floor.
+        """
+        sizes = self.tolerated
+        if self.asked is not None:
+            unseen = _UNSEEN * (self.first.max(initial=0.0) or 1.0)
+            sizes = np.where(self.asked[:, None], sizes, np.maximum(sizes, unseen))
+        sizes = np.where(np.isfinite(self.floor), 0.0, sizes)
+        return np.maximum(self.rtol * NEGLIGIBLE * sizes, _LEAST_TOLERANCE)
 
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
@@ -113,8 +145,7 @@ class Resolution:
     def _resolves(self, changed: NDArray[np.bool_]) -> bool:
         """Set the absolute tolerances by size and floor; whether one that changed is lower now."""
         coarser = self.absolute
-        finest = self.rtol * np.minimum(NEGLIGIBLE * self.size, self.floor)
-        self.absolute = np.maximum(finest, self.rounding.floor)
+        self.absolute = self._absolute(np.minimum(NEGLIGIBLE * self.size, self.floor))
         return bool((changed & (self.absolute < coarser)).any())
 
     def lowered(self, dense: DenseTrajectories, integrate: Integrate, work: float) -> bool:
@@ -132,7 +163,8 @@ class Resolution:
             return False
         growth = min(self._bound_of_growth(dense, largest), _MOST_EXPONENT)
         lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
-        absolute = np.maximum(self.rtol * np.minimum(lower, self.floor), self.rounding.floor)
+        absolute = self.rtol * np.minimum(lower, self.floor)
+        absolute = np.maximum(absolute, np.maximum(self.rounding.floor, _LEAST_TOLERANCE))
         absolute = np.minimum(absolute, self.absolute)
         if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
             return False
@@ -145,8 +177,9 @@ class Resolution:
             return False  # rounding errors are larger: no steps are short enough
         times = np.linspace(self.start, min(finer.end, dense.end), _SAMPLES)
         change = np.abs(finer(times) - dense.of(slice(_COMPARED))(times)).max(axis=2)
-        sizes = np.maximum(finer.largest, self.rounding.floor)
-        if (change <= _PASSED_ON * self.rtol * sizes).all():
+        sizes = np.maximum(finer.largest, np.maximum(self.rounding.floor, self.tolerated))
+        passed_on = (change > _PASSED_ON * self.rtol * sizes + _LEAST_TOLERANCE).any(axis=1)
+        if not (passed_on if self.asked is None else passed_on & self.asked).any():
             return False
         self.floor = np.minimum(self.floor, lower)
         return self._resolves(begins)

@@ -183,7 +183,8 @@ class Trajectories:
         tolerance = max(self.tightness * self.allowed_error, constants.TIGHTEST_TOLERANCE)
         least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.of_states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
-        absolute = np.maximum(tolerance * floor, reference_set.reference.rounded)
+        least = np.maximum(reference_set.reference.rounded, reference_set.reference.least)
+        absolute = np.maximum(tolerance * floor, least)
         integrator = integrator_for(
             reference_set.system,
             self.choice.integrator if self.stiff else self.choice.at_times(self.grid.times.size),
