@@ -234,7 +234,7 @@ def _warn_of_changes(change: float, warned: float) -> None:
     """Warn of a statistic that does not settle."""
     if change > warned:
         warn(
-            f"statistics have settled to {change:.1e} of the spread only: the solution jumps over "
-            "the parameters in many places",
+            f"statistics have settled to {change:.1e} of the spread only: the solution jumps or "
+            "swings over the parameters in many places",
             remedy="compare with a sample: solution(t=t, **solution.sample(10**5))",
         )
