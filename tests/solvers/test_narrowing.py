@@ -80,13 +80,14 @@ def told(solution):
     return solution.outcome.verdict.narrower
 
 
-def test_a_box_narrowed_as_told_converges(compiled):
+@pytest.mark.parametrize("effort", [0.005, 0.012, 0.015])
+def test_a_box_narrowed_as_told_converges(compiled, effort):
     """Predator and prey with a budget that is far too small for the whole box."""
-    refused = compiled.solve(1e-4, method="cross", effort=0.007)
+    refused = compiled.solve(1e-4, method="cross", effort=effort)
     assert refused.status is Status.WORK_LIMIT
     narrower = told(refused)
     assert f"predicted to converge if you narrow `{next(iter(narrower))}` to [" in refused.message
-    converged = compiled.solve(1e-4, method="cross", effort=0.007, parameters=narrower)
+    converged = compiled.solve(1e-4, method="cross", effort=effort, parameters=narrower)
     assert converged.success
     assert not told(converged)
 

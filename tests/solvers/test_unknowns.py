@@ -162,7 +162,7 @@ def test_lifted_systems_count_the_same():
     ("unknowns", "message"),
     [
         (["z"], "there is no unknown `z`"),
-        ([], "no unknown is to count"),
+        ([], "unknowns is empty"),
         ([3], "unknowns=.* is not a list of unknowns"),
         (3, "unknowns=3 is not a list of unknowns"),
     ],
