@@ -22,7 +22,7 @@ from rankone.support.arrays import Array
 
 _MOST_STEPS = 60
 _STEPS_TOGETHER = 4  # Steps after which subjects that have converged are left out
-_LEAST_DECREMENT = 1e-11  # Squared length of a step, in standard deviations of eta, that ends
+_LEAST_DECREMENT = 1e-10  # Squared length of a step, in standard deviations of eta, that ends
 _DAMPING_FACTOR = 6.0
 _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
 _ROUNDING = 1e-12  # Relative increase of the sum that is rounding
