@@ -171,6 +171,37 @@ def with_cache(factor):
     return lambda x: slope(1.0) * x
 
 
+GLOBALS = """
+def slope(x):
+    return table(1.0) * x
+
+def f(x):
+    return [slope(each) for each in [x]][0]
+"""
+CLASS = """
+class Held:
+    def __call__(self, x):
+        return self.slope * x
+
+    @property
+    def slope(self):
+        return {factor}
+"""
+
+
+def with_global(factor):
+    """A function that reads a table through another one, both as global variables."""
+    namespace = {"table": spline(factor)}
+    exec(GLOBALS, namespace)
+    return namespace["f"]
+
+
+def with_property(factor):
+    namespace = {}
+    exec(CLASS.format(factor=factor), namespace)
+    return namespace["Held"]()
+
+
 @pytest.mark.parametrize(
     "function",
     [
@@ -185,11 +216,13 @@ def with_cache(factor):
         with_cache,
         lambda factor: enclosed(enclosed(Line(factor).value)),
         lambda factor: enclosed(Line(np.full((), factor))),
+        with_global,
+        with_property,
     ],
     ids=[
         *("code", "spline", "object", "default", "partial", "method"),
         *("closure-spline", "closure-partial", "closure-cache"),
-        *("closure-method", "closure-object"),
+        *("closure-method", "closure-object", "global", "property"),
     ],
 )
 def test_functions_of_the_user_count_by_their_code_and_state(function):

@@ -124,6 +124,7 @@ def test_rows_are_in_the_order_of_the_problem():
         ({"outputs": {"x": "y"}, "unknowns": ["x"]}, "both an output and among unknowns"),
         ({"outputs": {"q": "x"}, "unknowns": ["z"]}, "no unknown `z`"),
         ({"outputs": {"x": "y"}}, "`x` has the name of an unknown, and is `y`"),
+        ({"outputs": {"x_t": "x + 1"}, "unknowns": ["x"]}, "the derivative of an unknown, and is"),
         ({"outputs": {"x": "2*x"}}, "`x` has the name of an unknown"),
         ({"outputs": {"q": "x"}, "method": "train"}, "does not apply"),
         ({"outputs": {"q": "x"}, "markers": ["x - 3"]}, "does not apply"),

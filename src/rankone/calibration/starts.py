@@ -86,7 +86,8 @@ def _expanded(problem: Expandable, z: Array) -> Expansion:
     return problem.expanded(z)
 
 
-def _gone(problem: Expandable, way: Descent, iterations: int) -> Descent:
+def _after(problem: Expandable, way: Descent, iterations: int) -> Descent:
+    """A way after some iterations more, also where it came from another process."""
     way.go(problem, iterations)
     return way
 
@@ -101,7 +102,7 @@ def _promising(
 ) -> list[Descent]:
     """So many ways that led lowest in a few iterations, of more that began apart."""
     ways = [_way(at) for at in _apart(problem, tried)[: _MORE * count]]
-    ways = shared.map(_gone, [(way, _FIRST_LEG) for way in ways])
+    ways = shared.map(_after, [(way, _FIRST_LEG) for way in ways])
     ways.sort(key=lambda way: way.at.cost)
     costs = np.array([way.at.cost for way in ways])
     above = np.concatenate([[np.inf], np.diff(np.nan_to_num(costs, posinf=1e300))])
@@ -144,9 +145,8 @@ def _go_on(shared: Shared[Expandable], ways: list[Descent]) -> None:
     """All go on for some iterations, the best for more; they are sorted in place."""
     for many, iterations in _LEGS:
         going = [k for k, way in enumerate(ways[:many]) if not way.arrived]
-        for k, way in zip(
-            going, shared.map(_gone, [(ways[k], iterations) for k in going]), strict=True
-        ):
+        further = shared.map(_after, [(ways[k], iterations) for k in going])
+        for k, way in zip(going, further, strict=True):
             ways[k] = way
         ways.sort(key=lambda way: way.at.cost)
 

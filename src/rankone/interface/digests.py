@@ -2,23 +2,31 @@
 
 Digests are those of a pickle that is never loaded: the same in every process, whatever the hashes
 and the addresses of objects. Objects count by their state; functions, which pickle knows by name
-alone, by their code, their defaults and the contents of their closures. What they read as global
-variables does not count.
+alone, by their code, their defaults, and the closures and global variables that they read; those
+of installed packages count by their names.
 """
 
 from __future__ import annotations
 
+import dis
 import hashlib
 import io
 import pickle
+import sysconfig
 from collections.abc import Callable
 from functools import _lru_cache_wrapper
+from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
 
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
 
 _PROTOCOL = 4  # One for all versions of Python, as digests are compared between them
+_INSTALLED = tuple(
+    Path(sysconfig.get_path(name)).resolve()
+    for name in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+_READS_GLOBAL = ("LOAD_GLOBAL", "LOAD_NAME")
 
 
 def function_digest(name: str, function: Callable[..., object]) -> str:
@@ -68,12 +76,46 @@ class _StatePickler(pickle.Pickler):
         self._met[id(held)] = len(self._met), held
         named = held.__module__, held.__qualname__
         if isinstance(held, type):
-            called = getattr(held, "__call__", None)  # noqa: B004
-            return "class", *named, called if isinstance(called, FunctionType) else None
+            return "class", *named, held.__bases__, _members(held)
         cells = [_content(cell) for cell in held.__closure__ or ()]
-        attributes = held.__dict__
-        code = _of_code(held.__code__)
-        return "function", *named, code, held.__defaults__, held.__kwdefaults__, cells, attributes
+        held_by = held.__defaults__, held.__kwdefaults__, cells, held.__dict__
+        if _is_installed(held.__code__):
+            return "function", *named, *held_by
+        return "function", *named, _of_code(held.__code__), _globals_read(held), *held_by
+
+
+def _is_installed(code: CodeType) -> bool:
+    """Whether code is of the standard library or an installed package."""
+    path = Path(code.co_filename)
+    return path.is_absolute() and any(path.resolve().is_relative_to(each) for each in _INSTALLED)
+
+
+def _members(held: type) -> list[tuple[str, object]]:
+    """Methods and properties of a class of the user; a class of a package has none to tell."""
+    functions = {name: _function_of(each) for name, each in vars(held).items()}
+    return [
+        (name, each)
+        for name, each in sorted(functions.items())
+        if isinstance(each, FunctionType) and not _is_installed(each.__code__)
+    ]
+
+
+def _function_of(member: object) -> object:
+    if isinstance(member, property):
+        return member.fget
+    return member.__func__ if isinstance(member, staticmethod | classmethod) else member
+
+
+def _globals_read(function: FunctionType) -> list[tuple[str, object]]:
+    """The global variables that a function reads, by name, as they are now."""
+    known = function.__globals__
+    return [(name, known[name]) for name in sorted(_names_read(function.__code__) & known.keys())]
+
+
+def _names_read(code: CodeType) -> set[str]:
+    read = {each.argval for each in dis.get_instructions(code) if each.opname in _READS_GLOBAL}
+    inner = [_names_read(each) for each in code.co_consts if isinstance(each, CodeType)]
+    return read.union(*inner)
 
 
 def _content(cell: CellType) -> tuple[object, ...]:

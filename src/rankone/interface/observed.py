@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Collection, Mapping, Set
 
 import numpy as np
 
@@ -43,9 +43,10 @@ def observation_of(
     asked = _named(outputs, kept)
     for name, output in asked.items():
         _check_name(name, {*system.unknowns, *dict(metadata.definitions)})
-        if name in system.unknowns and not _is_name(output, name):
+        whose = _owner(name, system.unknowns)
+        if whose and not _is_name(output, name):
             raise OptionError(
-                f"the output {quote(name)} has the name of an unknown, and is {quote(output)}",
+                f"the output {quote(name)} has the name of {whose}, and is {quote(output)}",
                 term=name,
                 remedy="give the output another name",
             )
@@ -59,6 +60,14 @@ def observation_of(
 
     rows = tuple(source.row for source in quantities.sources)
     return Observation(quantities.names, quantities.texts, rows, values)
+
+
+def _owner(name: str, unknowns: Collection[str]) -> str:
+    """Whose name it is in a problem, such as ``x_tt`` of a derivative; empty if it is free."""
+    if name in unknowns:
+        return "an unknown"
+    of, _, order = str(name).rpartition("_")
+    return "the derivative of an unknown" if of in unknowns and set(order) == {"t"} else ""
 
 
 def _is_name(output: object, name: str) -> bool:
