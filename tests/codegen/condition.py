@@ -7,7 +7,7 @@ import numpy as np
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen.output_expressions import quantities_of
+from rankone.codegen.output_expressions import output_formulas
 from tests.codegen.random_expressions import sample
 
 __all__ = ["KINDS", "check", "check_part"]
@@ -98,7 +98,7 @@ def outputs(samples, columns):
     for x, y in columns:
         made = {f"q{i}": e for i, e in enumerate(expressions)}
         points = np.zeros(1), y[:, None], x[:, None]
-        asked = quantities_of(made, metadata, (0.0, 1.0), points)
+        asked = output_formulas(made, metadata, (0.0, 1.0), points).over(metadata.box, (0.0, 1.0))
         order = [source.row for source in asked.sources]
         with np.errstate(all="ignore"):
             values = asked.values(np.zeros((1, 1)), x[order, None, None], y[:, None], [])

@@ -1,5 +1,7 @@
 """Quantities that are evaluated along the trajectories of a solve."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -7,6 +9,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
+from rankone.interface import observed
 
 RATES = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
 
@@ -153,3 +156,41 @@ def test_constants_may_be_outputs(predators):
     solution = predators.solve(rtol=1e-3, outputs={"three": 3, "x": "x"})
     assert solution.success
     assert solution["three"](1.0, a=9.0, b=5.0) == pytest.approx(3.0, rel=1e-6)
+
+
+def test_outputs_are_translated_once_for_all_boxes(predators, monkeypatch):
+    translated = []
+    original = observed.output_formulas
+
+    def counting(outputs, *arguments):
+        translated.append(outputs)
+        return original(outputs, *arguments)
+
+    monkeypatch.setattr(observed, "output_formulas", counting)
+    compiled = ro.compile(predators.problem.set({}))
+    asked = {"outputs": {"q": "x*y + Heaviside(a - 10)"}, "rtol": 1e-3}
+    pieces = [
+        compiled.solve(parameters={"a": box}, **asked) for box in ((8, 9), (9, 9.5), (11, 12))
+    ]
+    assert len(translated) == 1
+    assert len({piece.timings["outputs"] for piece in pieces}) == 1
+    for piece, a in zip(pieces, (8.3, 9.1, 11.4), strict=True):
+        x, y = states([1.0], a, 5.0)
+        np.testing.assert_allclose(piece(1.0, a=a, b=5.0), x * y + (a > 10), rtol=1e-2)
+    with pytest.raises(ro.OptionError, match="narrow, jumps or kinks"):
+        compiled.solve(parameters={"a": (9, 11)}, **asked)
+    compiled.solve(parameters={"a": (8, 9)}, unknowns=["x"], **asked)
+    compiled.solve(parameters={"a": (8, 9)}, t_final=1.0, **asked)
+    assert len(translated) == 3
+
+
+def test_functions_of_the_user_with_one_name_are_told_apart(predators):
+    x = sp.Function("x")(sp.Symbol("t"))
+    values = []
+    for factor in (2.0, 3.0):
+        scaled = ro.function(
+            "scaled", partial(np.multiply, factor), partial(np.full_like, fill_value=factor)
+        )
+        solution = predators.solve(1e-3, outputs={"q": scaled(x)})
+        values.append(solution(1.0, a=9.0, b=5.0)[0])
+    assert values[1] == pytest.approx(1.5 * values[0], rel=1e-2)

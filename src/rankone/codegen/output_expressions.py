@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
@@ -20,6 +21,7 @@ from rankone.expressions.notation import exact, expression_of, plain_text
 from rankone.expressions.parsing import parse_expression
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import stable
+from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.ir.forms import Coordinate
 from rankone.ir.functions import known_applied
 from rankone.ir.metadata import SolutionMetadata
@@ -39,16 +41,51 @@ _CHECK_SEED = 1812
 _END_DISTANCE = 1e-12
 
 
-def quantities_of(
+@dataclass(frozen=True)
+class OutputFormulas:
+    """Outputs that were translated, and their functions of arrays, for any domain.
+
+    ``evaluated`` are the formulas of time, parameters and the symbols of ``states``. They may be
+    ``narrow`` somewhere over states or several parameters.
+    """
+
+    quantities: Quantities
+    evaluated: tuple[sp.Expr, ...]
+    metadata: SolutionMetadata
+    states: Mapping[sp.Symbol, sp.Expr]
+    narrow: bool
+
+    def over(self, box: Sequence[tuple[float, float]], horizon: tuple[float, float]) -> Quantities:
+        """The outputs over a domain; an OptionError where a piecewise function has no branch."""
+        names, intervals = (self.metadata.time, *self.metadata.parameters), (horizon, *box)
+        coordinates = [
+            Coordinate(name, sp.Symbol(name), *interval)
+            for name, interval in zip(names, intervals, strict=True)
+        ]
+        self._check_gaps(coordinates)
+        return replace(self.quantities, cuts=_cuts(self.evaluated, coordinates))
+
+    def _check_gaps(self, coordinates: Sequence[Coordinate]) -> None:
+        """Raise an OptionError where a function of time and parameters alone has no branch."""
+        open_ones = [term for term in self.evaluated if any(gaps(term))]
+        try:
+            check_gaps(
+                [("an output", None, term.xreplace(self.states)) for term in open_ones], coordinates
+            )
+        except ProblemError as error:
+            raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
+
+
+def output_formulas(
     outputs: object,
     metadata: SolutionMetadata,
     horizon: tuple[float, float],
     samples: tuple[Array, Array, Array],
     timeline: Timeline | None = None,
-) -> Quantities:
-    """Outputs of a solution, expressions or their texts by name, as functions of arrays.
+) -> OutputFormulas:
+    """Outputs, expressions or their texts by name, translated for the states of a solution.
 
-    Texts alone are the names of definitions.
+    Texts alone are the names of definitions. Integrals are over the horizon.
 
     The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
     there (n, m). The events are those of its ``timeline``. An OptionError if ``outputs`` is not
@@ -72,16 +109,21 @@ def quantities_of(
     }
     formulas = [translator.translated(name, term) for name, term in expressions.items()]
     texts = [f"{name} = {plain_text(term)}" for name, term in expressions.items()]
+    time = sp.Symbol(metadata.time)
     parameters = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
     names = {
         **parameters,
-        sp.Symbol(metadata.time): "t",
+        time: "t",
         **{symbol: f"s[{i}]" for i, symbol in enumerate(translator.sources.values())},
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
-    evaluated = [*translator.integrands, *formulas]
-    gap_regions = _gaps(evaluated, translator, metadata, horizon)
-    moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
+    states = {
+        symbol: rate_of(unknown_of(metadata.states[source.row], time), time, source.order)
+        for source, symbol in translator.sources.items()
+    }
+    evaluated = (*translator.integrands, *formulas)
+    gap_regions = _gaps(evaluated, states, {*translator.reduced})
+    moving = {*translator.sources.values(), *translator.running, time}
     timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in formulas)
     of_states = _surfaces(evaluated, moving - {*translator.running})
     of_parameters = _parameter_surfaces(evaluated, {*parameters})
@@ -94,7 +136,7 @@ def quantities_of(
         reductions=tuple(translator.reductions),
         state_surfaces=_function("t, s, p", of_states, names),
         parameter_surfaces=_function("p", of_parameters, names),
-        cuts=_cuts(evaluated, metadata, horizon),
+        cuts=(),
         values=_function("t, s, p, r", formulas, names),
         gaps=_function(
             "t, s, p", [sp.Piecewise((1, region), (0, True)) for region in gap_regions], names
@@ -102,7 +144,8 @@ def quantities_of(
         gap_texts=tuple(gap_regions.values()),
     )
     _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
-    return quantities
+    narrow = bool(of_states or of_parameters)
+    return OutputFormulas(quantities, evaluated, metadata, states, narrow)
 
 
 def _check(
@@ -142,30 +185,14 @@ def _check(
 
 
 def _gaps(
-    formulas: Sequence[sp.Expr],
-    translator: OutputTranslator,
-    metadata: SolutionMetadata,
-    horizon: tuple[float, float],
+    formulas: Sequence[sp.Expr], states: Mapping[sp.Symbol, sp.Expr], reduced: set[sp.Symbol]
 ) -> dict[sp.Basic, str]:
-    """Where piecewise functions of the states have no branch: regions, and what to say of them.
-
-    An OptionError if there are such gaps in time and parameters alone.
-    """
-    coordinates = _coordinates(metadata, horizon)
-    time = sp.Symbol(metadata.time)
-    names = {
-        symbol: sp.Function(metadata.states[source.row])(time).diff(time, source.order)
-        for source, symbol in translator.sources.items()
-    }
-    try:
-        check_gaps([("an output", None, term.xreplace(names)) for term in formulas], coordinates)
-    except ProblemError as error:
-        raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
+    """Where piecewise functions of the states have no branch: regions, and what to say of them."""
     return {
-        region: Gap("an output", None, function, region).text(names)
+        region: Gap("an output", None, function, region).text(dict(states))
         for formula in formulas
         for function, region in gaps(formula)
-        if region.free_symbols & set(names) and not region.free_symbols & {*translator.reduced}
+        if region.free_symbols & states.keys() and not region.free_symbols & reduced
     }
 
 
@@ -187,23 +214,15 @@ def _parameter_surfaces(formulas: Sequence[sp.Expr], parameters: set[sp.Symbol])
 
 
 def _cuts(
-    formulas: Sequence[sp.Expr], metadata: SolutionMetadata, horizon: tuple[float, float]
+    formulas: Sequence[sp.Expr], coordinates: Sequence[Coordinate]
 ) -> tuple[tuple[float, ...], ...]:
     """For time and each parameter the points inside at which functions of it are not smooth."""
     inside = []
-    coordinates = _coordinates(metadata, horizon)
     for c, cuts in zip(coordinates, cuts_of(coordinates, formulas), strict=True):
         near = _END_DISTANCE * (c.upper - c.lower)
         points = {*cuts.inside(c.lower, c.upper, _MAX_REPEATS)}
         inside.append(tuple(sorted(x for x in points if c.lower + near < x < c.upper - near)))
     return tuple(inside)
-
-
-def _coordinates(metadata: SolutionMetadata, horizon: tuple[float, float]) -> list[Coordinate]:
-    """Time and the parameters of a solution."""
-    names, intervals = (metadata.time, *metadata.parameters), (horizon, *metadata.box)
-    pairs = zip(names, intervals, strict=True)
-    return [Coordinate(name, sp.Symbol(name), *interval) for name, interval in pairs]
 
 
 def _check_name(name: object, metadata: SolutionMetadata) -> None:
@@ -272,11 +291,11 @@ def _parsed(
         **{word: sp.Symbol(word) for word in words},
         **{event: sp.Symbol(event) for event in (timeline.events if timeline else ())},
         metadata.time: t,
-        **{state: sp.Function(state)(t) for state in metadata.left_out},  # named in the error
+        **{state: unknown_of(state, t) for state in metadata.left_out},  # named in the error
         **shorthand,
         **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
-        **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},
-        **{state: sp.Function(state)(t) for state in metadata.states},
+        **{f"{state}_t": rate_of(unknown_of(state, t), t) for state in metadata.states},
+        **{state: unknown_of(state, t) for state in metadata.states},
     }
     further: dict[str, Callable[..., sp.Expr]] = {
         **{reduction.__name__: reduction for reduction in KINDS},

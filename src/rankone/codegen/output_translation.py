@@ -229,7 +229,8 @@ class OutputTranslator:
                 term=symbol,
                 remedy=f"the solution knows {listing(known, symbol.name)}",
             )
-        if plain.has(sp.I, sp.nan, sp.zoo, sp.oo) or plain.is_extended_real is False:
+        not_real = plain.is_number and plain.is_extended_real is False  # slow for long sums
+        if not_real or plain.has(sp.I, sp.nan, sp.zoo, sp.oo):
             raise OptionError(
                 f"the output {quote(name)}, {quote(expression)}, is not real and finite",
                 term=expression,

@@ -24,6 +24,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -36,7 +37,7 @@ from rankone.codegen.text import with_constants
 from rankone.frontend.markers import warn_of_missed_markers, with_markers
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem
-from rankone.interface.observed import observation_of
+from rankone.interface.observed import SolveOutputs
 from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.resting import check_rest, check_totals
 from rankone.interface.solution import Solution
@@ -202,7 +203,7 @@ class CompiledProblem(CompiledStages):
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
-        asked = self._asked(
+        checked = self._checked(
             rtol=rtol,
             method=method,
             parameters=parameters,
@@ -218,8 +219,8 @@ class CompiledProblem(CompiledStages):
             markers=markers,
             **options,
         )
-        solution = asked.compiled._solved(asked, progress)
-        if asked.compiled is not self:
+        solution = checked.compiled._solved(checked, progress)
+        if checked.compiled is not self:
             warn_of_missed_markers(cast(Sequence[object], markers), solution.outcome.timeline)
         if on_failure == "raise" and not solution.success:
             verdict = solution.outcome.verdict
@@ -228,7 +229,7 @@ class CompiledProblem(CompiledStages):
             )
         return solution
 
-    def _asked(
+    def _checked(
         self,
         *,
         method: str = "auto",
@@ -236,17 +237,18 @@ class CompiledProblem(CompiledStages):
         unknowns: object = None,
         markers: object = "auto",
         **options: Any,
-    ) -> _Asked:
-        """What is asked by arguments of :meth:`solve`; an OptionError if one is not valid."""
-        observed = None
+    ) -> _CheckedSolve:
+        """Check the arguments of :meth:`solve`; an OptionError names one that is not valid."""
+        observed, timings = None, dict[str, float]()
         if outputs is not None:
             chosen = method, markers
             domain = options.get("parameters"), options.get("t_final")
             observed = self._observation(outputs, unknowns, chosen, *domain)
             method, unknowns, markers = "cross", None, None
+            timings["outputs"] = self._outputs.seconds
         if markers is not None and markers != "auto":
             marked = compile_problem(with_markers(self.problem, markers))
-            return marked._asked(method=method, unknowns=unknowns, **options)
+            return marked._checked(method=method, unknowns=unknowns, **options)
         arguments = {name: options.pop(name) for name in SOLVE_ARGUMENTS if name in options}
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=self._has_operators)
@@ -260,11 +262,11 @@ class CompiledProblem(CompiledStages):
             markers=markers == "auto",
             arguments=("method", "outputs", "progress", "on_failure"),
         )
-        return _Asked(self, replace(request, observed=observed), engines, form)
+        return _CheckedSolve(self, replace(request, observed=observed), engines, form, timings)
 
-    def _solved(self, asked: _Asked, progress: bool | Report) -> Solution:
+    def _solved(self, checked: _CheckedSolve, progress: bool | Report) -> Solution:
         """Solve in one of the forms; a BlowUpError where a trajectory blows up."""
-        request, engines, form = asked.request, asked.engines, asked.form
+        request, engines, form = checked.request, checked.engines, checked.form
         if request.domain != Domain.of(form.system):
             self._check_gaps(request.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
@@ -278,7 +280,8 @@ class CompiledProblem(CompiledStages):
             outcome, metadata = solve_with(engines, system, request, self.metadata(), report, truth)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
-        timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
+        before = {"compile": sum(self.timings.values()), **checked.timings}
+        timings = {**before, **outcome.timings, "solve": seconds}
         notes = outcome.notes
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
             kinks = not outcome.status.ends_early
@@ -289,7 +292,7 @@ class CompiledProblem(CompiledStages):
         solution = Solution(replace(outcome, timings=timings, notes=notes), metadata)
 
         def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
-            smaller = replace(asked, request=request.on_box(intervals, factor))
+            smaller = replace(checked, request=request.on_box(intervals, factor))
             return self._solved(smaller, False)
 
         raise_blow_up(solution, on_box)
@@ -313,8 +316,12 @@ class CompiledProblem(CompiledStages):
                 "solve(...).output(...)",
             )
         domain = Domain.of(self.system).moved(self.system.parameters, parameters, t_final)
-        metadata = replace(self.metadata(), box=domain.box, horizon=domain.horizon)
-        return observation_of(outputs, unknowns, metadata, self.system, domain)
+        return self._outputs.over(domain, outputs, unknowns)
+
+    @cached_property
+    def _outputs(self) -> SolveOutputs:
+        """The outputs of solves, each translated once for all boxes."""
+        return SolveOutputs(self.system, self.metadata())
 
     def _check_gaps(self, domain: Domain) -> None:
         """Raise an OptionError if a piecewise function has a gap on another domain."""
@@ -363,18 +370,25 @@ class CompiledProblem(CompiledStages):
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A solve whose arguments were checked: of a problem, in a form, by engines in turn."""
+class _CheckedSolve:
+    """A solve whose arguments were checked: of a problem, in a form, by engines in turn.
+
+    ``timings`` are seconds by what was done for it before.
+    """
 
     compiled: CompiledProblem
     request: SolveRequest
     engines: Sequence[Engine]
     form: CompiledStages | LiftedProblem | StretchedProblem
+    timings: dict[str, float]
 
 
 def check_arguments(compiled: CompiledProblem, options: Mapping[str, Any]) -> None:
-    """Raise an OptionError if an argument of :meth:`CompiledProblem.solve` is not valid."""
-    compiled._asked(**options)
+    """Check the arguments of :meth:`CompiledProblem.solve` without solving.
+
+    An OptionError names one that is not valid.
+    """
+    compiled._checked(**options)
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:

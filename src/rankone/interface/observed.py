@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Mapping, Set
 
-import numpy as np
+import sympy as sp
 
 from rankone.agreement.problems import ComparedPoints
-from rankone.codegen.output_expressions import quantities_of
+from rankone.codegen.output_expressions import OutputFormulas, output_formulas
 from rankone.discretization.coordinates import name_of
+from rankone.ir.functions import known_applied
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, counted_states
@@ -20,46 +22,92 @@ from rankone.support.wording import quote
 
 _POINTS = 20  # Points at which generated functions are compared with their expressions
 _ASK_SOLUTION = "name the unknowns in it in unknowns=, and ask that solution: .output(...)"
+_Key = tuple[tuple[tuple[str, object], ...], tuple[float, float]]
+"""Outputs by name, and the horizon."""
 _EXAMPLE = 'give for example outputs={"energy": x**2 / 2}, or the name of a definition'
 
 
-def observation_of(
-    outputs: object, unknowns: object, metadata: SolutionMetadata, system: System, domain: Domain
-) -> Observation:
-    """What trajectories of a system on a domain are reduced to: unknowns, then outputs.
+class SolveOutputs:
+    """The outputs of solves of a compiled problem.
 
-    An OptionError where outputs are no functions of the states at a time, or narrow in them.
+    They are translated once: solves on other boxes take the same functions. ``seconds`` is what
+    the translation of the last ones took.
     """
-    if system.events or system.at_rest is not None or system.jumps.times:
-        what = "events" if system.events else "jumps" if system.jumps.times else "a steady start"
-        raise OptionError(
-            f"outputs along trajectories do not take {what}",
-            remedy="solve for the unknowns, and ask the solution: solve(...).output(...)",
-        )
-    kept: dict[str, object] = {}
-    if unknowns is not None:
-        rows = counted_states(system, unknowns) or ()
-        kept = {system.states[row]: system.states[row] for row in rows}
-    asked = _named(outputs, kept)
-    for name, output in asked.items():
-        _check_name(name, {*system.unknowns, *dict(metadata.definitions)})
-        whose = _owner(name, system.unknowns)
-        if whose and not _is_name(output, name):
-            raise OptionError(
-                f"the output {quote(name)} has the name of {whose}, and is {quote(output)}",
-                term=name,
-                remedy="give the output another name",
+
+    def __init__(self, system: System, metadata: SolutionMetadata) -> None:
+        self.system, self.metadata, self.seconds = system, metadata, 0.0
+        self._last: tuple[_Key | None, OutputFormulas] | None = None
+
+    def over(self, domain: Domain, outputs: object, unknowns: object) -> Observation:
+        """What trajectories on a domain are reduced to: unknowns, then outputs.
+
+        An OptionError where outputs are no functions of the states at a time, or narrow in them.
+        """
+        system = self.system
+        if system.events or system.at_rest is not None or system.jumps.times:
+            what = (
+                "events" if system.events else "jumps" if system.jumps.times else "a steady start"
             )
-    compared = ComparedPoints.of(system, _POINTS)
-    samples = compared.time, compared.parameters, compared.states
-    quantities = quantities_of({**kept, **asked}, metadata, domain.horizon, samples)
-    _check(quantities, samples)
+            raise OptionError(
+                f"outputs along trajectories do not take {what}",
+                remedy="solve for the unknowns, and ask the solution: solve(...).output(...)",
+            )
+        kept: dict[str, object] = {}
+        if unknowns is not None:
+            rows = counted_states(system, unknowns) or ()
+            kept = {system.states[row]: system.states[row] for row in rows}
+        asked = _named(outputs, kept)
+        formulas = self._formulas(asked, {**kept, **asked}, domain)
+        quantities = formulas.over(domain.box, domain.horizon)
+        if any(quantities.cuts) or formulas.narrow or quantities.gap_texts:
+            raise OptionError(
+                "an output is narrow, jumps or kinks somewhere, or has no value",
+                term=quantities.names,
+                remedy=_ASK_SOLUTION,
+            )
 
-    def values(times: Array, states: Array, points: Array) -> list[Array]:
-        return [*quantities.values(times, states, points, [])]
+        def values(times: Array, states: Array, points: Array) -> list[Array]:
+            return [*quantities.values(times, states, points, [])]
 
-    rows = tuple(source.row for source in quantities.sources)
-    return Observation(quantities.names, quantities.texts, rows, values)
+        rows = tuple(source.row for source in quantities.sources)
+        return Observation(quantities.names, quantities.texts, rows, values)
+
+    def _formulas(
+        self, asked: Mapping[str, object], named: Mapping[str, object], domain: Domain
+    ) -> OutputFormulas:
+        """The functions of unknowns and outputs; those of the last solve if they are the same."""
+        key = _key(named, domain)
+        if self._last is not None and key is not None and self._last[0] == key:
+            return self._last[1]
+        began, unknowns = time.perf_counter(), self.system.unknowns
+        for name, output in asked.items():
+            _check_name(name, {*unknowns, *dict(self.metadata.definitions)})
+            whose = _owner(name, unknowns)
+            if whose and not _is_name(output, name):
+                raise OptionError(
+                    f"the output {quote(name)} has the name of {whose}, and is {quote(output)}",
+                    term=name,
+                    remedy="give the output another name",
+                )
+        compared = ComparedPoints.of(self.system, _POINTS)
+        samples = compared.time, compared.parameters, compared.states
+        formulas = output_formulas(named, self.metadata, domain.horizon, samples)
+        _check_states_alone(formulas.quantities)
+        self.seconds = time.perf_counter() - began
+        self._last = key, formulas
+        return formulas
+
+
+def _key(named: Mapping[str, object], domain: Domain) -> _Key | None:
+    """What tells outputs apart; None where that is not known.
+
+    Functions of the user are equal for SymPy if their names are.
+    """
+    terms = [term for term in named.values() if isinstance(term, str | sp.Basic)]
+    symbolic = [term for term in terms if isinstance(term, sp.Basic)]
+    if len(terms) < len(named) or known_applied(symbolic):
+        return None
+    return (*named.items(),), domain.horizon
 
 
 def _owner(name: str, unknowns: Collection[str]) -> str:
@@ -112,9 +160,8 @@ def _named(outputs: object, kept: Mapping[str, object]) -> dict[str, object]:
     return dict(outputs)
 
 
-def _check(quantities: Quantities, samples: tuple[Array, Array, Array]) -> None:
-    """Raise an OptionError for what is no smooth function of states, parameters and time."""
-    times, points, states = samples
+def _check_states_alone(quantities: Quantities) -> None:
+    """Raise an OptionError for what is no function of states, parameters and time."""
     if quantities.reductions:
         raise OptionError(
             f"{quote(quantities.reductions[0].text)} is over the whole of time",
@@ -126,17 +173,4 @@ def _check(quantities: Quantities, samples: tuple[Array, Array, Array]) -> None:
         raise OptionError(
             "an output has a derivative that is no state",
             remedy="write what the equation says it is",
-        )
-    read = np.array([states[source.row] for source in quantities.sources])
-    read = read.reshape(len(quantities.sources), 1, times.size)
-    with np.errstate(all="ignore"):
-        narrow = [
-            *quantities.state_surfaces(times[None], read, points),
-            *quantities.parameter_surfaces(points),
-        ]
-    if any(quantities.cuts) or len(narrow) or quantities.gap_texts:
-        raise OptionError(
-            "an output is narrow, jumps or kinks somewhere, or has no value",
-            term=quantities.names,
-            remedy=_ASK_SOLUTION,
         )

@@ -434,7 +434,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
 
         def of_branch(part: SolutionCore, timeline: Timeline | None) -> Quantities:
             asked = quantities, metadata, horizon, samples_of(part), timeline
-            return cast(Quantities, expressions.quantities_of(*asked))
+            formulas = expressions.output_formulas(*asked)
+            return cast(Quantities, formulas.over(metadata.box, horizon))
 
         if units is None and isinstance(quantities, Mapping):
             units = {}

@@ -206,7 +206,15 @@ class CompiledStages:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, object]:
-        rebuilt = ("system", "_lifting", "_stretched", "_held", "_held_form", "features")
+        rebuilt = (
+            "system",
+            "_lifting",
+            "_stretched",
+            "_held",
+            "_held_form",
+            "features",
+            "_outputs",
+        )
         return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
 
     def __repr__(self) -> str:
@@ -229,6 +237,11 @@ class CompiledStages:
 
     def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
         """What a solution of the problem says was asked."""
+        return replace(self._metadata, rtol=rtol, method=method)
+
+    @cached_property
+    def _metadata(self) -> SolutionMetadata:
+        """The same for some tolerance and method: the texts of a thousand equations take long."""
         form, named = self.separated, self.problem.shorthand.named.values()
         clock, *parameters = form.coordinates
         return SolutionMetadata(
@@ -238,8 +251,8 @@ class CompiledStages:
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,
             horizon=(clock.lower, clock.upper),
-            rtol=rtol,
-            method=method,
+            rtol=1e-6,
+            method="train",
             equations=tuple(
                 general_equation_texts(self.first_order)
                 if self.quadratic is None

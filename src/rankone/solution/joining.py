@@ -15,7 +15,7 @@ from rankone.support.errors import OptionError
 from rankone.support.wording import quote, shown
 from rankone.tensors.tiling import Tiling
 
-_COMPILE = "compile"  # The stage that pieces have in common
+_SHARED = ("compile", "outputs")  # Stages that pieces have in common
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # What pieces of one problem have in common, and how messages call it
 _COMMON: dict[str, Callable[[SolutionMetadata], object]] = {
@@ -190,8 +190,12 @@ def _names(words: Iterable[str]) -> str:
 def _timings(outcomes: Sequence[Outcome]) -> dict[str, float]:
     """Seconds by stage in all; what was compiled served all pieces."""
     seconds = _sums(outcome.timings for outcome in outcomes)
-    compiled = max(outcome.timings.get(_COMPILE, 0.0) for outcome in outcomes)
-    return seconds | {_COMPILE: compiled} if compiled else seconds
+    shared = {
+        stage: max(outcome.timings.get(stage, 0.0) for outcome in outcomes)
+        for stage in _SHARED
+        if stage in seconds
+    }
+    return seconds | shared
 
 
 def _sums(by_stage: Iterable[dict[str, float]]) -> dict[str, float]:
