@@ -111,6 +111,25 @@ def test_other_problems_and_options_are_refused(tmp_path, other, options, text):
         solve_many(other, [{}], **{"rtol": 1e-4, **options}, checkpoint=tmp_path)
 
 
+def test_more_memory_solves_what_lacked_it_and_nothing_else(tmp_path, solved):
+    """The limit may change: solutions are kept, and what failed for lack of memory is tried."""
+    rates = {f"x{i}": f"k*x{i - 1} - k*x{i}" if i else "-k*x0" for i in range(300)}
+    initial = {name: "1" if name == "x0" else "0" for name in rates}
+    chain = ro.Problem.from_strings(rates, initial, {"k": (1, 2)}, (0, 1))
+    options = {"rtol": 1e-2, "unknowns": ["x3"], "check": 8, "checkpoint": tmp_path}
+    refused = solve_many(chain, [{}], max_memory="50MB", **options)
+    assert refused.statuses == (ro.Status.MEMORY_LIMIT,)
+    again = solve_many(chain, [{}], max_memory="50MB", **options)
+    assert again.statuses == refused.statuses
+    assert len(solved) == 1
+    more = solve_many(chain, [{}], max_memory="1GB", **options)
+    assert more.success
+    assert len(solved) == 2
+    assert solve_many(chain, [{}], max_memory="51MB", **options).success
+    assert solve_many(chain, [{}], **options).success
+    assert len(solved) == 2
+
+
 def test_another_version_is_refused(tmp_path, monkeypatch):
     solve_many(problem(), [{}], 1e-4, checkpoint=tmp_path)
     monkeypatch.setattr("rankone.interface.checkpoint.__version__", "99")

@@ -91,7 +91,7 @@ def test_repr_fits_one_screen() -> None:
         "  error     2e-07 measured on 256 trajectories (stack, DOP853), tolerance 1e-06; "
         "x 1e-07, y\n"
         "            2e-07\n"
-        "  train     3 slabs, rank 3, ranks up to (3, 3), nodes up to (14, 15), 0.0058 MB\n"
+        "  train     3 slabs, rank 3, ranks up to (3, 3), nodes up to (14, 15), 5.83 kB\n"
         "  timings   reference 0.01 s, march 0.25 s, check 0.125 s"
     )
 

@@ -31,6 +31,13 @@ def test_what_is_no_amount(amount):
         checked_memory("max_memory", amount)
 
 
+def test_amounts_are_shown_as_they_were_given():
+    for amount in ("3MB", 3e6):
+        message = f"max_memory={amount!r} is too little; remedy: give at least 50 MB"
+        with pytest.raises(OptionError, match=message):
+            checked_memory("max_memory", amount)
+
+
 def test_in_words():
     assert in_words(2.15e9) == "2.15 GB"
     assert in_words(5e8) == "500 MB"

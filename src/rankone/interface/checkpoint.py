@@ -3,6 +3,7 @@
 Each solve is a file of its own, ``solve-<digest>.npz``, complete or absent; its name is a digest of
 the problem, the box, the options and the version of rankone. ``checkpoint.json`` says in words what
 the folder is of: a folder of another problem, of other options or of another version is refused.
+``max_memory`` may change: it belongs to the names of solves that failed for lack of memory alone.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from rankone.support.wording import shown
 _MANIFEST = "checkpoint.json"
 _FORMAT = "rankone-checkpoint"
 _OTHER_FOLDER = "choose another folder, or delete this one"
+_MEMORY = "max_memory"  # May change: what is within the tolerance is, whatever memory it had
 
 
 @dataclass(frozen=True)
@@ -73,27 +75,38 @@ class Checkpoint:
             _check_same(place, written, manifest)
         return cls(place, options)
 
-    def path(self, compiled: CompiledProblem, box: Mapping[Any, Any]) -> Path:
-        """The file of the solve of a compiled problem on a box."""
+    def files(self, compiled: CompiledProblem, box: Mapping[Any, Any]) -> SolveFiles:
+        """The files of the solve of a compiled problem on a box."""
         changes = {str(name): _plain_option(change) for name, change in box.items()}
         asked = [problem_digest(compiled), changes, _plain_options(self.options), __version__]
+        limit = _plain_option(self.options.get(_MEMORY))
+        return SolveFiles(self._path(asked), self._path([*asked, limit]))
+
+    def _path(self, asked: list[Any]) -> Path:
         return self.folder / f"solve-{_digest(json.dumps(asked, sort_keys=True))[:24]}.npz"
 
 
-def finished(path: Path) -> Solution | None:
-    """The solution in a file; None if there is none, or it is damaged, of which is warned."""
-    if not path.exists():
-        return None
-    try:
-        return load(path)
-    except StorageError as error:
-        warn(f"a finished solve is damaged and is solved again: {error.message}")
+@dataclass(frozen=True)
+class SolveFiles:
+    """Where the solution of a solve is kept: one that failed for lack of memory is apart."""
+
+    usual: Path
+    of_failure: Path
+
+    def read(self) -> Solution | None:
+        """The finished solution; None if there is none, or it is damaged, of which is warned."""
+        for path in (self.usual, self.of_failure):
+            try:
+                if path.exists():
+                    return load(path)
+            except StorageError as error:
+                warn(f"a finished solve is damaged and is solved again: {error.message}")
         return None
 
-
-def keep(path: Path, solution: Solution) -> None:
-    """Write a finished solution; the file is complete or absent, whatever happens."""
-    solution.save(path, overwrite=True)
+    def write(self, solution: Solution) -> None:
+        """Keep a finished solution; the file is complete or absent, whatever happens."""
+        failed = not solution.success and solution.outcome.verdict.lacked_memory
+        solution.save(self.of_failure if failed else self.usual, overwrite=True)
 
 
 def problem_digest(compiled: CompiledProblem) -> str:
@@ -110,7 +123,7 @@ def _digest(text: str) -> str:
 
 
 def _plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: _plain_option(option) for name, option in sorted(options.items())}
+    return {n: _plain_option(option) for n, option in sorted(options.items()) if n != _MEMORY}
 
 
 def _plain_option(option: Any) -> Any:

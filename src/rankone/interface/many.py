@@ -7,14 +7,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
 from rankone.frontend.problem import Problem
-from rankone.interface.checkpoint import Checkpoint, finished, keep
+from rankone.interface.checkpoint import Checkpoint, SolveFiles
 from rankone.interface.compiled import CompiledProblem, check_arguments, compile_problem
 from rankone.interface.solution import Solution
 from rankone.ir.request import Domain
@@ -308,20 +307,20 @@ _Done = Callable[[int, "_Outcome | RankoneError"], None]
 def _run_all(solves: Sequence[_Solve], executor: Any, kept: Checkpoint | None, done: _Done) -> None:
     """Run all solves that are not finished yet, here or on workers."""
     wanted = None if executor is None else checked_executor("executor", executor)
-    paths: dict[int, Path] = {}
+    files: dict[int, SolveFiles] = {}
     if kept is not None:
         boxes = [solve.options["parameters"] for solve in solves]
-        paths = {k: kept.path(solve.compiled, boxes[k]) for k, solve in enumerate(solves)}
+        files = {k: kept.files(solve.compiled, boxes[k]) for k, solve in enumerate(solves)}
 
     def is_finished(number: int) -> bool:
-        solution = finished(paths[number]) if paths else None
+        solution = files[number].read() if files else None
         if solution is not None:
             done(number, _Outcome(solution, None, solution.timings.get("solve", 0.0)))
         return solution is not None
 
     def hand_over(number: int, outcome: _Outcome | RankoneError) -> None:
-        if paths and isinstance(outcome, _Outcome) and outcome.solution is not None:
-            keep(paths[number], outcome.solution)
+        if files and isinstance(outcome, _Outcome) and outcome.solution is not None:
+            files[number].write(outcome.solution)
         done(number, outcome)
 
     missing = [number for number in range(len(solves)) if not is_finished(number)]

@@ -100,6 +100,16 @@ class Verdict:
         boxes = [note.intervals for note in self.notes if isinstance(note, NarrowBox)]
         return {name: (lower, upper) for box in boxes for name, lower, upper in box}
 
+    @property
+    def lacked_memory(self) -> bool:
+        """Whether this engine, or another that was tried, met the limit on memory."""
+        others = (note.others for note in self.notes if isinstance(note, OtherEngines))
+        return (
+            self.status is Status.MEMORY_LIMIT
+            or any(isinstance(note, MemoryNeeded) for note in self.notes)
+            or any(verdict.lacked_memory for each in others for _, verdict in each)
+        )
+
     def without_remedy(self) -> Verdict:
         """The same but for what to do about it."""
         return replace(self, notes=tuple(n for n in self.notes if not isinstance(n, Remedy)))

@@ -19,6 +19,7 @@ from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
 from rankone.solution.core import SolutionCore
 from rankone.support.errors import optional_module
+from rankone.support.memory import in_words
 from rankone.support.wording import count, listing
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
         ("over", over),
         ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
         ("error", _error(solution)),
-        (metadata.method, ", ".join([*train, f"{size / 1e6:.2g} MB"])),
+        (metadata.method, ", ".join([*train, in_words(size)])),
         ("timings", ", ".join(timings) or "none"),
     ]
 

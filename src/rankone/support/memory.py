@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+import numbers
 import os
 import re
 from typing import Any
 
 from rankone.support.errors import OptionError
-from rankone.support.options import checked_number
 from rankone.support.wording import shown
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
@@ -21,14 +21,23 @@ def checked_memory(name: str, amount: Any) -> float:
     """An amount in bytes, of a number of bytes or a text such as "2GB"; or an OptionError."""
     if isinstance(amount, str):
         match = _TEXT.fullmatch(amount)
-        if match is None:
-            raise OptionError(
-                f"{name}={shown(amount)} is no amount of memory",
-                term=amount,
-                remedy='give bytes, or a text such as "500MB", "2GB" or "1.5GiB"',
-            )
-        amount = float(match[1]) * (_UNITS | _BINARY)[match[2].lower()]
-    return float(checked_number(name, amount, _LEAST, kind=float))
+        count = float(match[1]) * (_UNITS | _BINARY)[match[2].lower()] if match else math.nan
+    else:
+        real = isinstance(amount, numbers.Real) and not isinstance(amount, bool)
+        count = float(amount) if real else math.nan
+    if math.isnan(count):
+        raise OptionError(
+            f"{name}={shown(amount)} is no amount of memory",
+            term=amount,
+            remedy='give bytes, or a text such as "500MB", "2GB" or "1.5GiB"',
+        )
+    if count < _LEAST:
+        raise OptionError(
+            f"{name}={shown(amount)} is too little",
+            term=amount,
+            remedy=f"give at least {in_words(_LEAST)}",
+        )
+    return count
 
 
 def physical_memory() -> float:

@@ -89,8 +89,10 @@ def _declared(default: object, check: Callable[[str, object], object]) -> Any:
 
 
 _PIECES = "ro.solve_many(problem, problem.split(k=4), "
-# Options of rankone.solve_many alone, and what to do
-_OF_SOLVE_MANY = {
+# What solve does not take since something else does, and what to do
+_TAKEN_ELSEWHERE = {
+    "atol": "absolute tolerances belong to the problem: Problem(..., atol={x: 1e-6}), "
+    'Problem.from_strings(..., atol={"x": 1e-6})',
     "checkpoint": "finished pieces of the box are kept by "
     f"{_PIECES}checkpoint='folder'); a finished solution by solution.save('u.npz')",
     "boxes": f"several boxes are solved by {_PIECES}...)",
@@ -134,8 +136,8 @@ class Options:
         """
         names = cls.names()
         for name in sorted(changes.keys() - names):
-            if name in _OF_SOLVE_MANY:
-                raise OptionError(f"solve does not take {name}=", remedy=_OF_SOLVE_MANY[name])
+            if name in _TAKEN_ELSEWHERE:
+                raise OptionError(f"solve does not take {name}=", remedy=_TAKEN_ELSEWHERE[name])
             beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
                 f"unknown option {name!r}{did_you_mean(name, [*names, *keywords])}",

@@ -122,7 +122,7 @@ class ReferenceSet:
                 cuts,
                 request.integrator,
                 workers,
-                _asked(system, check.states, request.observed),
+                _states_read(system, check.states, request.observed),
             ),
             corners,
             covers_corners(request),
@@ -179,7 +179,7 @@ class ReferenceSet:
     @property
     def asked(self) -> tuple[int, ...] | None:
         """The states that somebody asks for, None for all."""
-        return _asked(self.system, self.counted, self.observed)
+        return _states_read(self.system, self.counted, self.observed)
 
     @property
     def taken(self) -> str:
@@ -452,7 +452,7 @@ class ReferenceSet:
         for i, size in enumerate(self.of_states):
             small = size <= _LEAST_SIZE and i in asked  # products of others vanish beside the rest
             if small or not size < 1.0 / _LEAST_SIZE:
-                atol = "give it an absolute tolerance, atol of the Problem, or "
+                atol = "give it an absolute tolerance, Problem(..., atol=...), or "
                 raise ConvergenceError(
                     f"`{system.states[i]}` is of the size {size:.1e}: its products are not "
                     "floating-point numbers",
@@ -460,10 +460,10 @@ class ReferenceSet:
                 )
 
 
-def _asked(
+def _states_read(
     system: System, counted: tuple[int, ...] | None, observed: Observation | None
 ) -> tuple[int, ...] | None:
-    """The states that somebody asks for, or that quantities asked for read; None for all."""
+    """The states that are asked for, or that the quantities asked for read; None for all."""
     if system.clock is not None:
         return None
     return counted if observed is None else observed.rows
