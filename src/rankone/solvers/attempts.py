@@ -210,11 +210,11 @@ def solve_in_attempts(
                 marcher = marcher_of()
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages)
-        best, records, met, lacking = _attempts(marcher, request.rtol, options, report, stages)
-    reference_set = marcher.reference_set
+        made = _attempts(marcher, request.rtol, options, report, stages)
+    reference_set, best = marcher.reference_set, made.best
     status = best.status(reference_set, request.rtol)
-    if met is not None and status is not Status.CONVERGED:
-        status = met
+    if made.limit is not None and status is not Status.CONVERGED:
+        status = made.limit
     narrower: list[Note] = []
     with stages.of("check"):
         with suppress(OutOfBudgetError):
@@ -233,8 +233,8 @@ def solve_in_attempts(
         elif system.clock is None:
             end = float(best.result.slabs[-1].end) if best.result.slabs else None
             notes.append(StoppedAt(end))
-    if status is Status.MEMORY_LIMIT and lacking is not None:
-        notes.append(lacking)
+    if status is Status.MEMORY_LIMIT and made.memory_needed is not None:
+        notes.append(made.memory_needed)
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += Budget.of(stages.named, stages.budget)
@@ -250,7 +250,7 @@ def solve_in_attempts(
         slabs=tuple(best.result.slabs),
         status=status,
         measured=best.measured,
-        history=tuple(_with_integrator(records, reference_set, stages)),
+        history=tuple(_with_integrator(made.records, reference_set, stages)),
         timings=stages.timings,
         work=stages.work,
         blow_up=blow_up,
@@ -303,8 +303,8 @@ def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> O
         name = None if switching is None else system.states[switching]
         cause = ReferenceLimit(float(out.reached.time), out.reached.steps, name)
     notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
-    if (lacking := MemoryNeeded.of(out)) is not None:
-        cause, notes = None, [lacking]
+    if (memory_needed := MemoryNeeded.of(out)) is not None:
+        cause, notes = None, [memory_needed]
     if switching is None:
         notes.append(Remedy(_REMEDIES[status]))
     ended = Outcome((), status, None, (), stages.timings, stages.work, switching=switching)
@@ -331,16 +331,27 @@ def unknowns_notes(rtol: float, measured: Measured | None, states: Sequence[str]
     return [AccurateUnknowns(accurate, inaccurate)] if accurate and inaccurate else []
 
 
+@dataclass(frozen=True)
+class _Attempts:
+    """The best of several attempts, and the records of all.
+
+    They ended at a ``limit`` of the solve, if there is one. The last one met the limit on memory if
+    it has a ``memory_needed``.
+    """
+
+    best: Attempt
+    records: Sequence[SlabRecord]
+    limit: Status | None
+    memory_needed: MemoryNeeded | None
+
+
 def _attempts(
     marcher: Marcher, rtol: float, options: Options, report: Report, stages: Stages
-) -> tuple[Attempt, list[SlabRecord], Status | None, MemoryNeeded | None]:
-    """The best attempt, the records of all, and the limit of the solve that ended them.
-
-    Last comes the memory that the last attempt lacked.
-    """
+) -> _Attempts:
+    """March and check until the measured error fits, or there is nothing left to try."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
-    progress, met = Progress(), None
+    progress, limit = Progress(), None
     for index in itertools.count():
         marched = stages.work["march"]
         with stages.of("march"):
@@ -373,7 +384,7 @@ def _attempts(
             continue
         progress.add(attempt.error, best.error if best else math.inf)
         best = attempt if attempt.better_than(best) else best
-        met = result.stopped if result.stopped in _LIMITS_OF_THE_SOLVE else None
+        limit = result.stopped if result.stopped in _LIMITS_OF_THE_SOLVE else None
         done = result.stopped or not before.checked or attempt.error <= rtol
         most = options.max_attempts
         if most is None and not progress.pays:
@@ -383,11 +394,12 @@ def _attempts(
         if not marcher.refine(attempt, progress):
             break
         if LEAST_COST_RATIO * (stages.work["march"] - marched) > work_left():
-            met = Status.WORK_LIMIT  # the next attempt would not come to its end
+            limit = Status.WORK_LIMIT  # the next attempt would not come to its end
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return _restated(best, marcher.reference_set, rtol), records, met, result.lacking
+    best = _restated(best, marcher.reference_set, rtol)
+    return _Attempts(best, records, limit, result.memory_needed)
 
 
 def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attempt:

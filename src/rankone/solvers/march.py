@@ -32,12 +32,12 @@ class Span:
 class Trial:
     """A slab that was tried, solved if ``record.accepted``, and the limits that it met.
 
-    If one of them was the memory, ``lacking`` says how much it needs.
+    If one of them was the memory, ``memory_needed`` says how much it needs.
     """
 
     record: SlabRecord
     limits: set[Status]
-    lacking: MemoryNeeded | None = field(default=None, kw_only=True)
+    memory_needed: MemoryNeeded | None = field(default=None, kw_only=True)
 
 
 SomeSpan = TypeVar("SomeSpan", bound=Span)
@@ -73,7 +73,7 @@ class MarchResult:
     ``stopped`` says why the march ended early; with ``whole`` the slabs reach the end all the same.
     ``points`` (m, d) are further parameter points at which the error is measured, ``doubtful``
     (k, d) those at which the residual suggests an error above the tolerance. ``sampled`` operations
-    went into trajectories. ``lacking`` is the memory that was needed last beyond the limit.
+    went into trajectories. ``memory_needed`` is the memory that was needed last beyond the limit.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
@@ -84,12 +84,12 @@ class MarchResult:
     doubtful: Array | None = None
     whole: bool = False
     sampled: float = 0.0
-    lacking: MemoryNeeded | None = None
+    memory_needed: MemoryNeeded | None = None
 
     def stop(self, out: OutOfBudgetError) -> None:
         """End the march at a limit."""
         self.stopped = Status.of_limit(out)
-        self.lacking = MemoryNeeded.of(out) or self.lacking
+        self.memory_needed = MemoryNeeded.of(out) or self.memory_needed
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class March(Generic[SomeSpan, SomeTrial]):
                 break
             result.records.append(replace(trial.record, accepted=kept))
             result.limits |= trial.limits
-            result.lacking = trial.lacking or result.lacking
+            result.memory_needed = trial.memory_needed or result.memory_needed
             if kept:
                 result.slabs += trains
                 time = span.end

@@ -136,7 +136,7 @@ class CrossMarcher:
             march = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
             march = self._stopped(Status.of_limit(out), grid)
-            march.lacking = MemoryNeeded.of(out)
+            march.memory_needed = MemoryNeeded.of(out)
         except TrajectoryEnds as ends:
             march = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
             self.ends = ends.time

@@ -87,7 +87,7 @@ class Convergence:
         return self._since_restart >= 4 and self.contraction > SLOWEST_CONTRACTION and not limited
 
 
-def _lacking(count: float) -> MemoryNeeded | None:
+def _memory_needed(count: float) -> MemoryNeeded | None:
     """What is needed if so many bytes do not fit, or are more than any slab may take."""
     if memory_left() == math.inf:
         return MemoryNeeded(count, MOST_MEMORY) if count > MOST_MEMORY else None
@@ -118,14 +118,14 @@ class SlabIteration:
         self._source = self.nodes.initial(self.scale)
         self._second_residual = 1e-2
         self._trials = 0
-        self._lacking: MemoryNeeded | None = None
+        self._memory_needed: MemoryNeeded | None = None
 
     def solve(self, span: TrainSpan) -> TrainTrial:
         """Sweep on one slab, from an earlier attempt or from its initial values."""
         tolerance = self.accuracy.tolerance(span.start)
         sweeper = self._started(span)
         limits: set[Status] = set()
-        self._lacking = None
+        self._memory_needed = None
         spectra: list[Array] = []
         if self.nodes.bases:
             coarse = min(0.1 * self._second_residual, FIRST_SWEEP_FACTOR * tolerance)
@@ -142,7 +142,7 @@ class SlabIteration:
         place = self.attempt, span.start, span.end, solved, tolerance
         sizes = tuple(basis.size for basis in self.nodes.bases)
         record = SlabRecord(*place, residuals, sweeper.ranks, sizes)
-        return TrainTrial(record, limits, sweeper, spectra, lacking=self._lacking)
+        return TrainTrial(record, limits, sweeper, spectra, memory_needed=self._memory_needed)
 
     def accept(self, span: TrainSpan, trial: TrainTrial) -> list[SlabTrain]:
         """The slab as polynomial coefficients; the next begins at its end."""
@@ -201,7 +201,7 @@ class SlabIteration:
                 residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
             except OutOfMemoryError as out:
                 limits.add(Status.MEMORY_LIMIT)
-                self._lacking = MemoryNeeded.of(out)
+                self._memory_needed = MemoryNeeded.of(out)
                 break
             convergence.add(residual)
             limited = max(sweeper.ranks) >= self.options.max_rank
@@ -209,8 +209,8 @@ class SlabIteration:
                 limits.add(Status.RANK_LIMIT)
             if convergence.hopeless(limited):
                 break
-            self._lacking = _lacking(sweeper.memory)
-            if self._lacking is not None:
+            self._memory_needed = _memory_needed(sweeper.memory)
+            if self._memory_needed is not None:
                 limits.add(Status.MEMORY_LIMIT)
                 break
             sweeper.settle(0.2 * tolerance, 12)
