@@ -137,12 +137,11 @@ def _summary(rows: list[Row], dear: dict[tuple[str, float], float]) -> str:
     single = [row for row in ended if len(row.errors) == 1]
     last = np.array([row.errors[-1] for row in ended])
     work = sum(row.total for row in rows)
-    text = (
-        f"{sum(row.success for row in rows)} of {len(rows)}; of {len(ended)} by cross "
-        f"{len(single)} by the first attempt; last error ÷ rtol: median {np.median(last):.2g}, "
-        f"tenth {np.quantile(last, 0.1):.2g}; work {1e-9 * work:.2f}e9, "
-        f"{sum(row.seconds for row in rows):.1f} s"
-    )
+    text = f"{sum(row.success for row in rows)} of {len(rows)}; "
+    if ended:
+        text += f"of {len(ended)} by cross {len(single)} by the first attempt; last error ÷ rtol: "
+        text += f"median {np.median(last):.2g}, tenth {np.quantile(last, 0.1):.2g}; "
+    text += f"work {1e-9 * work:.2f}e9, {sum(row.seconds for row in rows):.1f} s"
     both = [row for row in rows if row.total and dear.get((row.system, row.rtol))]
     if both:
         logs = [math.log(row.total / dear[row.system, row.rtol]) for row in both]

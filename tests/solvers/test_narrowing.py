@@ -52,7 +52,7 @@ def test_less_budget_asks_for_a_narrower_interval():
     both = [resolution(0.5, 20), resolution(0.9, 20)]
     widths = [
         np.ptp(narrowed_box(["k", "c"], both, 1e9, budget).intervals[0][1:])
-        for budget in (6e9, 4e9, 3e9)
+        for budget in (9e9, 6e9, 4.5e9)
     ]
     assert widths[0] > widths[1] > widths[2]
     assert narrowed_box(["k", "c"], both, 1e9, 1e6) is None  # too far to predict
@@ -80,7 +80,7 @@ def told(solution):
     return solution.outcome.verdict.narrower
 
 
-@pytest.mark.parametrize("effort", [0.005, 0.012, 0.015])
+@pytest.mark.parametrize("effort", [0.005, 0.0085, 0.012, 0.015])
 def test_a_box_narrowed_as_told_converges(compiled, effort):
     """Predator and prey with a budget that is far too small for the whole box."""
     refused = compiled.solve(1e-4, method="cross", effort=effort)

@@ -4,7 +4,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.outcome import Measured
-from rankone.ir.verdict import Budget, Remedy, Status, Verdict
+from rankone.ir.verdict import Budget, ReferenceLimit, Remedy, Status, Verdict
 from rankone.solvers.attempts import error_notes, unknowns_notes
 
 STATES = ("x", "x_t", "y", "y_t")
@@ -103,3 +103,11 @@ def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):
     assert not solution.success
     assert f"in equation 2 switches at `{boundary}` = 0" in solution.message
     assert smooth in solution.message
+
+
+def test_a_reference_without_a_step_is_said():
+    """A budget that ends before the first step tells no time."""
+    assert str(Verdict(Status.WORK_LIMIT, ReferenceLimit(0.0, 0))) == (
+        "the budget of work was reached by the reference trajectories before they had made one step"
+    )
+    assert "at t = 0.5 after 7 steps" in str(Verdict(Status.WORK_LIMIT, ReferenceLimit(0.5, 7)))

@@ -72,7 +72,7 @@ class Following:
             _LEAST_SIZE * np.where(largest > 0.0, largest, 1.0), (n, len(moved))
         )
         for _ in range(_MOST_RUNS):
-            path = integrator.run(system, moved, edges, Tolerances(relative, relative * tolerated))
+            path = integrator.run(system, moved, edges, Tolerances.down_to(relative, tolerated))
             if path.end < edges[-1]:
                 raise self._ended(path, moved)
             sizes = _SMALL_STATE * path.largest

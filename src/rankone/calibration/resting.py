@@ -122,4 +122,4 @@ def search_tolerances(state: Array, accuracy: float) -> Tolerances:
     """Those of a search: relative to each state's size, the largest one for those that are zero."""
     sizes = np.abs(state)
     sizes = np.where(sizes > 0.0, sizes, sizes.max(initial=0.0) or 1.0)
-    return Tolerances(accuracy, (_ABSOLUTE * accuracy * sizes)[:, None])
+    return Tolerances.down_to(accuracy, _ABSOLUTE * sizes[:, None])

@@ -138,8 +138,10 @@ class ReferenceLimit(Cause):
 
     def sentence(self, status: Status) -> str:
         text = f"{status.value} by the reference trajectories"
-        if self.time is not None:
+        if self.time is not None and self.steps:
             text += f", at t = {self.time:.6g} after {self.steps} steps"
+        elif self.time is not None:
+            text += " before they had made one step"
         if self.chattering is not None:
             text += f", where the rate of {quote(self.chattering)} switches to and fro"
         return text

@@ -114,9 +114,8 @@ def order_search(timed: System, request: SolveRequest) -> OrderSearch:
     chosen = span_integrator_for(timed, request.integrator, accuracy=accuracy)
     shares = spread(_POINTS, len(domain.box), np.random.default_rng(20143))
     points = Coverage.of_domain(domain).points(_INSIDE + (1.0 - 2.0 * _INSIDE) * shares)
-    absolute = accuracy * _FLOOR * sizes_at_start(timed, points)
-    horizon, tolerances = domain.horizon, Tolerances(accuracy, absolute)
-    empty = OrderSearch(timed, horizon, domain.bounds, points[:0], [], chosen, tolerances)
+    tolerances = Tolerances.down_to(accuracy, _FLOOR * sizes_at_start(timed, points))
+    empty = OrderSearch(timed, domain.horizon, domain.bounds, points[:0], [], chosen, tolerances)
     return with_points(empty, points)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -39,12 +40,16 @@ from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
+from rankone.verification.sharing import reference_set_of
 
 # Operations of a reference over clock time after which pilots tell whether markers pay, since
 # trajectories that are out of phase take many common steps
 _FIRST_LOOK = 2e8
 _PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
 _PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be enough
+# Part of the budget that a reference over stretches may take where one over clock time is there:
+# its samples take several times as much
+_MARKED_SHARE = 0.3
 _LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
@@ -77,16 +82,21 @@ def start_of(
     system = workers.system
     large = sparse_pattern(system) is not None  # over stretches the Jacobian is dense
     if not markers or request.check.points == 0 or large or _interrupted(system):
-        return SolveStart(request, ReferenceSet.of(system, request, first_points, workers))
+        return SolveStart(request, reference_set_of(system, request, first_points, workers))
     try:
         with limited(_FIRST_LOOK):
-            reference_set = ReferenceSet.of(system, request, first_points, workers)
+            reference_set = reference_set_of(system, request, first_points, workers)
     except OutOfWorkError:
         if work_left() <= 0.0:
             raise
         start = _by_pilots(system, request)
-        return start or SolveStart(request, ReferenceSet.of(system, request, first_points, workers))
-    return _by_reference(reference_set, request) or SolveStart(request, reference_set)
+        return start or SolveStart(
+            request, reference_set_of(system, request, first_points, workers)
+        )
+    marked: SolveStart | None = None
+    with suppress(OutOfWorkError), limited(_MARKED_SHARE * work_left()):
+        marked = _by_reference(reference_set, request)
+    return marked or SolveStart(request, reference_set)
 
 
 def _interrupted(system: System) -> bool:
@@ -105,7 +115,7 @@ def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveSt
     separate = cast(SeparateTrajectories, dense)
     if not may_pay(separate.of(SCOUTS).paths):
         return None
-    tolerances = Tolerances(reference_set.accuracy, reference_set.accuracy * _FLOOR * sizes)
+    tolerances = Tolerances.down_to(reference_set.accuracy, _FLOOR * sizes)
     return _by_paths(system, request, reference.points, separate.paths, tolerances)
 
 

@@ -27,7 +27,9 @@ _SAFETY = 0.7  # Factor on a part of an interval: predictions are of one paramet
 _LEAST_SHARE = 0.03  # Parts below this share are not predicted: too far from what was measured
 _LARGEST_SHARE = 0.8  # Largest part, before the safety, where the work of an attempt was small
 _SHRINKAGE = 0.9  # Factor on the part of the costliest parameter, until the work is affordable
-_AFFORDABLE_SHARE = 0.35  # Work of one attempt over the budget: there are several
+# Work of one attempt over the budget: a reference comes before it, and a second attempt takes twice
+# as much
+_AFFORDABLE_SHARE = 0.24
 _SLOWEST_DECAY = 0.97  # Largest ratio of successive modes: slower decay looks like none
 _FASTEST_DECAY = 0.1  # Smallest one: rounding errors hide faster decay
 _RANK_SHARE = 0.5  # Ranks over the largest possible ones for the nodes on either side

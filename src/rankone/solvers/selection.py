@@ -17,6 +17,7 @@ from rankone.solvers.engine import Engine, sums, without_last
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.progress import Report, quiet
 from rankone.verification.measure import ReferenceSet, drift
+from rankone.verification.sharing import sharing_references
 
 # Statuses after which no other engine is tried
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
@@ -46,7 +47,7 @@ def solve_with(
     check_factors(system, domain)
     system.jumps.warn_of_last(*domain.horizon)
     held = limited(limits.operations, limits.seconds, limits.memory)
-    with held, np.errstate(all="ignore"):  # is checked
+    with held, sharing_references(), np.errstate(all="ignore"):  # is checked
         outcome, method = _best_outcome(engines, system, request, report)
         outcome = _without_lifted(outcome, system, request, truth)
     box, horizon, rtol = domain.box, domain.horizon, request.rtol

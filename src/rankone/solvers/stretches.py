@@ -49,7 +49,7 @@ def timed_system(system: System, domain: Domain) -> tuple[System, tuple[float, .
 def pilots(system: System, domain: Domain, rtol: float) -> tuple[Array, Tolerances]:
     """Points (m, d) of trajectories that tell the order of events, and their tolerances."""
     points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
-    return points, Tolerances(rtol, rtol * _PILOT_FLOOR * sizes_at_start(system, points))
+    return points, Tolerances.down_to(rtol, _PILOT_FLOOR * sizes_at_start(system, points))
 
 
 def sizes_at_start(system: System, points: Array) -> Array:

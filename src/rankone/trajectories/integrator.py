@@ -17,6 +17,7 @@ from rankone.trajectories.paths import Path
 
 LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
 EARLY_STEPS = 4  # Steps after which states that start from zero show their size
+LEAST_TOLERANCE = 1e-290  # Least absolute tolerance: floating-point numbers end at 1e-308
 JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that is made or read
 
 
@@ -27,6 +28,11 @@ class Tolerances:
     relative: float
     absolute: Array
     longest_step: float = math.inf
+
+    @classmethod
+    def down_to(cls, relative: float, sizes: Array) -> Tolerances:
+        """Those of states (n, 1) that are resolved relative to themselves down to ``sizes``."""
+        return cls(relative, np.maximum(relative * sizes, LEAST_TOLERANCE))
 
     def times(self, factor: float) -> Tolerances:
         """Looser tolerances, for steps of the same length."""

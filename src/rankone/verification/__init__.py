@@ -4,6 +4,7 @@ Read in this order:
 
 ================  =================================================================================
 ``measure``       the reference set of a solve, and the error measured against it
+``sharing``       one reference set for all engines that a solve tries
 ``growth``        how much errors grow that are made on the way
 ``clock``         errors at clock times, where slabs are over stretches between events
 ``branches``      errors where several orders of events hold, and the share left undecided

@@ -176,6 +176,15 @@ class ReferenceSet:
         further = integrate_reference(self.system, points, *edges, *more)
         return replace(self, reference=self.reference.joined(further), checked=True)
 
+    def without_lines(self) -> ReferenceSet:
+        """The same but for trajectories on lines; not where a trajectory blows up."""
+        if not self.on_lines:
+            return self
+        assert self.reference.blown is None
+        before, after = slice(self._on_lines.start), slice(self._on_lines.stop, None)
+        left = self.reference.of(before).joined(self.reference.of(after))
+        return replace(self, reference=left, on_lines=0)
+
     @property
     def asked(self) -> tuple[int, ...] | None:
         """The states that somebody asks for, None for all."""

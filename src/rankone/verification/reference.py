@@ -107,7 +107,7 @@ class Reference:
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
         size = times.size * self.floor.size * len(self.points)
-        charge(len(self.batches) * _DENSE_COST(size))
+        charge((len(self.batches) - 1) * _DENSE_COST.once + _DENSE_COST(size))
         states = [batch(times) for batch in self.batches]
         return states[0] if len(states) == 1 else np.concatenate(states, axis=1)
 

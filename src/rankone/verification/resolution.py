@@ -20,7 +20,7 @@ from rankone.support.budget import OutOfBudgetError, charge, limited, memory_lef
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.diagnosis import MOST_GROWTH, Rounding, rounding_errors
-from rankone.trajectories.integrator import DenseTrajectories
+from rankone.trajectories.integrator import LEAST_TOLERANCE, DenseTrajectories
 from rankone.trajectories.spectra import (
     first_jacobian,
     growth_rate,
@@ -39,7 +39,6 @@ _SAMPLES = 8  # Times at which rounding errors and the growth of small states ar
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
-_LEAST_TOLERANCE = 1e-290  # Least absolute tolerance: floating-point numbers end at 1e-308
 _UNSEEN = 1e-100  # Size of a state that nobody asks for, over the largest, that is not resolved
 _LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
 _MOST_EXPONENT = 250.0  # Of e, by which a floor is lowered
@@ -120,7 +119,7 @@ class Resolution:
             unseen = _UNSEEN * (self.first.max(initial=0.0) or 1.0)
             sizes = np.where(self.asked[:, None], sizes, np.maximum(sizes, unseen))
         sizes = np.where(np.isfinite(self.floor), 0.0, sizes)
-        return np.maximum(self.rtol * NEGLIGIBLE * sizes, _LEAST_TOLERANCE)
+        return np.maximum(self.rtol * NEGLIGIBLE * sizes, LEAST_TOLERANCE)
 
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
@@ -164,7 +163,7 @@ class Resolution:
         growth = min(self._bound_of_growth(dense, largest), _MOST_EXPONENT)
         lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
         absolute = self.rtol * np.minimum(lower, self.floor)
-        absolute = np.maximum(absolute, np.maximum(self.rounding.floor, _LEAST_TOLERANCE))
+        absolute = np.maximum(absolute, np.maximum(self.rounding.floor, LEAST_TOLERANCE))
         absolute = np.minimum(absolute, self.absolute)
         if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
             return False
@@ -178,7 +177,7 @@ class Resolution:
         times = np.linspace(self.start, min(finer.end, dense.end), _SAMPLES)
         change = np.abs(finer(times) - dense.of(slice(_COMPARED))(times)).max(axis=2)
         sizes = np.maximum(finer.largest, np.maximum(self.rounding.floor, self.tolerated))
-        passed_on = (change > _PASSED_ON * self.rtol * sizes + _LEAST_TOLERANCE).any(axis=1)
+        passed_on = (change > _PASSED_ON * self.rtol * sizes + LEAST_TOLERANCE).any(axis=1)
         if not (passed_on if self.asked is None else passed_on & self.asked).any():
             return False
         self.floor = np.minimum(self.floor, lower)

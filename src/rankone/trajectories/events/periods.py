@@ -85,7 +85,7 @@ def _growth(
     changes = np.concatenate([np.zeros((1, n)), _CHANGE * np.eye(n)])
     changed = (states[:, None] + changes * sizes[:, None]).reshape(-1, n).T
     spans = Spans(np.zeros(m * (n + 1)), changed, np.repeat(periods, n + 1))
-    tolerances = Tolerances(_CHANGE_RTOL, _CHANGE_RTOL * _CHANGE * sizes.min(axis=0)[:, None])
+    tolerances = Tolerances.down_to(_CHANGE_RTOL, _CHANGE * sizes.min(axis=0)[:, None])
     paths = integrator.paths(clock.system, np.repeat(points, n + 1, axis=0), spans, tolerances)
     if any(path.end < end for path, end in zip(paths, spans.ends, strict=True)):
         return np.full(m, math.inf)

@@ -249,9 +249,9 @@ class SteadyStates:
         moved = np.column_stack([points, states.T])
         sizes = np.maximum(np.abs(states), _LEAST_SIZE * np.abs(states).max(axis=0))
         size = sizes.max(axis=1, keepdims=True)
-        absolute = _ACCURACY * _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
+        least = _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
         chosen = integrator_for(system, "auto", accuracy=_ACCURACY)
-        dense = chosen.run(system, moved, [start, end], Tolerances(_ACCURACY, absolute))
+        dense = chosen.run(system, moved, [start, end], Tolerances.down_to(_ACCURACY, least))
         if dense.end < end * (1.0 - 1e-9):
             worst = int(np.argmax(np.nan_to_num(np.abs(dense.state).max(axis=0), nan=np.inf)))
             raise BlowUpError(
