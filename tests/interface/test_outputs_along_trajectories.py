@@ -122,8 +122,7 @@ def test_rows_are_in_the_order_of_the_problem():
         ({"outputs": {"a": "x"}}, "name of a coordinate"),
         ({"outputs": {"q": "x_t"}}, "derivative that is no state"),
         ({"outputs": {"q": "maximum(x)"}}, "over the whole of time"),
-        ({"outputs": {"q": "exp(-((x - 8)/1e-5)**2)"}}, "narrow"),
-        ({"outputs": {"q": "Heaviside(t - 1)*x"}}, "narrow, jumps"),
+        ({"outputs": {"q": "Heaviside(t - 1)*x"}}, "the output `q` jumps, kinks or is narrow"),
         ({"outputs": {"x": "y"}, "unknowns": ["x"]}, "both an output and among unknowns"),
         ({"outputs": {"q": "x"}, "unknowns": ["z"]}, "no unknown `z`"),
         ({"outputs": {"x": "y"}}, "`x` has the name of an unknown, and is `y`"),
@@ -136,6 +135,28 @@ def test_rows_are_in_the_order_of_the_problem():
 def test_what_is_no_output_is_refused(predators, options, message):
     with pytest.raises(ro.OptionError, match=message):
         predators.solve(rtol=1e-3, **options)
+
+
+DECAY = {"x": "-a*x"}, {"x": "1"}, {"a": (0.5, 1.5)}, (0, 3)
+
+
+@pytest.mark.parametrize("output", ["tanh(x)", "exp(-(x**2))", "exp(cos(3*x))", "1/(1 + 9*x**2)"])
+def test_outputs_that_might_be_narrow_are_solved_for(output):
+    solution = ro.solve(ro.Problem.from_strings(*DECAY), rtol=1e-4, outputs={"q": output})
+    assert solution.success
+    times, function = np.linspace(0, 3, 9), sp.lambdify(sp.Symbol("x"), sp.sympify(output))
+    exact = function(np.exp(-1.3 * times))
+    np.testing.assert_allclose(solution(times, a=1.3)[0], exact, rtol=0, atol=3e-4 * exact.max())
+
+
+@pytest.mark.parametrize(
+    "output", ["sin(pi*x)**10000000", "exp(-((x - 0.4)/1e-5)**2)", "exp(1e9*(cos(x - 0.4) - 1))"]
+)
+def test_an_output_too_narrow_for_samples_has_no_success(output):
+    problem = ro.Problem.from_strings(*DECAY)
+    solution = ro.solve(problem, rtol=1e-4, outputs={"q": output}, effort=0.1)
+    assert not solution.success
+    assert max(solution.errors.values()) > 0.1
 
 
 def test_events_and_jumps_are_refused():
@@ -177,7 +198,7 @@ def test_outputs_are_translated_once_for_all_boxes(predators, monkeypatch):
     for piece, a in zip(pieces, (8.3, 9.1, 11.4), strict=True):
         x, y = states([1.0], a, 5.0)
         np.testing.assert_allclose(piece(1.0, a=a, b=5.0), x * y + (a > 10), rtol=1e-2)
-    with pytest.raises(ro.OptionError, match="narrow, jumps or kinks"):
+    with pytest.raises(ro.OptionError, match="`q` jumps, kinks or is narrow"):
         compiled.solve(parameters={"a": (9, 11)}, **asked)
     compiled.solve(parameters={"a": (8, 9)}, unknowns=["x"], **asked)
     compiled.solve(parameters={"a": (8, 9)}, t_final=1.0, **asked)

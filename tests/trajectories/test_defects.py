@@ -44,18 +44,25 @@ def test_nothing_narrow_is_stepped_over(shape, area, width):
 
 @pytest.mark.slow
 def test_what_no_event_tells_is_met_at_random_places():
-    """A power of a cosine is narrow around the places where it is one."""
-    rate = "1/(1 + 50*k*(0.5 + 0.5*cos(pi*(x - 0.5)/2))**50000)"
+    """The exponent is largest where its slope vanishes, which is neither linear nor periodic."""
+    rate = "1/(1 + 50*k*exp(60000*(x + 0.5 - exp(x - 0.5))))"
     problem = compiled(rate, {"k": (0.5, 1.5)})
     points = check_points(np.array([[0.5, 1.5]]), 96)
     reference = integrate_reference(problem.system, points, (0.0, 3.0), 3e-6)
-    delay = 50 * points[:, 0] * np.sqrt(np.pi / (50000 * np.pi**2 / 16))
+    delay = 50 * points[:, 0] * np.sqrt(2 * np.pi / 60000)
     ends = reference(np.array([3.0]))[0, :, 0]
     assert np.abs(ends - (3.0 - delay)).min() < 1e-3
     solution = problem.solve(1e-3, effort="low")
     assert not solution.success or solution(t=3, k=1)[0] == pytest.approx(
-        3.0 - 50 * np.sqrt(16 / (50000 * np.pi)), abs=5e-3
+        3.0 - 50 * np.sqrt(2 * np.pi / 60000), abs=5e-3
     )
+
+
+def test_periodic_functions_are_narrow_in_high_powers_and_exponentials():
+    rate = "cos(x)**1000 + exp(1000*sin(x)) + 1/(2 - cos(2*x)) + cos(3*x)**2"
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {}, (0, 1))
+    features = features_of([Coordinate("t", t, 0, 1)], [problem.equations[0].rhs], [])
+    assert {str(f) for f in features.peaks} == {"-sin(x(t))", "1000*cos(x(t))", "2*sin(2*x(t))"}
 
 
 def test_surfaces_over_states_are_middles_and_borders():

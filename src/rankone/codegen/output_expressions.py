@@ -46,7 +46,7 @@ class OutputFormulas:
     """Outputs that were translated, and their functions of arrays, for any domain.
 
     ``evaluated`` are the formulas of time, parameters and the symbols of ``states``. They may be
-    ``narrow`` somewhere over states or several parameters.
+    ``narrow`` somewhere over several parameters.
     """
 
     quantities: Quantities
@@ -134,6 +134,7 @@ def output_formulas(
         sources=tuple(translator.sources),
         integrands=_function("t, s, p", translator.integrands, names),
         reductions=tuple(translator.reductions),
+        n_state_surfaces=len(of_states),
         state_surfaces=_function("t, s, p", of_states, names),
         parameter_surfaces=_function("p", of_parameters, names),
         cuts=(),
@@ -144,8 +145,7 @@ def output_formulas(
         gap_texts=tuple(gap_regions.values()),
     )
     _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
-    narrow = bool(of_states or of_parameters)
-    return OutputFormulas(quantities, evaluated, metadata, states, narrow)
+    return OutputFormulas(quantities, evaluated, metadata, states, bool(of_parameters))
 
 
 def _check(

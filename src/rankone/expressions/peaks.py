@@ -1,7 +1,8 @@
 """Peaks and steps: where smooth expressions may change faster than samples may see.
 
-Peaks are such as ``exp(-((t - 60)/1e-3)**2)``, ``1/(1 + (k/1e-4)**2)`` and ``1/cosh(x/1e-3)**2``;
-steep steps are ``tanh``, ``erf``, ``atan`` and ``1/(1 + exp(...))``, two of which make a pulse.
+Peaks are such as ``exp(-((t - 60)/1e-3)**2)``, ``1/(1 + (k/1e-4)**2)``, ``1/cosh(x/1e-3)**2`` and
+``cos(x)**1000000``; steep steps are ``tanh``, ``erf``, ``atan`` and ``1/(1 + exp(...))``, two of
+which make a pulse.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 """The variables of an expression that count."""
 # Functions that change most where their argument vanishes
 _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
+_PERIODIC = (sp.sin, sp.cos)
+_HIGH_POWER = 100  # A power from which a function counts as a peak where its base is extreme
 _SHIFT_DIGITS = 20  # Decimal digits of a logarithm in a threshold: more than a float holds
 
 
@@ -33,10 +36,10 @@ def peaks(
         elif not node.is_Pow:
             surfaces = list(extrema(node.args[0], variables))
             surfaces += [node.args[0]] if isinstance(node, sp.cosh | sp.sech) else []
-        elif node.exp.is_number and node.exp.is_negative:
-            surfaces = list(extrema(node.base, variables))
-        else:
+        elif node.exp.is_number and not node.exp.is_negative and node.exp < _HIGH_POWER:
             continue
+        else:
+            surfaces = list(extrema(node.base, variables))
         yield from ((node, surface) for surface in surfaces)
 
 
@@ -82,13 +85,15 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
 def extrema(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     """What vanishes where an expression is least or largest: what is squared, or its slope.
 
-    A sum of several squares is least where no single function vanishes.
+    A sum of several squares is least where no single function vanishes. The slope counts if it is
+    linear or periodic.
     """
     squares = _squares(expression, variables)
     yield from squares if len(squares) == 1 else ()
     for variable in variables(expression) if not squares else ():
         rate = slope(expression, variable)
-        if rate.has(variable) and not slope(rate, variable).has(variable):
+        linear = rate.has(variable) and not slope(rate, variable).has(variable)
+        if linear or any(wave.has(variable) for wave in rate.atoms(*_PERIODIC)):
             yield rate
 
 

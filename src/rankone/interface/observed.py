@@ -18,7 +18,7 @@ from rankone.ir.system import System
 from rankone.outputs.quantities import Quantities
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import quote
+from rankone.support.wording import listing, quote
 
 _POINTS = 20  # Points at which generated functions are compared with their expressions
 _ASK_SOLUTION = "name the unknowns in it in unknowns=, and ask that solution: .output(...)"
@@ -41,7 +41,8 @@ class SolveOutputs:
     def over(self, domain: Domain, outputs: object, unknowns: object) -> Observation:
         """What trajectories on a domain are reduced to: unknowns, then outputs.
 
-        An OptionError where outputs are no functions of the states at a time, or narrow in them.
+        An OptionError where outputs are no functions of the states at a time, or not smooth over
+        time or the parameters.
         """
         system = self.system
         if system.events or system.at_rest is not None or system.jumps.times:
@@ -60,8 +61,10 @@ class SolveOutputs:
         formulas = self._formulas(asked, {**kept, **asked}, domain)
         quantities = formulas.over(domain.box, domain.horizon)
         if any(quantities.cuts) or formulas.narrow or quantities.gap_texts:
+            which = "the output" if len(quantities.names) == 1 else "one of the outputs"
             raise OptionError(
-                "an output is narrow, jumps or kinks somewhere, or has no value",
+                f"{which} {listing(quantities.names)} jumps, kinks or is narrow over time or "
+                "parameters, or has no value somewhere",
                 term=quantities.names,
                 remedy=_ASK_SOLUTION,
             )
@@ -70,7 +73,9 @@ class SolveOutputs:
             return [*quantities.values(times, states, points, [])]
 
         rows = tuple(source.row for source in quantities.sources)
-        return Observation(quantities.names, quantities.texts, rows, values)
+        names, texts = quantities.names, quantities.texts
+        surfaces = quantities.state_surfaces if quantities.n_state_surfaces else None
+        return Observation(names, texts, rows, values, surfaces=surfaces)
 
     def _formulas(
         self, asked: Mapping[str, object], named: Mapping[str, object], domain: Domain

@@ -17,7 +17,8 @@ class Observation:
 
     ``rows`` are the states that they read. ``values`` takes times (T, 1), these states (k, T, m)
     and parameters (d, m), and gives for each quantity what broadcasts to (T, m). ``texts`` are
-    their definitions. They may be ``states_alone``: some of the states, as they are.
+    their definitions. They may be ``states_alone``: some of the states, as they are. ``surfaces``,
+    of the same arguments, vanish in the middle of what is narrow or steep in them.
     """
 
     names: tuple[str, ...]
@@ -25,6 +26,7 @@ class Observation:
     rows: tuple[int, ...]
     values: Callable[[Array, Array, Array], Sequence[Array] | Array]
     states_alone: bool = False
+    surfaces: Callable[[Array, Array, Array], Sequence[Array]] | None = None
 
     @classmethod
     def of_some(cls, states: Sequence[str], rows: Sequence[int]) -> Observation:
@@ -54,3 +56,12 @@ class Observation:
                 remedy="change the output, or the box, so that it is finite everywhere",
             )
         return sampled
+
+    def surfaces_at(self, times: Array, states: Array, points: Array) -> Array:
+        """The surfaces (s, m, T) of all states (n, m, T) at times (T,), points (m, d)."""
+        assert self.surfaces is not None
+        read = states[list(self.rows)].swapaxes(1, 2)
+        with np.errstate(all="ignore"):
+            surfaces = self.surfaces(times[:, None], read, points.T)
+        shape = times.size, len(points)
+        return np.array([np.broadcast_to(each, shape).T for each in surfaces], float)

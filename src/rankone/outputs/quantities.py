@@ -77,6 +77,7 @@ class Quantities:
     sources: tuple[Source, ...]
     integrands: Callable[[Array, Array, Array], Sequence[Array]]
     reductions: tuple[Reduction, ...]
+    n_state_surfaces: int
     state_surfaces: Callable[[Array, Array, Array], Sequence[Array]]
     parameter_surfaces: Callable[[Array], Sequence[Array]]
     # for time and each parameter the places where functions of it alone are narrow, kink or jump

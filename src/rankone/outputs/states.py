@@ -146,6 +146,7 @@ def _as_they_are(
         sources=sources,
         integrands=lambda t, s, p: list(s) if reductions else [],
         reductions=reductions,
+        n_state_surfaces=0,
         state_surfaces=lambda t, s, p: [],
         parameter_surfaces=lambda p: [],
         cuts=((),) * len(metadata.coordinates),

@@ -24,6 +24,7 @@ from rankone.trajectories.choice import following
 from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
+from rankone.verification.narrow import narrow_times
 from rankone.verification.points import (
     FEW_PARAMETERS,
     active_points,
@@ -275,11 +276,20 @@ class ReferenceSet:
     @cached_property
     def _of_quantities(self) -> Array:
         """Largest absolute value of each quantity that is observed; one for a vanishing one."""
-        times = np.linspace(self.reference.start, self.end, _SIZE_SAMPLES)
-        parts = np.array_split(times, -(-times.size // self.reference.times_held))
-        largest = _largest(self.seen(part, self.reference(part)) for part in parts)
+        even = np.linspace(self.reference.start, self.end, _SIZE_SAMPLES)
+        largest = _largest(self._quantities(np.concatenate([even, self._narrow_times])))
         sizes = self._interior(largest, axis=1).max(axis=1)
         return np.where(sizes > 0.0, sizes, 1.0)
+
+    def _quantities(self, times: Array) -> Iterator[Array]:
+        """What is solved for at parts of the times, (n, m, T) each."""
+        parts = np.array_split(times, -(-times.size // self.reference.times_held))
+        return (self.seen(part, self.reference(part)) for part in parts)
+
+    @cached_property
+    def _narrow_times(self) -> Array:
+        """When quantities are narrow on a trajectory, in order."""
+        return narrow_times(self.reference, self.observed, self.end)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -326,10 +336,21 @@ class ReferenceSet:
                 at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
                 at_corners += self._added_to_seen
                 largest = np.maximum(largest, at_corners)
+                at_narrow = self._narrow_errors(slab, contraction)
+                errors = np.maximum(errors, at_narrow)
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
         errors = (np.where(np.isfinite(errors), errors, np.inf) / units)[:unknowns]
         return self._measured(errors, (off / units)[:unknowns])
+
+    def _narrow_errors(self, slab: SlabTrain, contraction: Array) -> Array | float:
+        """Largest errors of quantities where they are narrow inside a slab, (n, m)."""
+        times = self._narrow_times
+        times = times[(times >= slab.start) & (times < slab.end)]
+        if not times.size:
+            return 0.0
+        exact = np.concatenate([*self._quantities(times)], axis=2)
+        return np.asarray(np.abs(slab.on_grid(times, contraction) - exact).max(axis=2))
 
     def _off_constraints(self, times: Array, states: Array) -> Array:
         """How far states (n, m, T) are from satisfying the constraints, at most: (n, m)."""
