@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from inspect import isfunction
 
 import numpy as np
 import pytest
@@ -95,7 +96,7 @@ class Recording(ThreadPoolExecutor):
         self.names = []
 
     def submit(self, function, *arguments):
-        self.names += [each.function.__name__ for each in arguments if hasattr(each, "function")]
+        self.names += [each.__name__ for each in arguments if isfunction(each)]
         return super().submit(function, *arguments)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
-from scipy import special
 from sympy.core.function import AppliedUndef
 
 from rankone.agreement.problems import check_outputs
@@ -26,7 +25,7 @@ from rankone.ir.forms import Coordinate
 from rankone.ir.functions import known_applied
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.timeline import Timeline
-from rankone.outputs.quantities import Quantities
+from rankone.outputs.quantities import Quantities, WrittenFunction
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import listing, quote, shown
@@ -334,12 +333,8 @@ def _extreme(name: str) -> Callable[..., sp.Expr]:
 
 def _function(
     arguments: str, expressions: Sequence[sp.Expr], names: Mapping[sp.Symbol, str]
-) -> Callable[..., Sequence[Array]]:
+) -> WrittenFunction:
     """A function of arrays from expressions."""
-    texts = [numpy_text(stable(expression), dict(names)) for expression in expressions]
+    texts = tuple(numpy_text(stable(expression), dict(names)) for expression in expressions)
     called = {node.written(): type(node)._imp_ for node in known_applied(expressions)}
-    namespace = {"np": np, "special": special, **called}
-    function: Callable[..., Sequence[Array]] = eval(
-        f"lambda {arguments}: [{', '.join(texts)}]", namespace
-    )
-    return function
+    return WrittenFunction(arguments, texts, called)

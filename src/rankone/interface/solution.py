@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cached_property, partial
 from itertools import chain
 from os import PathLike
@@ -15,7 +17,7 @@ from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import Piece, SlabRecord
 from rankone.ir.timeline import Timeline
 from rankone.outputs.quantities import Quantities
-from rankone.outputs.quantity_solutions import samples_of, with_outputs
+from rankone.outputs.quantity_solutions import OutputRequest, samples_of, with_outputs
 from rankone.outputs.states import at_instant, derivative, over_clock_time
 from rankone.populations import PopulationsFromData
 from rankone.solution.core import SolutionCore
@@ -36,6 +38,8 @@ from rankone.support.errors import (
     check_kind,
     optional_module,
 )
+from rankone.support.executors import ExecutorLike, checked_executor, open_pool
+from rankone.support.threads import one_thread
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 from rankone.tensors.pieces import PieceEvaluator
@@ -377,6 +381,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         effort: str | float = "normal",
         max_seconds: float | None = None,
         units: Mapping[str, str] | None = None,
+        executor: ExecutorLike | None = None,
     ) -> Solution:
         """Quantities of interest as a solution of their own.
 
@@ -402,6 +407,10 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             Time limit on the clock besides.
         units : mapping of str to str, optional
             Units of quantities; definitions asked for by name have their own.
+        executor : int, concurrent.futures.Executor, distributed.Client or str, optional
+            Who evaluates them at many points, with the same bits: a number of processes, which are
+            started and end with the call, an executor or a client of dask, which are left running,
+            or the address of a scheduler of dask. By default this process.
 
         Returns
         -------
@@ -413,7 +422,8 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         Raises
         ------
         OptionError
-            If an expression has something that the solution does not hold.
+            If an expression has something that the solution does not hold, or cannot be sent to a
+            worker.
         EvaluationError
             If a quantity is not finite somewhere in the box, or a level is not crossed.
         ConvergenceError
@@ -421,10 +431,18 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
         RankoneError
             If SymPy is not installed.
         """
+        wanted = None if executor is None else checked_executor("executor", executor)
+        with nullcontext() if wanted is None else open_pool(wanted) as pool, one_thread():
+            request = OutputRequest(rtol, effort, max_seconds, units, pool)
+            return self._output(quantities, request)
+
+    def _output(
+        self, quantities: Mapping[str, Any] | str | Sequence[str], request: OutputRequest
+    ) -> Solution:
+        """Quantities of interest of a solution, or of each of its pieces."""
         self._evaluator  # noqa: B018 - raises if nothing was solved
         if self.outcome.pieces:
-            options: Any = {"rtol": rtol, "effort": effort, "max_seconds": max_seconds}
-            return self._in_pieces(lambda piece: piece.output(quantities, units=units, **options))
+            return self._in_pieces(lambda piece: piece._output(quantities, request))
         expressions = optional_module(
             "rankone.codegen.output_expressions",
             "outputs are given as expressions of SymPy",
@@ -437,9 +455,9 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
             formulas = expressions.output_formulas(*asked)
             return cast(Quantities, formulas.over(metadata.box, horizon))
 
-        if units is None and isinstance(quantities, Mapping):
-            units = {}
-        return Solution(*with_outputs(self, of_branch, rtol, effort, max_seconds, units))
+        if request.units is None and isinstance(quantities, Mapping):
+            request = replace(request, units={})
+        return Solution(*with_outputs(self, of_branch, request))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from rankone.solution.core import SolutionCore
 from rankone.solvers.branches import MOST_UNDECIDED, one_after_the_other
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
+from rankone.support.executors import Pool
 from rankone.support.wording import quote
 from rankone.tensors.branches import BranchEvaluator, ContinuedBranch
 from rankone.tensors.slab import SlabTrain
@@ -67,11 +68,12 @@ def over_branches(
     operations: float,
     seconds: float,
     sizes: Sequence[float] = (),
+    pool: Pool | None = None,
 ) -> tuple[Outcome, float, Quantities]:
     """Quantities as an outcome in branches, the tolerance, and those of the first branch.
 
     Each branch is interpolated over the whole box, and measured where it holds. Errors are relative
-    to the largest values there, or to larger ``sizes``.
+    to the largest values there, or to larger ``sizes``. Workers of a ``pool`` take part.
     """
     timeline = solution.outcome.timeline
     assert isinstance(timeline, BranchedTimeline)
@@ -83,7 +85,7 @@ def over_branches(
         require_states(quantities)
         every.append(quantities)
         guarded = _with_guards(quantities, len(solution.states), timeline.guards[k])
-        interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes))
+        interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes), pool=pool)
         outcome, tolerance = interpolation.solve(rtol, operations / count, seconds / count)
         outcomes.append(outcome)
         tolerances.append(tolerance)
@@ -110,20 +112,26 @@ def require_states(quantities: Quantities) -> None:
 
 def _with_guards(quantities: Quantities, first: int, count: int) -> Quantities:
     """The quantities over stretches, and behind them the guards, which are sources."""
-    own = len(quantities.sources)
     names = tuple(f"guard {k}" for k in range(count))
-
-    def values(t: Array, s: Array, p: Array, r: Sequence[Array]) -> list[Array]:
-        return [*quantities.values(t, s[:own], p, r), *s[own:]]
-
     return replace(
         quantities,
         names=(*quantities.names, *names),
         texts=(*quantities.texts, *names),
         timeless=False,
         sources=(*quantities.sources, *(Source(first + k) for k in range(count))),
-        values=values,
+        values=_ValuesAndGuards(quantities.values, len(quantities.sources)),
     )
+
+
+@dataclass(frozen=True)
+class _ValuesAndGuards:
+    """Quantities of the first sources, and behind them the other sources."""
+
+    values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]
+    count: int
+
+    def __call__(self, t: Array, s: Array, p: Array, r: Sequence[Array]) -> list[Array]:
+        return [*self.values(t, s[: self.count], p, r), *s[self.count :]]
 
 
 def _joined(

@@ -39,6 +39,7 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.errors import ConvergenceError
+from rankone.support.executors import Pool
 from rankone.tensors.adaptive import (
     FIRST_LEFT_POINTS,
     AdaptiveInterpolation,
@@ -96,13 +97,14 @@ class OutputInterpolation:
 
     Those of a solution with events that depend on time are over its stretches, or else over
     ``clock_time``. Errors are relative to the largest values, or to the ``least_sizes`` of the
-    first quantities.
+    first quantities. Workers of a ``pool`` take parts of the points at which they are sampled.
     """
 
     solution: SolutionCore
     quantities: Quantities
     clock_time: bool = False
     least_sizes: tuple[float, ...] = ()
+    pool: Pool | None = None
     options: CrossOptions = field(default_factory=CrossOptions)
 
     @property
@@ -182,6 +184,11 @@ class OutputInterpolation:
         return missed
 
     def _sampler(self, grid: TimeGrid) -> Sampler:
+        sampler = self._sampler_here(grid)
+        sampler.pool = self.pool
+        return sampler
+
+    def _sampler_here(self, grid: TimeGrid) -> Sampler:
         solution = self.solution
         names, evaluator = solution.metadata.parameters, solution._evaluator
         if isinstance(evaluator, TimelineEvaluator) and self.clock_time:

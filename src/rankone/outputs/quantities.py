@@ -2,11 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from scipy import special
 
 from rankone.support.arrays import Array
+
+
+@dataclass(frozen=True)
+class WrittenFunction:
+    """A function of arrays as text: the expressions, and the names of its arguments.
+
+    ``called`` are functions of the user and tables by the names that the text calls them by. The
+    text is compiled when it is first called, also in another process.
+    """
+
+    arguments: str
+    texts: tuple[str, ...]
+    called: Mapping[str, Callable[..., Array]] = field(default_factory=dict)
+
+    @cached_property
+    def _function(self) -> Callable[..., Sequence[Array]]:
+        namespace = {"np": np, "special": special, **self.called}
+        text = f"lambda {self.arguments}: [{', '.join(self.texts)}]"
+        return cast(Callable[..., Sequence[Array]], eval(text, namespace))
+
+    def __call__(self, *arguments: object) -> Sequence[Array]:
+        return self._function(*arguments)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: held for name, held in vars(self).items() if name != "_function"}
 
 
 class Kind(Enum):

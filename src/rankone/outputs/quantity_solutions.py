@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.budget import operations_for
 from rankone.support.errors import OptionError
+from rankone.support.executors import Pool
 from rankone.support.options import checked_number
 from rankone.support.wording import did_you_mean, quote
 
@@ -43,24 +44,30 @@ def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
     return t[runs], p[:, runs], at_times[:, runs]
 
 
-def with_outputs(
-    solution: SolutionCore,
-    quantities_of: OfBranch,
-    rtol: float | None,
-    effort: str | float,
-    max_seconds: float | None,
-    units: Mapping[str, str] | None,
-) -> tuple[Outcome, SolutionMetadata]:
-    """Quantities of interest; see :meth:`rankone.Solution.output`.
+@dataclass(frozen=True)
+class OutputRequest:
+    """Arguments of :meth:`rankone.Solution.output`, and the pool whose workers take part.
 
-    Without ``units`` they have those of the definitions of their names.
+    Without ``units`` quantities have those of the definitions of their names.
     """
+
+    rtol: float | None
+    effort: str | float
+    max_seconds: float | None
+    units: Mapping[str, str] | None
+    pool: Pool | None
+
+
+def with_outputs(
+    solution: SolutionCore, quantities_of: OfBranch, request: OutputRequest
+) -> tuple[Outcome, SolutionMetadata]:
+    """Quantities of interest; see :meth:`rankone.Solution.output`."""
+    rtol, seconds, units, pool = request.rtol, math.inf, request.units, request.pool
     if rtol is not None:
         rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
-    seconds = math.inf
-    if max_seconds is not None:
-        seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
-    operations, metadata = operations_for(effort), solution.metadata
+    if request.max_seconds is not None:
+        seconds = checked_number("max_seconds", request.max_seconds, 0.0, 1e9, float)
+    operations, metadata = operations_for(request.effort), solution.metadata
     timeline = solution.outcome.timeline
 
     def checked(part: SolutionCore, own: Timeline | None) -> Quantities:
@@ -70,10 +77,10 @@ def with_outputs(
 
     if isinstance(timeline, BranchedTimeline):
         asked = rtol, operations, seconds
-        outcome, rtol, quantities = over_branches(solution, checked, *asked)
+        outcome, rtol, quantities = over_branches(solution, checked, *asked, pool=pool)
     else:
         quantities = checked(solution, timeline)
-        interpolation = OutputInterpolation(solution, quantities)
+        interpolation = OutputInterpolation(solution, quantities, pool=pool)
         outcome, rtol = interpolation.solve(rtol, operations, seconds)
     if units is None:
         units = {name: unit for name, unit in metadata.units if name in quantities.names}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +14,13 @@ from rankone.outputs.quantities import Kind, Quantities, Reduction
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
-from rankone.support.errors import EvaluationError
+from rankone.support.counted import Counted, LimitsElsewhere
+from rankone.support.errors import EvaluationError, RankoneError
+from rankone.support.executors import Pool
+from rankone.support.tasks import Shared
 from rankone.tensors.slab import SlabTrain, slab_positions
 
-_CHUNK_NUMBERS = 1 << 21  # Numbers of the functions of time that are held at once: 16 MB
+_CHUNK_NUMBERS = 1 << 19  # Numbers of the functions of time that are held at once: 4 MB, as caches
 _MAX_MIDDLES = 4  # Narrow features looked at on each trajectory
 # Operations of evaluating functions of the sources, for each number of a function of time
 _FUNCTION_COST = 20.0
@@ -33,7 +38,7 @@ class Sampler:
     """Quantities of a solution on a time grid.
 
     No slab of the grid crosses the end of a slab of the solution. A change of sign not far above
-    the tolerance of the solution is none.
+    the tolerance of the solution is none. Workers of a ``pool`` take parts of the points.
     """
 
     def __init__(
@@ -46,6 +51,7 @@ class Sampler:
     ) -> None:
         self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
         self.grid, self.largest = grid, 0.0
+        self.pool: Pool | None = None
         self._negligible = max(_SIGN_RATIO * rtol, _LEAST_SIGNED)
         self._orders: dict[int, Sequence[SlabTrain]] = {0: slabs}
         for order in range(1, 1 + max((s.order for s in quantities.sources), default=0)):
@@ -82,7 +88,21 @@ class Sampler:
         per_point = (4 + len(self.quantities.sources)) * self.grid.times.size
         count = -(-len(points) * per_point // _CHUNK_NUMBERS)
         chunks = np.array_split(points, max(count, 1))
-        return np.concatenate([self._chunk(chunk, shifts) for chunk in chunks], axis=2)
+        if self.pool is None or len(chunks) < 2:
+            return np.concatenate([self._chunk(chunk, shifts) for chunk in chunks], axis=2)
+        limits = LimitsElsewhere.left()
+        tasks = [(chunk, shifts, limits) for chunk in chunks]
+        sampled = [each.settled() for each in self._shared.map(_counted_chunk, tasks)]
+        self.largest = max(self.largest, *(largest for _, largest in sampled))
+        return np.concatenate([values for values, _ in sampled], axis=2)
+
+    @cached_property
+    def _shared(self) -> Shared[Sampler]:
+        """This sampler, as workers get it."""
+        return Shared("a function of an output", self, self.pool)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {n: held for n, held in self.__dict__.items() if n != "_shared"} | {"pool": None}
 
     def at(self, times: Array, points: Array) -> Array:
         """Integrands and, without reductions, values at times (T,): shape (functions, T, m)."""
@@ -295,3 +315,16 @@ class Sampler:
                     if source.order == order:
                         sources[i, owned] = first[source.row] @ columns
         return sources
+
+
+def _counted_chunk(
+    sampler: Sampler, points: Array, shifts: Array | None, limits: LimitsElsewhere
+) -> Counted[tuple[Array, float]]:
+    """Quantities at points, and the largest operand so far, by a worker."""
+
+    own = copy.copy(sampler)  # workers may be threads
+
+    def sampled() -> tuple[Array, float]:
+        return own._chunk(points, shifts), own.largest
+
+    return Counted.of(limits, (RankoneError,), sampled)

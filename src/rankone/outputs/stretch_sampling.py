@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -119,11 +120,9 @@ class StretchSampler(Sampler):
         return self.rtol * (end - start) + 2.0 * self.time_error
 
     def moved(self, points: Array) -> Array | None:
-        self._late = self.time_error
-        try:
-            return self(points)
-        finally:
-            self._late = 0.0
+        later = copy.copy(self)  # without workers, who have the times as they are
+        later._late = self.time_error
+        return later(points)
 
     def _borders(self, points: Array) -> tuple[Array, Array]:
         """Clock times (stretches + 1, m) of borders, and the same within the horizon."""

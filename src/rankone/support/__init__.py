@@ -13,6 +13,7 @@
 ``executors``   processes that end with this one, executors of others, clusters of dask
 ``parcels``     what all tasks share, loaded once by each worker
 ``tasks``       independent calls on them, also when workers die
+``counted``     work of tasks that are done elsewhere, charged here
 ``threads``     BLAS on one thread while a solve runs
 ``progress``    progress events, a bar, timings of stages
 ``files``       several files written together, all of them or none

@@ -9,20 +9,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from contextvars import Context
-from dataclasses import dataclass
-from typing import Generic, TypeAlias, TypeVar, cast
+from typing import TypeAlias, TypeVar
 
 from rankone.ir.system import ModuleSpecification, System
-from rankone.support.budget import (
-    OutOfBudgetError,
-    OutOfTimeError,
-    charge,
-    limited,
-    memory_left,
-    seconds_left,
-    work_left,
-)
+from rankone.support.budget import OutOfTimeError
+from rankone.support.counted import Counted, LimitsElsewhere
 from rankone.support.errors import OptionError, RankoneError
 from rankone.support.executors import DEATHS, GUARD, ExecutorLike, Pool
 from rankone.support.parcels import Parcel, packed, unpacked
@@ -83,12 +74,12 @@ class Workers:
                 if done is not None:
                     done((k + 1) / len(tasks))
             return list(answers.values())
-        limits = work_left(), time.time() + seconds_left(), memory_left()
-        calls = [_Call(function, task, failures, *limits) for task in tasks]
-        lost = self._round(calls, answers)
+        limits = LimitsElsewhere.left()
+        calls = [(function, task, failures, limits) for task in tasks]
+        lost = self._round(calls, limits.end, answers)
         if lost is not None:
             self.pool.restart()
-            lost = self._round(calls, answers)
+            lost = self._round(calls, limits.end, answers)
         if lost is not None:
             raise RankoneError(
                 f"a worker of the executor died, and once more when it was tried again: {lost}",
@@ -97,22 +88,22 @@ class Workers:
         return [answers[k] for k in range(len(tasks))]
 
     def _round(
-        self, calls: Sequence[_Call[Answer]], answers: dict[int, Answer]
+        self, calls: Sequence[Arguments], end: float, answers: dict[int, Answer]
     ) -> BaseException | None:
         """Add the answers that are missing; how a worker was lost, if one was."""
         assert self.pool is not None
-        futures: dict[int, Future[_Return[Answer]]] = {}
+        futures: dict[int, Future[Counted[Answer]]] = {}
         lost: BaseException | None = None
         try:
             for k, call in enumerate(calls):
                 if k not in answers:
-                    futures[k] = self.pool.submit(_run, self._specification, call)
+                    futures[k] = self.pool.submit(_run, self._specification, *call)
         except DEATHS as error:
             lost = error
         try:
             for k, future in futures.items():
                 try:
-                    answers[k] = _answer(future, calls[k].end)
+                    answers[k] = _answer(future, end)
                 except DEATHS as error:
                     lost = error
         finally:
@@ -135,48 +126,18 @@ def open_workers(system: System, executor: ExecutorLike | None) -> Iterator[Work
         workers.pool.close()
 
 
-@dataclass(frozen=True)
-class _Call(Generic[Answer]):
-    """A call for a worker, the failures it may have, and its limits.
-
-    ``operations`` are those that all tasks together have left, ``end`` is a time of the clock on
-    the wall, and ``memory`` are the bytes that each worker may hold.
-    """
-
-    function: Callable[..., Answer]
-    arguments: Arguments
-    failures: tuple[type[Exception], ...]
-    operations: float
-    end: float
-    memory: float
+def _run(
+    specification: Parcel | ModuleSpecification,
+    function: Callable[..., Answer],
+    arguments: Arguments,
+    failures: tuple[type[Exception], ...],
+    limits: LimitsElsewhere,
+) -> Counted[Answer]:
+    """What a worker runs."""
+    return Counted.of(limits, failures, lambda: unpacked(specification).call(function, *arguments))
 
 
-@dataclass(frozen=True)
-class _Return(Generic[Answer]):
-    """The answer of a call, or how it failed, and the work that was counted."""
-
-    work: float
-    answer: Answer | None = None
-    failure: Exception | None = None
-
-
-def _run(specification: Parcel | ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
-    """What a worker runs; an executor may run it in the thread of the solve, so it counts anew."""
-    return Context().run(_counted, unpacked(specification), call)
-
-
-def _counted(specification: ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
-    seconds = math.inf if call.end == math.inf else call.end - time.time()
-    failures: tuple[type[Exception], ...] = (OutOfBudgetError, *call.failures)
-    with limited(call.operations, seconds, call.memory) as account:
-        try:
-            answer = specification.call(call.function, *call.arguments)
-        except failures as failure:
-            return _Return(account.done, failure=failure)
-        return _Return(account.done, answer)
-
-
-def _answer(future: Future[_Return[Answer]], end: float) -> Answer:
+def _answer(future: Future[Counted[Answer]], end: float) -> Answer:
     """The answer of a call when it is done, or its failure; its work is charged."""
     left = None if end == math.inf else max(end - time.time(), 0.0)
     concurrent.futures.wait([future], left)
@@ -191,7 +152,4 @@ def _answer(future: Future[_Return[Answer]], end: float) -> Answer:
             f"a worker of the executor failed: {type(error).__name__}: {error}",
             remedy="solve without executor= to see whether the worker is the reason",
         ) from error
-    charge(returned.work)
-    if returned.failure is not None:
-        raise returned.failure
-    return cast(Answer, returned.answer)
+    return returned.settled()
