@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import sympy as sp
@@ -21,19 +21,25 @@ from rankone.support.wording import quote
 
 _POINTS = 3  # Points at which a table is compared: each term is in all of them
 _ROUNDING = 1e-11  # Differences below this share of the terms are rounding
+_STEP = 1e-30  # Imaginary step to a derivative
 _SEED = 1938  # Of directions in which the Jacobian is compared
 
 
 def check_table(problem: Problem, table: TermTable, system: System) -> None:
     """Compare rates, Jacobian and initial values with the terms of a problem, summed one by one.
 
-    Terms that were read from texts are compared with these, too.
+    Terms that were read from texts are compared with these, too; where there are forms, the texts
+    alone are what generated code is compared with.
 
     A DisagreementError names the first state that is off by more than rounding.
     """
     with np.errstate(all="ignore"):
         points = ComparedPoints.of(system, _POINTS)
         t, p, u = points.time, points.parameters, points.states
+        _check_start(problem, system, p)
+        if table.forms:
+            _check_forms(problem, table, system, points)
+            return
         sums = _Sums(problem, table)
         rates, sizes = sums.rates(t, p, u)
         _compare(problem, "rate", points.rates, rates, sizes)
@@ -42,9 +48,31 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
         direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * u
         slopes, sizes = sums.slopes(t, p, u, direction)
         _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
-        start = [_at_points(e, [*problem.parameters], p) for e in problem.initial.values()]
-        generated = np.asarray(system.initial(p), dtype=float)
-        _compare(problem, "initial value", generated, np.array(start), np.abs(start))
+
+
+def _check_start(problem: Problem, system: System, p: Array) -> None:
+    """Compare initial values at parameters (d, m)."""
+    start = [_at_points(e, [*problem.parameters], p) for e in problem.initial.values()]
+    generated = np.asarray(system.initial(p), dtype=float)
+    _compare(problem, "initial value", generated, np.array(start), np.abs(start))
+
+
+def _check_forms(
+    problem: Problem, table: TermTable, system: System, points: ComparedPoints
+) -> None:
+    """Compare rates and Jacobian with the texts as they are written.
+
+    The derivative along a direction is the imaginary part of the rates a tiny imaginary step ahead
+    (Squire and Trapp, SIAM Review 40 (1998) 110).
+    """
+    t, p, u = points.time, points.parameters, points.states
+    direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * np.where(u, u, 1.0)
+    ahead = _written_rates(problem, table.texts, t, p, u + 1j * _STEP * direction)
+    slopes = np.where(np.isfinite(points.rates), ahead.imag / _STEP, np.nan)
+    sizes = np.abs(points.rates) + _along(system, t, p, u, np.abs(direction), np.abs)
+    rates = np.where(np.isfinite(points.rates), ahead.real, np.nan)
+    _compare(problem, "rate", points.rates, rates, sizes)
+    _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
 
 
 def _written_rates(problem: Problem, texts: Sequence[str], t: Array, p: Array, u: Array) -> Array:
@@ -103,14 +131,21 @@ class _Sums:
         ]
 
 
-def _along(system: System, t: Array, p: Array, u: Array, direction: Array) -> Array:
-    """The generated Jacobian times a direction (n, m)."""
+def _along(
+    system: System,
+    t: Array,
+    p: Array,
+    u: Array,
+    direction: Array,
+    part: Callable[[Array], Array] = np.asarray,
+) -> Array:
+    """The generated Jacobian, or a ``part`` of its entries, times a direction (n, m)."""
     pattern = pattern_of(system.jacobian)
     if pattern is None:
         jacobian = np.broadcast_to(system.jacobian(t, u, p), (len(u), *u.shape))
-        return np.asarray(np.einsum("ijm,jm->im", jacobian, direction))
-    slopes = np.zeros_like(u)
-    np.add.at(slopes, pattern.rows, pattern.entries(t, u, p) * direction[pattern.columns])
+        return np.asarray(np.einsum("ijm,jm->im", part(jacobian), direction))
+    slopes, entries = np.zeros_like(u), part(pattern.entries(t, u, p))
+    np.add.at(slopes, pattern.rows, entries * direction[pattern.columns])
     return slopes
 
 

@@ -8,6 +8,7 @@
 ``kernels``             the separated right-hand side of a group, on many columns at once
 ``rates``               right-hand sides and Jacobians, of systems that separate or do not
 ``arrays``              those of many states, as sparse array code
+``forms``               those of many states with laws of a few forms, as array code
 ``constraints``         what vanishes on all trajectories
 ``rest``                rates before a start at a steady state
 ``pointwise``           the one writer of pointwise functions, and the printer that it takes

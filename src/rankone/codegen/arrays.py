@@ -14,8 +14,8 @@ from fractions import Fraction
 from rankone.codegen.rates import SeparatedWriter
 from rankone.codegen.text import Formula, docstring, literal, nested, table
 
-_HELPERS = '''\
-def _matrices(terms, rows):
+SUMS = '''\
+def _matrices(terms, rows, columns):
     """Sums of terms (coefficient, row, factors, states), by factors and degree.
 
     Of each: the factors, the states multiplied (degree, products), and the matrix (rows, products).
@@ -31,26 +31,37 @@ def _matrices(terms, rows):
         matrix = sparse.csr_array((coefficients, (to, of)), shape=(rows, len(products)))
         if degree == 1:  # of all states, so that none are gathered
             entries = coefficients, (to, states[0, list(of)])
-            matrix = sparse.csr_array(entries, shape=(rows, N_DIFFERENTIAL))
+            matrix = sparse.csr_array(entries, shape=(rows, columns))
         sums.append((factors, states, matrix))
     return sums
 
 
-def _sums(sums, rows, t, u, p):
-    """The sums at t (...), u (n, ...) and p (d, ...): shape (rows, ...)."""
+def _columns(t, u, p):
+    """The shape of t (...), u (n, ...) and p (d, ...) together, and these as columns."""
     p = np.asarray(p, dtype=float)
     shape = np.broadcast_shapes(np.shape(t), np.shape(u)[1:], p.shape[1:])
     u = np.broadcast_to(u, (N_DIFFERENTIAL, *shape)).reshape(N_DIFFERENTIAL, -1)
-    functions = [time_factors(np.broadcast_to(t, shape).ravel())]
-    functions += [parameter_factors(j, np.broadcast_to(x, shape).ravel()) for j, x in enumerate(p)]
-    out = np.zeros((rows, u.shape[1]))
+    t, *p = (np.broadcast_to(x, shape).ravel() for x in (t, *p))
+    return shape, t, u, p
+
+
+def _sums(sums, rows, functions, x):
+    """The sums of states x (n, m) and of functions, an array (.., m) for each factor: (rows, m)."""
+    out = np.zeros((rows, x.shape[1]))
     for factors, states, matrix in sums:
-        part = matrix @ (u if len(states) == 1 else np.prod(u[states], axis=0))
+        part = matrix @ (x if len(states) == 1 else np.prod(x[states], axis=0))
         for function, row in zip(functions, factors):
             if row:
                 part *= function[row]
         out += part
-    return out.reshape(rows, *shape)
+    return out
+'''
+_POLYNOMIALS = '''\
+def _rates(sums, rows, t, u, p):
+    """The sums at t (...), u (n, ...) and p (d, ...): shape (rows, ...)."""
+    shape, t, u, p = _columns(t, u, p)
+    functions = [time_factors(t), *(parameter_factors(j, x) for j, x in enumerate(p))]
+    return _sums(sums, rows, functions, u).reshape(rows, *shape)
 
 
 def _derivatives(terms):
@@ -74,9 +85,9 @@ def _in_steps(products):
     return [np.array(steps[level]).T for level in sorted(steps)]
 
 
-RATES = _matrices(TERMS, N_DIFFERENTIAL)
+RATES = _matrices(TERMS, N_DIFFERENTIAL, N_DIFFERENTIAL)
 SLOPE_TERMS, JACOBIAN_PLACES = _derivatives(TERMS)
-SLOPES = _matrices(SLOPE_TERMS, len(JACOBIAN_PLACES))
+SLOPES = _matrices(SLOPE_TERMS, len(JACOBIAN_PLACES), N_DIFFERENTIAL)
 PRODUCT_STEPS = _in_steps(PRODUCTS)
 '''
 
@@ -118,6 +129,21 @@ def long_tables(tables: Mapping[str, tuple[str, Sequence[Row]]]) -> list[str]:
     return lines
 
 
+def helper_blocks(*texts: str) -> list[list[str]]:
+    """Source lines of helpers, one block a function."""
+    return [block.splitlines() for text in texts for block in text.split("\n\n\n")]
+
+
+def stored_numbers(rates: float, slopes: float) -> list[str]:
+    """Source lines that say how much the matrices of the rates and their slopes store."""
+    return [
+        "",
+        "",
+        "# Numbers that a column of their arrays takes",
+        f"rhs.stored, jacobian_entries.stored = {rates}, {slopes}",
+    ]
+
+
 def _line(coefficient: str, state: int, lists: Iterable[tuple[int, ...]]) -> str:
     return " ".join([coefficient, str(state), *(",".join(map(str, x)) or "-" for x in lists)])
 
@@ -149,20 +175,17 @@ class ArrayWriter(SeparatedWriter):
         self.operations["jacobian_entries"] = slopes
         of_entries = f"Entries of the Jacobian df/du at u ({n}, ...): shape (places, ...)."
         return [
-            *(block.splitlines() for block in _HELPERS.split("\n\n\n")),
+            *helper_blocks(SUMS, _POLYNOMIALS),
             [
                 "def rhs(t, u, p):",
                 *docstring([f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."]),
-                "    return _sums(RATES, N_DIFFERENTIAL, t, u, p)",
+                "    return _rates(RATES, N_DIFFERENTIAL, t, u, p)",
             ],
             [
                 "def jacobian_entries(t, u, p):",
                 *docstring([of_entries]),
-                "    return _sums(SLOPES, len(JACOBIAN_PLACES), t, u, p)",
-                "",
-                "",
-                "# Numbers that a column of their arrays takes",
-                f"rhs.stored, jacobian_entries.stored = {self.operations['rhs']}, {slopes}",
+                "    return _rates(SLOPES, len(JACOBIAN_PLACES), t, u, p)",
+                *stored_numbers(self.operations["rhs"], slopes),
             ],
             self.with_products(),
         ]

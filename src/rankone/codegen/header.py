@@ -21,6 +21,7 @@ _MAX_NAMED_STATES = 10
 # Above this many unknowns, the table of terms is what says the equations
 _MAX_WRITTEN_EQUATIONS = 100
 _TABULATED = "The rates are the sums of the rows of TERMS, the initial values of those of INITIAL."
+_WITH_FORMS = "The rates are the sums of the rows of TERMS, in which forms give what is no product."
 
 
 def header(
@@ -53,7 +54,10 @@ def general_header(
 ) -> list[str]:
     """Lines of the docstring of a module whose system does not separate."""
     title = title or f"Right-hand side of {_named(system.states)}."
-    lines = _opening(title, system.coordinates, general_equation_texts(system), scipy)
+    forms = system.table is not None and system.table.forms
+    many = forms and len(system.states) > _MAX_WRITTEN_EQUATIONS
+    texts = [_WITH_FORMS] if many else general_equation_texts(system)
+    lines = _opening(title, system.coordinates, texts, scipy)
     lines += ["", "It does not separate: pointwise functions alone"]
     return [*lines, *_operation_lines(operations)]
 
@@ -107,6 +111,8 @@ def general_equation_texts(system: FirstOrderSystem) -> list[str]:
     names = {u: sp.Symbol(s.name) for u, s in zip(system.functions, system.states, strict=True)}
     start = number(system.coordinates[0].lower)
     texts = []
+    if system.table is not None and system.table.forms and system.table.texts:
+        return _texts_as_written(system, system.table.texts, start)
     for left, expressions in (("{}'", system.rhs), (f"{{}}({start})", system.initial)):
         for i, (state, expression) in enumerate(zip(system.states, expressions, strict=True)):
             guess = expressions is system.initial and i in system.constraints.guessed
@@ -114,6 +120,14 @@ def general_equation_texts(system: FirstOrderSystem) -> list[str]:
             texts.append(f"{left.format(state.name)} {'near' if guess else '='} {text}")
     texts = _with_rest(texts, len(system.states), system.rest)
     return texts + _jump_texts(system.states, system.coordinates, system.jumps)
+
+
+def _texts_as_written(system: FirstOrderSystem, rates: Sequence[str], start: str) -> list[str]:
+    """Equations and initial values of rates that came as texts."""
+    names = [state.name for state in system.states]
+    texts = [f"{name}' = {' '.join(rate.split())}" for name, rate in zip(names, rates, strict=True)]
+    pairs = zip(names, system.initial, strict=True)
+    return [*texts, *(f"{name}({start}) = {plain_text(value)}" for name, value in pairs)]
 
 
 def _with_rest(texts: list[str], n: int, rest: RestForm | None) -> list[str]:

@@ -48,7 +48,7 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
         products=products,
         groups=_grouped(terms),
         initial=form.initial,
-        coupled=form.general,
+        coupled=tuple(form.general),
         jumps=form.jumps,
     )
 

@@ -11,6 +11,7 @@ from sympy.core.function import AppliedUndef
 from rankone.codegen.arrays import ArrayWriter, long_tables
 from rankone.codegen.constraints import constraint_blocks
 from rankone.codegen.factors import coordinate_functions
+from rankone.codegen.forms import FormWriter
 from rankone.codegen.header import general_header, header, sum_text
 from rankone.codegen.kernels import kernel_blocks
 from rankone.codegen.loading import ModuleSpecification
@@ -32,6 +33,7 @@ from rankone.codegen.text import (
 )
 from rankone.expressions.admissible import known_functions
 from rankone.expressions.named_constants import named_constants
+from rankone.frontend.term_table import TermTable
 from rankone.ir.forms import (
     ConstraintForms,
     Coordinate,
@@ -46,7 +48,7 @@ from rankone.ir.measures import LINEAR
 from rankone.support.errors import check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import number
-from rankone.symbolic.features import SymbolicFeatures, features_of
+from rankone.symbolic.features import SymbolicFeatures, features_of, features_of_table
 from rankone.symbolic.first_order import FirstOrderSystem, RestForm
 from rankone.symbolic.well_posed import Gap, NamedExpression, gaps_in_unknowns
 
@@ -141,6 +143,9 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     of one coordinate, which say where to look closely. There are no terms and no kernels. A
     ProblemError if NumPy and SciPy lack a function or its derivative.
     """
+    table = system.table
+    if table is not None and table.forms and len(system.states) >= ARRAY_STATES:
+        return _tabulated_source(system, table, title)
     writer = GeneralWriter(system)
     further = [*system.initial, *(value for jump in system.jumps for value in jump.values)]
     further += system.event_expressions
@@ -167,6 +172,29 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         tables,
         sections,
         printed,
+    )
+
+
+def _tabulated_source(system: FirstOrderSystem, terms: TermTable, title: str | None) -> str:
+    """The same of many states, from the table of their rates."""
+    writer = FormWriter(system, terms)
+    further = system.known_expressions
+    factors = known_functions(system.coordinates, further)
+    features = features_of_table(system, terms)
+    sections: dict[str, Sequence[Block]] = {
+        "Factors": coordinate_functions(
+            system.coordinates, [(sp.S.One, *functions) for functions in factors]
+        ),
+        "Right-hand side": writer.functions(),
+        "Initial values": [writer.initial()],
+        **_further_sections(writer, features, (), system.states, ()),
+    }
+    tables = _tables(False, system.states, len(system.states), (), system.coordinates)
+    return _module(
+        lambda scipy: general_header(system, writer.operations, title, scipy),
+        [*tables, *writer.tables()],
+        sections,
+        [*further, *writer.printed],
     )
 
 

@@ -139,6 +139,8 @@ class NumPyPrinter:
 
     def _shape(self, function: PointwiseFunction, states: str) -> str:
         """The expression for the common shape of all points."""
+        if "t" in function.arguments and states not in function.arguments:
+            return "np.broadcast_shapes(np.shape(t), np.shape(p)[1:])"
         if "t" in function.arguments:
             count = 1 + len(function.states) + len(function.parameters)
             if count <= self._MAX_BROADCAST_ARGUMENTS:
@@ -153,7 +155,7 @@ class NumPyPrinter:
         unpacked = {states: function.states, "p": function.parameters}
         names = [name for rows in unpacked.values() for name in rows]
         many = len(names) >= self._MAX_BROADCAST_ARGUMENTS
-        if many or "t" not in function.arguments or {*unpacked} & {*names}:
+        if many or not {"t", states} <= {*function.arguments} or {*unpacked} & {*names}:
             return None
         rows = [f"*{whole}" if "_" in some else ", ".join(some) for whole, some in unpacked.items()]
         shape = f"np.broadcast({', '.join(['t', *filter(None, rows)])}).shape"

@@ -71,7 +71,7 @@ class SeparatedWriter(PointwiseWriter):
         """Source lines of ``with_products``."""
         n, total = len(self.system.differential), len(self.system.states)
         if not self.system.products:
-            return _unchanged_states(n)
+            return unchanged_states(n)
         lines = [
             "def with_products(u):",
             *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
@@ -211,13 +211,13 @@ class GeneralWriter(PointwiseWriter):
         right_hand_side = f"{prefix}rhs", "t, u, p", of_rates, (n,), rates, self._meaning
         if n >= ARRAY_STATES and not prefix:
             entries = self._jacobian_entries(slopes)
-            return [self.array(*right_hand_side), *entries, _unchanged_states(n)]
+            return [self.array(*right_hand_side), *entries, unchanged_states(n)]
         return [
             self.array(*right_hand_side),
             self.array(
                 f"{prefix}jacobian", "t, u, p", of_jacobian, (n, n), slopes, self._meaning, "zeros"
             ),
-            _unchanged_states(n),
+            unchanged_states(n),
         ]
 
     def _jacobian_entries(self, slopes: Mapping[Index, sp.Expr]) -> list[list[str]]:
@@ -262,7 +262,7 @@ class GeneralWriter(PointwiseWriter):
         return f"d({rate})/d{self.state_name(column[0])}" if column else rate
 
 
-def _unchanged_states(n: int) -> list[str]:
+def unchanged_states(n: int) -> list[str]:
     """Source lines of ``with_products`` where there are none."""
     return [
         "def with_products(u):",

@@ -7,6 +7,7 @@ import operator
 from collections.abc import Callable, Mapping
 
 import numpy as np
+import scipy.special
 
 from rankone.support.arrays import Array
 
@@ -18,8 +19,12 @@ _OPERATORS: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
+_AS_IN_NUMPY = ("sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "sqrt", "log", "arctan")
 _FUNCTIONS: dict[str, Callable[[Value], Value]] = {
-    name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "sqrt")
+    **{name: getattr(np, name) for name in _AS_IN_NUMPY},
+    "atan": np.arctan,
+    "erf": scipy.special.erf,
+    "ln": np.log,
 }
 _PI, _NO_VALUE = np.float64(np.pi), np.float64(np.nan)
 

@@ -13,7 +13,9 @@
 :mod:`~.reactions`      problems from stoichiometric matrices and rate laws
 :mod:`~.addends`        matrices and vectors as sums of coefficients times arrays
 :mod:`~.term_table`     the rates of many states as a table of terms, and no expressions
-:mod:`~.polynomial_texts`  right-hand sides as text, read straight into such a table
+:mod:`~.term_sums`      the arithmetic of such tables
+:mod:`~.rate_forms`     rate laws that differ in their unknowns and numbers alone
+:mod:`~.tabulated_texts`  right-hand sides as text, read straight into such a table
 :mod:`~.mistakes`       what is often written in place of an unknown at the time t
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives

@@ -1,8 +1,8 @@
 """Rates of many states as a table of terms, from which no expression has to be written.
 
-Matrices, reactions of mass action and polynomial texts say which products of states change which
-state, and how fast. A table keeps that as it is; the equations are written out when somebody looks
-at them.
+Matrices, reactions and texts say which products of states change which state, and how fast; rate
+laws of a few forms are factors like states. A table keeps that as it is; the equations are written
+out when somebody looks at them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import sympy as sp
 from sympy.core.function import Application
@@ -19,6 +19,7 @@ from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import exact
 from rankone.expressions.unknowns import rate_of
 from rankone.frontend.box import Box
+from rankone.frontend.rate_forms import RateForm, Value, rational
 from rankone.support.deferred import Deferred
 from rankone.support.errors import ProblemError
 
@@ -43,25 +44,70 @@ class TermTable:
     functions : tuple of Expr
         Functions of time and parameters.
     terms : tuple of Entry
-        Those of all rates; the states multiplied are ascending.
+        Those of all rates; the states multiplied are ascending. Numbers above those of states
+        stand for ``values``, or for sums inside of them, which have terms of their own.
     texts : tuple of str
         The right-hand sides of which the terms were read, if they came as texts.
+    forms : tuple of RateForm
+        Expressions with slots: rate laws that are no products.
+    values : tuple of Value
+        What the forms give with states, other values, sums and numbers in their slots.
     """
 
     states: tuple[sp.Expr, ...]
     functions: tuple[sp.Expr, ...]
     terms: tuple[Entry, ...]
     texts: tuple[str, ...] = ()
+    forms: tuple[RateForm, ...] = ()
+    values: tuple[Value, ...] = ()
 
     def fits(self, time: sp.Symbol, box: Box) -> bool:
         """Whether all functions are smooth ones of time and the parameters of a box."""
-        declared = {time, *box}
-        return all(f.free_symbols <= declared and is_smooth(f) for f in self.functions)
+        return self.symbols <= {time, *box} and all(map(is_smooth, self.functions))
 
     @property
     def symbols(self) -> set[sp.Basic]:
-        """The symbols of the functions."""
-        return set().union(*(f.free_symbols for f in self.functions))
+        """The symbols of the functions and forms but for slots."""
+        own = (f.expression.free_symbols.difference(f.symbols, f.numbers) for f in self.forms)
+        return set().union(*(f.free_symbols for f in self.functions), *own)
+
+    @property
+    def expressions(self) -> tuple[sp.Expr, ...]:
+        """All that is not a product of states: functions, and forms with their slots."""
+        return (*self.functions, *(form.expression for form in self.forms))
+
+    @cached_property
+    def _sources(self) -> Mapping[int, Value | list[Entry]]:
+        """What each number above those of states stands for."""
+        n = len(self.states)
+        sources: dict[int, Value | list[Entry]] = {value.symbol: value for value in self.values}
+        for entry in self.terms:
+            if entry[1] >= n:
+                listed = sources.setdefault(entry[1], [])
+                assert isinstance(listed, list)
+                listed.append(entry)
+        return sources
+
+    @cached_property
+    def _written(self) -> dict[int, sp.Expr]:
+        """What numbers in terms stand for, as far as it was written out."""
+        return dict(enumerate(self.states))
+
+    def written(self, symbol: int) -> sp.Expr:
+        """What a number in terms stands for."""
+        if symbol not in self._written:
+            source = self._sources[symbol]
+            if isinstance(source, Value):
+                slots = map(self.written, source.symbols)
+                self._written[symbol] = self.forms[source.form].filled(slots, source.numbers)
+            else:
+                self._written[symbol] = sp.Add(*map(self.product, source))
+        return self._written[symbol]
+
+    def product(self, entry: Entry) -> sp.Expr:
+        """A term as an expression."""
+        coefficient, _, function, symbols = entry
+        return sp.Mul(rational(coefficient), self.functions[function], *map(self.written, symbols))
 
     def start(self, initial: object, box: Box) -> dict[sp.Expr, sp.Expr] | None:
         """The initial value of each state; None if they are not numbers or expressions of the box.
@@ -99,13 +145,22 @@ def is_smooth(function: sp.Expr) -> bool:
     return all(isinstance(inner, _SMOOTH) for inner in function.atoms(Application))
 
 
+class TabulatedRates(Deferred[sp.Expr]):
+    """Right-hand sides that are written out when they are first read, and the table of them."""
+
+    def __init__(
+        self, length: int, make: Callable[[], Sequence[sp.Expr]], table: TermTable
+    ) -> None:
+        super().__init__(length, make)
+        self.table = table
+
+
 def written_rates(table: TermTable, time: sp.Symbol, equations: int) -> list[sp.Eq]:
     """The first equations of a table of the first order, solved for the derivatives."""
     rates: list[list[sp.Expr]] = [[] for _ in range(equations)]
-    for coefficient, rate, function, multiplied in table.terms:
-        number = sp.Rational(coefficient.numerator, coefficient.denominator)
-        product = (table.states[i] for i in multiplied)
-        rates[rate].append(sp.Mul(number, table.functions[function], *product))
+    for entry in table.terms:
+        if entry[1] < equations:
+            rates[entry[1]].append(table.product(entry))
     return [
         sp.Eq(rate_of(state, time), sp.Add(*terms), evaluate=False)
         for state, terms in zip(table.states, rates, strict=False)

@@ -15,8 +15,8 @@ from rankone.expressions.parsing import parse_expression
 from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.equations import check_names
 from rankone.frontend.events import Event, event_name
-from rankone.frontend.polynomial_texts import table_of_texts
 from rankone.frontend.steady_start import SteadyState
+from rankone.frontend.tabulated_texts import table_of_texts
 from rankone.frontend.term_table import FEWEST_TABULATED, TabulatedEquations
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, quote, shown

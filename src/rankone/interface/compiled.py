@@ -78,7 +78,7 @@ logger = logging.getLogger("rankone")
 _SEPARATION_TOLERANCE = 1e-10
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CompiledProblem(CompiledStages):
     """A problem with everything that was derived from it before numbers come in.
 
@@ -469,6 +469,12 @@ def _agreeing(compiled: CompiledProblem) -> CompiledProblem:
     if problem.table is not None and compiled.quadratic is not None:
         check_table(problem, problem.table, compiled.system)
         return compiled
+    if first_order.table is not None and first_order.table.forms:
+        try:
+            check_table(problem, first_order.table, compiled.system)
+            return compiled
+        except DisagreementError:  # or rounding, which the comparison below tells apart
+            pass
     if compiled.quadratic is not None:
         try:
             check_problem(problem, first_order, compiled.system, _SEPARATION_TOLERANCE)

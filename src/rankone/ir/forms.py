@@ -220,7 +220,7 @@ class SeparatedForm:
         The residual u' - f = 0, all equations.
     initial : tuple of Term
         The initial values: ``equation`` is the state, ``monomial`` is empty, the time factor one.
-    general : tuple of GeneralTerm
+    general : sequence of GeneralTerm
         Terms that do not separate; without any, ``terms`` and ``initial`` are complete.
     jumps : tuple of Jump
         By time; they need not separate.
@@ -231,7 +231,7 @@ class SeparatedForm:
     factors: tuple[tuple[Factor, ...], ...]
     terms: tuple[Term, ...]
     initial: tuple[Term, ...]
-    general: tuple[GeneralTerm, ...] = ()
+    general: Sequence[GeneralTerm] = ()
     jumps: tuple[Jump, ...] = ()
 
     def require_separated(self) -> None:

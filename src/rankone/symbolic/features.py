@@ -29,13 +29,14 @@ from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
 from rankone.expressions.notation import text_of
 from rankone.expressions.peaks import peaks, steps
+from rankone.frontend.term_table import TermTable
 from rankone.ir.forms import Coordinate
 from rankone.ir.verdict import SwitchingTerm
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.wording import quote, written
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.surfaces import moving_cuts, parameter_surfaces, state_surfaces
+from rankone.symbolic.surfaces import MAX_SURFACES, moving_cuts, parameter_surfaces, state_surfaces
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
@@ -146,6 +147,47 @@ def features_of(
     )
 
 
+def features_of_table(system: FirstOrderSystem, table: TermTable) -> SymbolicFeatures:
+    """The features of a system of many states from the table of its rates.
+
+    Laws of one form differ in where their surfaces over the states are. No more of them are looked
+    at than there may be surfaces.
+    """
+    time = system.coordinates[0].symbol
+    states = dict(enumerate(system.functions))
+    inner: dict[sp.Expr, int] = {}
+
+    def slot(symbol: int) -> sp.Expr:
+        """A state, or what stands for a sum or a value in another law."""
+        if symbol in states:
+            return states[symbol]
+        stand_in = sp.Function(f"law {symbol}")(time)
+        inner[stand_in] = symbol
+        return stand_in
+
+    by_form: list[list[sp.Expr]] = [[] for _ in table.forms]
+    for value in table.values:
+        if len(by_form[value.form]) < MAX_SURFACES:
+            slots = map(slot, value.symbols)
+            by_form[value.form].append(table.forms[value.form].filled(slots, value.numbers))
+    laws = [first for first, *_ in by_form]
+    several = [further for first, *further in by_form if any(state_surfaces(time, [first]))]
+    in_turns = (law for each in itertools.zip_longest(*several) for law in each if law is not None)
+    laws += itertools.islice(in_turns, MAX_SURFACES)
+    features = features_of(system.coordinates, [*table.functions, *laws], system.initial)
+    plain = dict(zip(table.states, system.functions, strict=True))
+
+    def of_states(surface: sp.Expr) -> sp.Expr:
+        used = [stand_in for stand_in in inner if surface.has(stand_in)]
+        return surface.xreplace({f: table.written(inner[f]).xreplace(plain) for f in used})
+
+    peaks, kinks, steps = (
+        tuple(map(of_states, surfaces))
+        for surfaces in (features.peaks, features.kinks, features.steps)
+    )
+    return replace(features, peaks=peaks, kinks=kinks, steps=steps)
+
+
 def switching_term(
     system: FirstOrderSystem, state: int | None = None, *, kinks: bool = False
 ) -> SwitchingTerm | None:
@@ -154,6 +196,8 @@ def switching_term(
     ``state`` is one whose rate is known to switch; by default the first that may. With ``kinks`` it
     is one that kinks, where none jumps.
     """
+    if system.table is not None:  # its functions are smooth
+        return None
     for index in range(len(system.rhs)) if state is None else (state,):
         if (term := _switching_in(system, index, DISCONTINUOUS, "tanh({}/w)")) is not None:
             return term

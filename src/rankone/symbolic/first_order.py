@@ -19,6 +19,7 @@ from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.events import Event, event_latex, event_texts, known_time
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
+from rankone.frontend.term_table import TabulatedRates, TermTable
 from rankone.ir.events import BOTH, FALLING, RISING
 from rankone.ir.forms import ConstraintForms, Coordinate, EventForm, Jump, State
 from rankone.ir.functions import namespace_of
@@ -125,6 +126,18 @@ class FirstOrderSystem(Stage):
     def examined_rates(self) -> Sequence[sp.Expr]:
         """The right-hand sides, except of a table of terms: its functions are smooth and known."""
         return () if isinstance(self.rhs, Deferred) else self.rhs
+
+    @property
+    def table(self) -> TermTable | None:
+        """The table of the rates, if they are not written out."""
+        return self.rhs.table if isinstance(self.rhs, TabulatedRates) else None
+
+    @property
+    def known_expressions(self) -> tuple[sp.Expr, ...]:
+        """All that rates and initial values are made of; of a table without its states."""
+        table = self.table
+        rates = self.examined_rates if table is None else table.expressions
+        return (*rates, *self.initial)
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
@@ -278,12 +291,13 @@ def _of_table(
     problem: Problem, states: tuple[State, ...], functions: Mapping[sp.Expr, sp.Expr]
 ) -> FirstOrderSystem:
     """The system of a table of terms; its right-hand sides are written when they are read."""
+    assert problem.table is not None
     equations, n = len(problem.unknowns), len(states)
     return FirstOrderSystem(
         coordinates=problem.coordinates,
         states=states,
         functions=tuple(functions.values()),
-        rhs=Deferred(n, lambda: _solved_rates(problem, functions)[0]),
+        rhs=TabulatedRates(n, lambda: _solved_rates(problem, functions)[0], problem.table),
         initial=tuple(problem.initial.values()),
         origins=tuple(i % equations + 1 for i in range(n)),
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import sympy as sp
@@ -22,7 +23,14 @@ from rankone.support.errors import ProblemError, check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import listing, quote
 from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
-from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
+from rankone.symbolic.splitting import (
+    AS_IT_IS,
+    FURTHER_UNKNOWN,
+    Indivisible,
+    Monomial,
+    MonomialSum,
+    Splitter,
+)
 from rankone.symbolic.tabulated import tabulated_form
 from rankone.symbolic.well_posed import check_gaps, check_known, check_tables
 
@@ -32,7 +40,6 @@ _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
 _MOST_BITS = 400  # Of the numerator times the denominator of what is far from both
 # Least power that explains an extreme coefficient; units of lower powers do not reach it
 _HIGH_POWER = 8
-_AS_IT_IS = "method='cross' takes it as it is; for the other methods"
 
 
 def separate(form: WeakForm | Problem) -> SeparatedForm:
@@ -77,8 +84,10 @@ def symbolic_forms(
     with timed(timings, "weak form"):
         weak = weak_form(system)
     with timed(timings, "separation"):
-        table = problem.table
-        separated = (table and tabulated_form(table, weak)) or separate(weak)
+        tabulated = problem.table and tabulated_form(problem.table, weak)
+        if tabulated is None and problem.table is not None and problem.table.forms:
+            system = replace(system, rhs=tuple(system.rhs))  # checks look at them
+        separated = tabulated or separate(weak)
     if separated.general:
         check_known(system, system.coordinates)
     return system, weak, separated
@@ -184,10 +193,7 @@ class _Separation:
         if reason.reason == "not polynomial":
             states = [e for s, e in self.written.items() if s in reason.expression.free_symbols]
             message += f"is not polynomial in {listing(states)}"
-            way_out = (
-                "make the function a further unknown with an equation of its own, "
-                "such as s = sin(x) with s' = cos(x) x'"
-            )
+            way_out = FURTHER_UNKNOWN
         elif reason.reason == "out of range":
             message += "has a number that floating point does not hold when it is multiplied out"
             way_out = "change the units"
@@ -202,7 +208,7 @@ class _Separation:
                 if self.coordinates[0] in among
                 else "take the combination as a parameter of its own"
             )
-        remedy = f"{_AS_IT_IS} {way_out}"
+        remedy = f"{AS_IT_IS} {way_out}"
         return GeneralTerm(state, written, initial, message, remedy, equation)
 
     def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:

@@ -89,6 +89,13 @@ _LARGE_EXPONENT = 30  # Larger ones are counted from their largest value: no fac
 _MOST_FACTORED_POWER = 20  # SymPy factors sums of such powers in no time, of higher ones in minutes
 # Numbers up to this, and down to its reciprocal, are pulled out of factors
 _ORDINARY_RATIO = sp.Integer(10) ** 30
+AS_IT_IS = "method='cross' takes it as it is; for the other methods"
+"""What to do about a term that does not separate; what the other methods need follows."""
+FURTHER_UNKNOWN = (
+    "make the function a further unknown with an equation of its own, "
+    "such as s = sin(x) with s' = cos(x) x'"
+)
+"""What they need where a term is not polynomial."""
 _MOST_TERMS = 1500  # Products from two multiplied sums: each takes some milliseconds to compile
 _MOST_MULTIPLIED_POWER = 64  # Highest power of a mixed expression that is multiplied out
 

@@ -24,7 +24,8 @@ from rankone.ir.forms import Coordinate
 
 # Functions of two sides, one of which may be narrow
 _SIDES = (sp.Abs, sp.Max, sp.Min, Relational, sp.Heaviside, sp.sign)
-_MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluates them all
+MAX_SURFACES = 64
+"""Surfaces over the states, or over the parameters: every check point and step evaluates them."""
 # Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
 _NARROW_CURVATURE = 1e4
 
@@ -80,7 +81,7 @@ def _wholes(expression: sp.Expr, coordinates: Sequence[Coordinate]) -> range:
     if not all(value.is_real and value.is_finite for value in at):
         return range(0)
     first, last = math.ceil(min(at)), math.floor(max(at))
-    return range(first, last + 1) if last - first < _MAX_SURFACES else range(0)
+    return range(first, last + 1) if last - first < MAX_SURFACES else range(0)
 
 
 def _moving_peaks(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> Iterator[sp.Expr]:
@@ -129,7 +130,7 @@ def state_surfaces(
     by_sort = []
     for functions in sorts:
         distinct = (f for f in _distinct(filter(moving, functions)) if not surfaces & {f, -f})
-        by_sort.append(tuple(itertools.islice(distinct, _MAX_SURFACES - len(surfaces))))
+        by_sort.append(tuple(itertools.islice(distinct, MAX_SURFACES - len(surfaces))))
         surfaces.update(by_sort[-1])
     at_peaks, at_kinks, at_steps = by_sort
     return at_peaks, at_kinks, at_steps
@@ -152,7 +153,7 @@ def parameter_surfaces(
     )
     of_parameters = (f for f in surfaces if f.free_symbols <= parameters)
     several = (f for f in of_parameters if len(f.free_symbols) > 1 and not f.has(AppliedUndef))
-    return tuple(_distinct(several)[:_MAX_SURFACES])
+    return tuple(_distinct(several)[:MAX_SURFACES])
 
 
 def _zeros(expressions: Sequence[sp.Expr], functions: tuple[type, ...]) -> Iterator[sp.Expr]:
@@ -160,7 +161,7 @@ def _zeros(expressions: Sequence[sp.Expr], functions: tuple[type, ...]) -> Itera
     for boundary, levels in boundaries(expressions, functions):
         if levels is None:
             yield sp.sin(sp.pi * boundary)
-        elif len(levels) <= _MAX_SURFACES:
+        elif len(levels) <= MAX_SURFACES:
             yield from (boundary - sp.Rational(level) for level in levels)
 
 

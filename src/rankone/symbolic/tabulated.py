@@ -7,12 +7,14 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.expressions.admissible import located_defect
+from rankone.expressions.admissible import known_functions, located_defect
 from rankone.expressions.notation import exact
-from rankone.frontend.term_table import TermTable
-from rankone.ir.forms import Factor, SeparatedForm, Term
+from rankone.frontend.term_table import Entry, TermTable
+from rankone.ir.forms import Factor, GeneralTerm, SeparatedForm, Term
+from rankone.support.deferred import Deferred
+from rankone.support.wording import listing, quote
 from rankone.symbolic.first_order import WeakForm
-from rankone.symbolic.splitting import Indivisible, Splitter
+from rankone.symbolic.splitting import AS_IT_IS, FURTHER_UNKNOWN, Indivisible, Splitter
 
 _LARGEST = 1e100  # Coefficients up to this, and down to its reciprocal, need no closer look
 _Key = tuple[int, int, tuple[int, ...]]
@@ -25,20 +27,31 @@ _Product = tuple[sp.Expr, ...]
 def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
     """The separated form of a table; None where the way over expressions has more to say.
 
-    That is where a function does not separate, or a factor or coefficient is not finite.
+    That is where a function does not separate, or a factor or coefficient is not finite. Terms with
+    rate laws do not separate, and are listed when they are read.
     """
+    if table.forms and not _is_known(table, weak):
+        return None
     splitter = Splitter(weak.coordinates, [])
-    try:
-        functions = [_split(splitter, f) for f in table.functions]
-        starts = [_split(splitter, start) for start in weak.initial]
-    except Indivisible:
+    functions = [_split(splitter, f) for f in table.functions]
+    starts = [start for e in weak.initial if (start := _split(splitter, e)) is not None]
+    if len(starts) < len(weak.initial) or (None in functions and not table.forms):
         return None
     one = (sp.S.One,) * len(weak.coordinates)
     products: dict[_Product, int] = {one: 0}
-    numbered = [_numbered(f, products) for f in functions]
+    numbered = [None if f is None else _numbered(f, products) for f in functions]
     residual: _Sums = {}
-    for coefficient, rate, function, states in table.terms:
-        for number, product in numbered[function]:
+    n = len(weak.states)
+    general: list[Entry] = []
+    for entry in table.terms:
+        coefficient, rate, function, states = entry
+        separate = numbered[function]
+        if rate >= n:  # of a sum inside a law
+            continue
+        if separate is None or any(s >= n for s in states):
+            general.append(entry)
+            continue
+        for number, product in separate:
             key = rate, product, states
             residual[key] = residual.get(key, 0) - coefficient * number
     pairs = ((i, pair) for i, start in enumerate(starts) for pair in _numbered(start, products))
@@ -61,15 +74,48 @@ def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
         factors=tuple(tuple(Factor(j, f) for f in each) for j, each in enumerate(distinct)),
         terms=_ordered([*derivatives, *_terms(residual, places)]),
         initial=_ordered(_terms(initial, places)),
+        general=_listed(general, table, weak),
     )
 
 
-def _split(splitter: Splitter, function: sp.Expr) -> list[tuple[Fraction | float, _Product]]:
-    """A function as numbers times products of factors."""
+def _listed(entries: list[Entry], table: TermTable, weak: WeakForm) -> Sequence[GeneralTerm]:
+    """Terms with rate laws; they are written when they are read."""
+    if not entries:
+        return ()
+    return Deferred(len(entries), lambda: [_general(entry, table, weak) for entry in entries])
+
+
+def _is_known(table: TermTable, weak: WeakForm) -> bool:
+    """Whether all functions of one coordinate are finite, those inside of forms too."""
+    known = known_functions(weak.coordinates, [*table.expressions, *weak.initial])
+    pairs = enumerate(zip(weak.coordinates, known, strict=True))
+    return not any(located_defect(f, c, j) is not None for j, (c, fs) in pairs for f in fs)
+
+
+def _general(entry: Entry, table: TermTable, weak: WeakForm) -> GeneralTerm:
+    """A term that does not separate, and why."""
+    _, rate, function, symbols = entry
+    term = table.product(entry)
+    law = table.functions[function]
+    reason, further = "does not factor", "take it as a further unknown with an equation of its own"
+    if any(symbol >= len(weak.states) for symbol in symbols):
+        law = table.written(max(symbols))
+        unknowns = [state for state in table.states if law.has(state)]
+        reason, further = f"is not polynomial in {listing(unknowns)}", FURTHER_UNKNOWN
+    within = "" if law == term else f" in the term {quote(term)}"
+    message, remedy = f"{quote(law)}{within} {reason}", f"{AS_IT_IS} {further}"
+    return GeneralTerm(rate, term, False, message, remedy, weak.origins[rate])
+
+
+def _split(splitter: Splitter, function: sp.Expr) -> list[tuple[Fraction | float, _Product]] | None:
+    """A function as numbers times products of factors; None if it does not separate."""
     if function.is_Rational:
         (monomial,) = splitter.split(sp.S.One)
         return [(_fraction(function), monomial.factors)] if function else []
-    return [(_fraction(c), m.factors) for m, c in splitter.split(exact(function)).items()]
+    try:
+        return [(_fraction(c), m.factors) for m, c in splitter.split(exact(function)).items()]
+    except Indivisible:
+        return None
 
 
 def _fraction(number: sp.Expr) -> Fraction | float:

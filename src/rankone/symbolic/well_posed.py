@@ -82,7 +82,7 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
 
 def check_known(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
     """Raise a ProblemError if a known function of one coordinate is not finite and real."""
-    functions_of = known_functions(coordinates, [*system.examined_rates, *system.initial])
+    functions_of = known_functions(coordinates, system.known_expressions)
     for dimension, (coordinate, functions) in enumerate(
         zip(coordinates, functions_of, strict=True)
     ):

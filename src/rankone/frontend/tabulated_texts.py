@@ -1,0 +1,126 @@
+"""Right-hand sides as text, read straight into a table of terms where they have one.
+
+An expression of SymPy for each of a thousand right-hand sides takes seconds to build and to take
+apart again. Sums of numbers times functions of time and parameters times products of unknowns need
+none, nor do rate laws of a few forms; whatever else a text has leaves the problem to the general
+way.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from fractions import Fraction
+
+import sympy as sp
+
+from rankone.expressions.parsing import parse_expression, syntax_trees
+from rankone.frontend.rate_forms import TermSum
+from rankone.frontend.term_sums import NotTabulated, TermSums, added, without_zeros
+from rankone.frontend.term_table import TermTable, is_smooth
+from rankone.support.budget import check_time
+from rankone.support.errors import ProblemError
+
+_MOST_TERMS = 2000  # Terms of one right-hand side; longer ones are for the general way to judge
+_OTHER_NAMES = {"arctan": "atan", "ln": "log"}
+
+
+def table_of_texts(
+    rhs: Mapping[str, object], states: Mapping[str, sp.Expr], coordinates: Mapping[str, sp.Symbol]
+) -> TermTable | None:
+    """The table of right-hand sides of states; None where the general way has to read them.
+
+    ``coordinates`` are time and the parameters by name.
+    """
+    reader = _Reader({name: i for i, name in enumerate(states)}, coordinates)
+    texts = tuple(rate for rate in rhs.values() if isinstance(rate, str))
+    if len(texts) < len(rhs):
+        return None
+    try:
+        rates = [reader.terms(text) for text in texts]
+        return reader.sums.table(tuple(states.values()), rates, texts)
+    except (NotTabulated, ProblemError, SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+
+
+class _Reader(ast.NodeVisitor):
+    """Evaluates texts in sums of products."""
+
+    def __init__(self, places: Mapping[str, int], coordinates: Mapping[str, sp.Symbol]) -> None:
+        self.places, self.coordinates = places, coordinates
+        self.sums = TermSums(len(places))
+        self._source = ""
+
+    def terms(self, text: str) -> TermSum:
+        """The terms of a text."""
+        check_time()
+        total: TermSum = {}
+        for self._source, tree in syntax_trees(text):
+            added(total, self.visit(tree))
+        if len(total) > _MOST_TERMS:
+            raise NotTabulated
+        return without_zeros(total)
+
+    def generic_visit(self, node: ast.AST) -> TermSum:
+        raise NotTabulated
+
+    def visit_Constant(self, node: ast.Constant) -> TermSum:
+        if type(node.value) is int:
+            return {(0, ()): Fraction(node.value)}
+        if type(node.value) is float and self._source.isascii():
+            digits = self._source[node.col_offset : node.end_col_offset]
+            if abs(node.value) < 1e100 and "e" not in digits.lower():
+                return {(0, ()): Fraction(digits.replace("_", ""))}
+        return self._read(node)
+
+    def visit_Name(self, node: ast.Name) -> TermSum:
+        if node.id in self.places:
+            return {(0, (self.places[node.id],)): Fraction(1)}
+        if node.id in self.coordinates:
+            return self.sums.function(self.coordinates[node.id])
+        return self._read(node)
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> TermSum:
+        operand: TermSum = self.visit(node.operand)
+        if isinstance(node.op, ast.USub):
+            return {product: -number for product, number in operand.items()}
+        if isinstance(node.op, ast.UAdd):
+            return operand
+        raise NotTabulated
+
+    def visit_BinOp(self, node: ast.BinOp) -> TermSum:
+        if isinstance(node.op, ast.Pow) and not self._has_unknowns(node):
+            return self._read(node)
+        left, right = self.visit(node.left), self.visit(node.right)
+        match node.op:
+            case ast.Add():
+                return added(left, right)
+            case ast.Sub():
+                return added(left, right, -1)
+            case ast.Mult():
+                return self.sums.product(left, right)
+            case ast.Div():
+                return self.sums.quotient(left, right)
+            case ast.Pow():
+                return self.sums.power(left, right)
+        raise NotTabulated
+
+    def visit_Call(self, node: ast.Call) -> TermSum:
+        if not self._has_unknowns(node):
+            return self._read(node)
+        match node:
+            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]):
+                if name not in self.places and name not in self.coordinates:
+                    return self.sums.called(_OTHER_NAMES.get(name, name), self.visit(argument))
+        raise NotTabulated
+
+    def _has_unknowns(self, node: ast.expr) -> bool:
+        return any(isinstance(n, ast.Name) and n.id in self.places for n in ast.walk(node))
+
+    def _read(self, node: ast.expr) -> TermSum:
+        """A part of a text as a function of time and parameters."""
+        text = ast.get_source_segment(self._source, node) or ast.unparse(node)
+        expression = parse_expression(text, self.coordinates, where="formula")
+        if not is_smooth(expression):
+            raise NotTabulated
+        return self.sums.function(expression)

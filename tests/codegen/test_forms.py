@@ -1,0 +1,239 @@
+"""Rate laws of one form as array code, against a line for each state."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+from rankone.codegen import module, rates
+from rankone.codegen.rates import ARRAY_STATES
+from rankone.frontend import term_sums, text
+from rankone.ir.jacobian import pattern_of
+from rankone.support.deferred import Deferred
+
+N = ARRAY_STATES
+BOX = {"k": (0.5, 1.5), "c": (1.0, 2.0)}
+NAMES = "xyzuvw"
+LAWS = {
+    "saturation": [f"c - k*x{i}/({1 + i % 7}.{i} + x{i})" for i in range(N)],
+    "two substrates": [
+        f"c - x{i}*x{i - 1}/((k + x{i})*(0.{i + 1} + x{i - 1}))" for i in range(1, N)
+    ],
+    "haldane": [f"c - k*x{i}/(0.3{i} + x{i} + x{i}**2/2.{i})" for i in range(N)],
+    "reversible": [f"(c*x{i} - k*x{i - 1})/(1 + x{i}/c + x{i - 1}/0.{i + 1})" for i in range(1, N)],
+    "hill": [f"k*x{i - 1}**3/(0.4{i}**3 + x{i - 1}**3) - x{i}" for i in range(1, N)],
+    "hill of any power": [f"x{i - 1}**c/(k**c + x{i - 1}**c) - x{i}" for i in range(1, N)],
+    "repression": [f"1/(1 + (x{i - 1}/0.{i + 1})**2.{i + 1}) - x{i}" for i in range(1, N)],
+    "arrhenius": [f"-exp(-k/(0.3{i}*x{i}))*x{i}" for i in range(N)],
+    "network": [
+        f"tanh({' + '.join(f'0.{i + j}*x{(i + 7 * j) % N}' for j in range(1, 7))}) - k*x{i}"
+        for i in range(N)
+    ],
+    "two layers": [
+        f"tanh({' - '.join(f'tanh(0.{i + j}*x{(i + 5 * j) % N} + c)' for j in range(1, 6))}) - x{i}"
+        for i in range(N)
+    ],
+    "logistic": [f"k/(1 + exp((x{i - 1} - 0.{i + 1})/0.3)) - x{i}" for i in range(1, N)],
+    "losses at small states": [f"k*x{i - 1}*(1 - exp(-x{i}))*cos(t)" for i in range(1, N)],
+    "roots": [f"-k*sqrt(x{i - 1} + 0.{i + 1}) + log(1 + x{i}) + atan(x{i}/c)" for i in range(1, N)],
+}
+
+
+def problem_of(rhs, **further):
+    initial = {name: f"0.{i + 2}" for i, name in enumerate(rhs)}
+    return ro.Problem.from_strings(rhs, initial, BOX, (0, 1), **further)
+
+
+def laws_of(kind):
+    listed = LAWS[kind]
+    missing = {f"x{i}": f"-c*x{i}" for i in range(N - len(listed))}
+    return missing | {f"x{N - len(listed) + i}": law for i, law in enumerate(listed)}
+
+
+def by_lines(rhs, monkeypatch):
+    """The same with a line for each state, from expressions."""
+    with monkeypatch.context() as patch:
+        patch.setattr(text, "FEWEST_TABULATED", 10**6)
+        return ro.compile(problem_of(rhs))
+
+
+def check_same(arrays, lines, rel=1e-12):
+    n = len(arrays.separated.states)
+    generator = np.random.default_rng(4)
+    u, p = generator.uniform(0.1, 1.5, (n, 3, 2)), generator.uniform(1.0, 1.5, (2, 2))
+    t = generator.random((3, 1))
+    for ours, theirs in [
+        (arrays.system.rhs(t, u, p), lines.system.rhs(t, u, p)),
+        (arrays.system.jacobian(t, u, p), lines.system.jacobian(t, u, p)),
+        (arrays.system.rhs(0.3, u[:, 0, 0], p[:, 0]), lines.system.rhs(0.3, u[:, 0, 0], p[:, 0])),
+        (arrays.system.initial(p), lines.system.initial(p)),
+    ]:
+        assert ours == pytest.approx(theirs, rel=rel, abs=rel * np.abs(theirs).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", LAWS)
+def test_arrays_are_the_lines_to_rounding(kind, monkeypatch):
+    rhs = laws_of(kind)
+    arrays, lines = ro.compile(problem_of(rhs)), by_lines(rhs, monkeypatch)
+    assert arrays.problem.table is not None
+    assert f"out[{N - 1}] = " in lines.source
+    assert "STEPS = (" in arrays.source
+    check_same(arrays, lines)
+    ours, theirs = pattern_of(arrays.system.jacobian), pattern_of(lines.system.jacobian)
+    assert np.array_equal(ours.rows, theirs.rows)
+    assert np.array_equal(ours.columns, theirs.columns)
+    features = arrays.system.features, lines.system.features
+    assert len({f.n_peaks + f.n_kinks + f.n_steps for f in features}) == 1
+
+
+class Texts:
+    """Random formulas of six unknowns."""
+
+    def __init__(self, seed):
+        self.draw = np.random.default_rng(seed)
+
+    def choice(self, options):
+        return options[int(self.draw.integers(len(options)))]
+
+    def leaf(self):
+        return self.choice([*NAMES, *NAMES, "k", "c", "t", "2", f"{self.draw.uniform(0.1, 3):.3f}"])
+
+    def formula(self, depth):
+        if depth == 0:
+            return self.leaf()
+        a, b, x = self.formula(depth - 1), self.formula(depth - 1), self.choice(NAMES)
+        function = self.choice(["exp", "tanh", "sin", "cosh", "atan", "erf"])
+        return self.choice(
+            [
+                f"({a} + {b})",
+                f"({a} - {b})",
+                f"{a}*{b}",
+                f"{a}/(1.7 + {b}**2)",
+                f"({a})**{self.choice([2, 3])}",
+                f"(1.5 + {x}**2)**-1",
+                f"{function}(-0.3*{a})",
+                f"(1.5 + {x}**2)**{self.choice(['k', '0.5', '1.7', '-k'])}",
+                f"{a}*{x}**2/({self.choice(['k', '1', '0.7'])} + {x}**2)",
+                f"1/(1 + exp({a}))",
+                f"(1 - exp(-{a}))*{b}",
+                f"exp({x})/(2.5 + exp({x}))",
+            ]
+        )
+
+    def rates(self):
+        depths = (1 + k % 3 for k in range(len(NAMES)))
+        return {x: f"0.1*{self.formula(d)} - 0.1*{self.leaf()}" for x, d in zip(NAMES, depths)}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:parameter .* appears nowhere")
+def test_random_formulas_are_the_same_as_lines(monkeypatch):
+    for owner in (module, rates):
+        monkeypatch.setattr(owner, "ARRAY_STATES", 2)
+    monkeypatch.setattr(text, "FEWEST_TABULATED", 2)
+    monkeypatch.setattr(term_sums, "_MOST_FORMS", Fraction(100))
+    compared = 0
+    for seed in range(20):
+        rhs = Texts(seed).rates()
+        problem = problem_of(rhs)
+        if problem.table is not None and problem.table.forms:
+            check_same(ro.compile(problem), by_lines(rhs, monkeypatch), rel=1e-10)
+            compared += 1
+    assert compared > 12
+
+
+def test_laws_of_one_form_are_printed_once():
+    rhs = {f"x{i}": f"c*x{i - 1}/(1.{i + 1} + x{i - 1}) - k*x{i}/(x{i} + 2.5)" for i in range(1, N)}
+    compiled = ro.compile(problem_of(rhs | {"x0": "-x0/(1.5 + x0)"}))
+    (form,) = compiled.problem.table.forms
+    assert compiled.source.count("\ndef form_") == 1
+    assert len(form.symbols) == len(form.numbers) == 1
+    assert str(form.expression).replace("_", "") == "x0/(c0 + x0)"
+
+
+def test_nothing_is_written_out_until_it_is_read(monkeypatch):
+    def never(self):
+        raise AssertionError("an expression was written")
+
+    monkeypatch.setattr(Deferred, "_items", property(never))
+    compiled = ro.compile(problem_of(laws_of("saturation")))
+    assert np.isfinite(compiled.system.rhs(0.5, np.ones((N, 1)), np.ones((2, 1)))).all()
+    assert repr(compiled).startswith("CompiledProblem of x0, x1")
+    assert f"{N} general terms" in repr(compiled)
+
+
+def test_small_states_keep_their_digits():
+    """``1 - exp(-x)`` of a state of 1e-20 is the state, not zero."""
+    system = ro.compile(problem_of(laws_of("losses at small states"))).system
+    u = np.full(N, 1e-20)
+    assert system.rhs(0.0, u, [1.0, 1.5])[5] == pytest.approx(1e-40, rel=1e-14)
+
+
+def test_slopes_of_saturated_laws_do_not_cancel():
+    """The derivative of x/(K + x) far above K is K/x**2, which 1/x - 1/x is not."""
+    system = ro.compile(problem_of(laws_of("saturation"))).system
+    entries = pattern_of(system.jacobian).entries(0.0, np.full(N, 1e12), [1.0, 1.5])
+    assert entries == pytest.approx([-float(f"{1 + i % 7}.{i}") / 1e24 for i in range(N)], rel=1e-9)
+
+
+def test_states_that_are_named_like_slots(monkeypatch):
+    """Parameters may be called like what stands in the text of a form."""
+    rhs = {f"s{i}": f"-c*s{i}/(x0 + c0*s{i} + p + 0.{i + 1})" for i in range(N)}
+    box = dict.fromkeys(("x0", "c0", "c", "p"), (1.0, 2.0))
+    problem = ro.Problem.from_strings(rhs, dict.fromkeys(rhs, 1), box, (0, 1))
+    u, (x0, c0, c, p) = np.linspace(0.5, 1.5, N), (1.1, 1.3, 1.7, 1.9)
+    numbers = np.array([float(f"0.{i + 1}") for i in range(N)])
+    expected = -c * u / (x0 + c0 * u + p + numbers)
+    assert problem.table is not None
+    assert ro.compile(problem).system.rhs(0.0, u, [x0, c0, c, p]) == pytest.approx(expected, 1e-14)
+
+
+def test_many_forms_keep_their_lines():
+    rhs = {f"x{i}": f"-x{i}/(1 + {'x0*' * (i % 8 + 1)}x{i}**{i % 7 + 1})" for i in range(N)}
+    assert problem_of(rhs).table is None
+
+
+def test_what_is_not_finite_is_said_as_for_few_states():
+    rhs = {f"x{i}": f"-x{i}/(1 + x{i}/(k - 1))" for i in range(N)}
+    with pytest.raises(ro.ProblemError, match=r"not finite at k = 1"):
+        ro.compile(problem_of(rhs))
+
+
+def test_general_terms_are_those_of_expressions():
+    compiled = ro.compile(problem_of(laws_of("arrhenius")))
+    term = compiled.separated.general[3]
+    t = sp.Symbol("t")
+    assert term.expression.has(sp.Function("x3")(t))
+    assert "is not polynomial in `x3(t)`" in term.reason
+    with pytest.raises(ro.SeparationError):
+        compiled.separated.require_separated()
+
+
+_PRINTED = """
+import rankone as ro
+from tests.codegen.test_forms import laws_of, problem_of
+print("".join(ro.compile(problem_of(laws_of(k))).source for k in ("network", "reversible")))
+"""
+
+
+@pytest.mark.slow
+def test_the_same_bytes_under_another_hash_seed():
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", _PRINTED],
+            env={"PYTHONHASHSEED": seed, "PYTHONPATH": "src:."},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(texts) == 1
+    assert "def slopes_of_form_0" in texts.pop()
