@@ -14,9 +14,8 @@ from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import Status, SwitchesNotHeld
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
-from rankone.solvers.markers import SolveStart, start_of
+from rankone.solvers.markers import FirstPoints, SolveStart, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
-from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
@@ -41,16 +40,16 @@ class Engine:
 
     ``name`` is the ``method`` of ``rankone.solve``, ``record`` the class of the items of its
     history. ``marcher`` makes what it does in an attempt from a request, its reference set, and the
-    workers that integrate trajectories. ``first_points`` (m, d) of a request are those whose
-    trajectories it begins with: the reference integrates them too. An engine that ``observes``
-    interpolates what is asked for alone; others solve for all states.
+    workers that integrate trajectories. ``first_points`` (m, d) of a system and a request are those
+    whose trajectories it begins with: the reference integrates them too. An engine that
+    ``observes`` interpolates what is asked for alone; others solve for all states.
     """
 
     name: str
     options: type[Options]
     record: type[SlabRecord]
     marcher: Callable[[SolveRequest, ReferenceSet, Workers], Marcher]
-    first_points: Callable[[SolveRequest], Array] | None = None
+    first_points: FirstPoints | None = None
     observes: bool = False
 
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
@@ -171,14 +170,13 @@ class Engine:
         options = request.options_of(self.options)
         if self.observes:
             request = observing(system, request)
-        first = None if self.first_points is None else self.first_points(request)
         start: SolveStart | None = None
         with ExitStack() as stack:
 
             def marcher() -> Marcher:
                 nonlocal start
                 workers = stack.enter_context(open_workers(system, options.executor))
-                start = start_of(workers, request, markers, first)
+                start = start_of(workers, request, markers, self.first_points)
                 there = workers.of(start.reference_set.system)
                 return self.marcher(start.request, start.reference_set, there)
 

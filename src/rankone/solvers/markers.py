@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.paths import Path, joined
+from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
@@ -53,6 +54,9 @@ _MARKED_SHARE = 0.3
 _LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
+FirstPoints: TypeAlias = Callable[[System, SolveRequest], Array]
+"""The points (m, d) whose trajectories an engine begins with."""
+
 
 @dataclass(frozen=True)
 class SolveStart:
@@ -67,11 +71,11 @@ class SolveStart:
 
 
 def start_of(
-    workers: Workers, request: SolveRequest, markers: bool, first_points: Array | None = None
+    workers: Workers, request: SolveRequest, markers: bool, first_points: FirstPoints | None = None
 ) -> SolveStart:
     """The reference, over stretches between markers if these are allowed and pay.
 
-    Over clock time it has trajectories at the ``first_points`` (m, d) of an engine as well, and the
+    It has trajectories at the ``first_points`` of an engine as well. Over clock time the
     ``workers`` of a system take part.
 
     Raises
@@ -80,23 +84,28 @@ def start_of(
         If trajectories do not meet the markers in the same order.
     """
     system = workers.system
+    first_points = first_points or _nowhere
+    lines = first_points(system, request)
     large = sparse_pattern(system) is not None  # over stretches the Jacobian is dense
     if not markers or request.check.points == 0 or large or _interrupted(system):
-        return SolveStart(request, reference_set_of(system, request, first_points, workers))
+        return SolveStart(request, reference_set_of(system, request, lines, workers))
     try:
         with limited(_FIRST_LOOK):
-            reference_set = reference_set_of(system, request, first_points, workers)
+            reference_set = reference_set_of(system, request, lines, workers)
     except OutOfWorkError:
         if work_left() <= 0.0:
             raise
-        start = _by_pilots(system, request)
-        return start or SolveStart(
-            request, reference_set_of(system, request, first_points, workers)
-        )
+        start = _by_pilots(system, request, first_points)
+        return start or SolveStart(request, reference_set_of(system, request, lines, workers))
     marked: SolveStart | None = None
     with suppress(OutOfWorkError), limited(_MARKED_SHARE * work_left()):
-        marked = _by_reference(reference_set, request)
+        marked = _by_reference(reference_set, request, first_points)
     return marked or SolveStart(request, reference_set)
+
+
+def _nowhere(_system: System, request: SolveRequest) -> Array:
+    """The first points of an engine that begins with none."""
+    return np.zeros((0, len(request.domain.box)))
 
 
 def _interrupted(system: System) -> bool:
@@ -106,7 +115,9 @@ def _interrupted(system: System) -> bool:
     return bool(system.jumps.times or in_time)
 
 
-def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveStart | None:
+def _by_reference(
+    reference_set: ReferenceSet, request: SolveRequest, first_points: FirstPoints
+) -> SolveStart | None:
     """The start over stretches, if markers pay for the trajectories of a reference."""
     system, reference = reference_set.system, reference_set.reference
     (dense,), sizes = reference.batches, reference_set.of_states[:, None]
@@ -116,10 +127,12 @@ def _by_reference(reference_set: ReferenceSet, request: SolveRequest) -> SolveSt
     if not may_pay(separate.of(SCOUTS).paths):
         return None
     tolerances = Tolerances.down_to(reference_set.accuracy, _FLOOR * sizes)
-    return _by_paths(system, request, reference.points, separate.paths, tolerances)
+    return _by_paths(system, request, reference.points, separate.paths, tolerances, first_points)
 
 
-def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
+def _by_pilots(
+    system: System, request: SolveRequest, first_points: FirstPoints
+) -> SolveStart | None:
     """The start over stretches, if markers pay for a few trajectories.
 
     They go over a part of the horizon at first, which is enough where all of them repeat.
@@ -138,18 +151,22 @@ def _by_pilots(system: System, request: SolveRequest) -> SolveStart | None:
         paths = [joined(each) for each in zip(paths, further, strict=True)] if paths else [*further]
         time, states = float(ends[0]), np.stack([path.state for path in paths], axis=1)
         try:
-            found = _by_paths(system, request, points, paths, tolerances)
+            found = _by_paths(system, request, points, paths, tolerances, first_points)
         except OrderError:  # perhaps they do not go on as they began
             if share == _PILOT_SHARES[-1]:
                 raise
             continue
         if found is not None:
             return found
-    return _by_late_front(system, request, points, paths)
+    return _by_late_front(system, request, points, paths, first_points)
 
 
 def _by_late_front(
-    system: System, request: SolveRequest, points: Array, paths: Sequence[Path]
+    system: System,
+    request: SolveRequest,
+    points: Array,
+    paths: Sequence[Path],
+    first_points: FirstPoints,
 ) -> SolveStart | None:
     """The start over the stretches before and behind a front that many meet after the horizon."""
     if not is_autonomous(system):
@@ -167,7 +184,8 @@ def _by_late_front(
     marker, order = found
     clock = Clock(timed_events(system, (), (marker,)), order, horizon)
     stretched, there = over_stretches(clock, request)
-    return SolveStart(there, ReferenceSet.of(stretched, there), clock)
+    lines = first_points(stretched, there)
+    return SolveStart(there, ReferenceSet.of(stretched, there, lines), clock)
 
 
 def _by_paths(
@@ -176,6 +194,7 @@ def _by_paths(
     points: Array,
     paths: Sequence[Path],
     tolerances: Tolerances,
+    first_points: FirstPoints,
 ) -> SolveStart | None:
     """The start over stretches, if markers pay for trajectories over clock time.
 
@@ -199,7 +218,10 @@ def _by_paths(
     swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
     clock = replace(clock, swings=swings)
     whole, there = over_stretches(replace(clock, repeats_from=0), request)
-    reference_set = ReferenceSet.of(whole, there)  # integrated to the end, whatever repeats
+    # samples in steps of a series cost less, since they end where they repeat
+    samples_later = has_smooth_rates(system, domain.horizon[0])
+    lines = None if samples_later else first_points(whole, there)
+    reference_set = ReferenceSet.of(whole, there, lines)  # to the end, whatever repeats
     clock = _after_reference(clock, chosen, reference_set)
     stretched, _ = over_stretches(clock, request)
     return SolveStart(there, replace(reference_set, system=stretched), clock)

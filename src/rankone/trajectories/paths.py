@@ -19,6 +19,8 @@ NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 # From states at the nodes to coefficients of the powers of 2 share - 1
 _TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
 _READ_COST = Cost(60e3, 40.0)  # Operations of evaluating steps: once, and for each state
+_MANY_TIMES = 64  # Times of each path from which on their steps are looked up path by path
+_BLOCK = 8192  # Times that are read together: what is in work fits the cache
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,11 @@ class Paths:
         nodal = np.concatenate([path.nodal for path in paths])
         return cls(breaks, np.cumsum(counts) - counts, nodal)
 
+    @cached_property
+    def coefficients(self) -> Array:
+        """Of the powers of ``2 share - 1``, (nodes, n, steps of all)."""
+        return np.ascontiguousarray(step_coefficients(self.nodal).swapaxes(1, 2))
+
     def __call__(self, times: Array) -> Array:
         """States (n, m, T) at times (m, T) of each path, after a jump at its time."""
         charge(_READ_COST(times.size * self.nodal.shape[2]))
@@ -126,11 +133,28 @@ class Paths:
         place = _after(self.breaks, times) - 1
         place = np.clip(place, 0, steps[:, None] - 1)
         begin, end = (np.take_along_axis(self.breaks, place + k, axis=1) for k in (0, 1))
-        powers = np.vander((2.0 * (times - begin) / (end - begin) - 1.0).ravel(), NODES.size, True)
-        weights = (powers @ _TO_POWERS)[:, None, :]
+        shares = (2.0 * (times - begin) / (end - begin) - 1.0).ravel()
         chosen = (self.first[:, None] + place).ravel()
-        states = np.matmul(weights, self.nodal[chosen])
-        return np.moveaxis(states.reshape(*times.shape, -1), 2, 0)
+        few = times.size < len(self.nodal) and "coefficients" not in self.__dict__
+        states = self._of_few(chosen, shares) if few else self._of_many(chosen, shares)
+        return states.reshape(-1, *times.shape)
+
+    def _of_few(self, steps: NDArray[np.intp], shares: Array) -> Array:
+        """States (n, N) of some of the steps at shares (N,) from -1 to 1."""
+        weights = np.vander(shares, NODES.size, True) @ _TO_POWERS
+        return np.asarray(np.matmul(weights[:, None], self.nodal[steps])[:, 0].T)
+
+    def _of_many(self, steps: NDArray[np.intp], shares: Array) -> Array:
+        """The same by Horner's scheme, from coefficients that are kept."""
+        states = np.empty((self.nodal.shape[2], shares.size))
+        for first in range(0, shares.size, _BLOCK):
+            here = slice(first, first + _BLOCK)
+            block = states[:, here]
+            block[:] = self.coefficients[-1].take(steps[here], axis=1)
+            for coefficient in self.coefficients[-2::-1]:
+                block *= shares[here]
+                block += coefficient.take(steps[here], axis=1)
+        return states
 
     def chosen(self, places: NDArray[np.intp]) -> Paths:
         """Some of them."""
@@ -153,6 +177,9 @@ class Paths:
 
 def _after(breaks: Array, times: Array) -> NDArray[np.intp]:
     """How many of ascending breaks (m, S) are not after times (m, T), by bisection."""
+    if times.shape[1] >= _MANY_TIMES:
+        pairs = zip(breaks, times, strict=True)
+        return np.stack([row.searchsorted(each, side="right") for row, each in pairs])
     low = np.zeros(times.shape, dtype=np.intp)
     high = np.full(times.shape, breaks.shape[1])
     for _ in range(breaks.shape[1].bit_length()):

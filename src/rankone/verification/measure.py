@@ -519,7 +519,7 @@ def _points_of(
     corners = len(points) - interior if count and domain.box else 0
     if not count:
         return points, corners, 0
-    if lines is None or system.clock is not None:
+    if lines is None or (system.clock is not None and system.clock.forced is not None):
         lines = points[:0]
     outer, inner = np.split(points, [1 + corners])
     active, surfaces = active_points(system, domain), surface_points(system, domain)

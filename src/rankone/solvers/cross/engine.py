@@ -13,6 +13,7 @@ import numpy as np
 from rankone.discretization import BASES, Basis1D
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
+from rankone.ir.system import System
 from rankone.ir.verdict import Cause, MemoryNeeded, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross import constants
@@ -103,9 +104,8 @@ class CrossMarcher:
         self.workers = workers
         self.rtol, self.options = request.rtol, request.options_of(CrossOptions)
         self.reference_set = reference_set
-        clock = reference_set.system.clock
-        marked = clock is not None and bool(clock.markers)
-        self.adaptive = _interpolation(request, constants.FIRST_MARKED_LEVEL if marked else 1.0)
+        marked = _is_marked(reference_set.system)
+        self.adaptive = _interpolation(reference_set.system, request)
         self.breaks: set[float] = set()
         self.worst: list[tuple[float, ...]] = []
         self.trajectories: Trajectories | None = None
@@ -341,18 +341,24 @@ class CrossMarcher:
         return (status, cause) if front is None else (Status.STEEP, front)
 
 
-def _interpolation(request: SolveRequest, level: float = 1.0) -> AdaptiveInterpolation:
-    """The interpolation of a solve, before its first attempt: at a level, over the tolerance."""
+def _is_marked(system: System) -> bool:
+    """Whether a system runs in stretches between markers."""
+    return system.clock is not None and bool(system.clock.markers)
+
+
+def _interpolation(system: System, request: SolveRequest) -> AdaptiveInterpolation:
+    """The interpolation of a solve, before its first attempt."""
     options, domain = request.options_of(CrossOptions), request.domain
     limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
+    target = (constants.FIRST_MARKED_LEVEL if _is_marked(system) else 1.0) * request.rtol
     return AdaptiveInterpolation(
-        domain.box, limits, level * request.rtol, constants.TIGHTENING, domain.first_coordinates
+        domain.box, limits, target, constants.TIGHTENING, domain.first_coordinates
     )
 
 
-def _first_points(request: SolveRequest) -> Array:
+def _first_points(system: System, request: SolveRequest) -> Array:
     """The points of the first lines, where they are few beside the check points."""
-    points = _interpolation(request).first_points
+    points = _interpolation(system, request).first_points
     return points if len(request.domain.box) <= FEW_PARAMETERS else points[:0]
 
 
