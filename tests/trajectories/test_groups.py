@@ -189,3 +189,48 @@ def test_outputs_that_lose_digits_are_integrated_again_on_workers():
         assert np.array_equal(there(times, k=1.3), here(times, k=1.3))
         names.append(executor.names.count("_singles"))
     assert names[1] > names[0] > 0
+
+
+def dripping(states):
+    """A ring into which something is poured when the first compartment is nearly empty."""
+    pour = {"when": "x0 - 0.8", "direction": "falling", "then": {"x0": "x0 + 1"}}
+    rates = {f"x{i}": f"-k*(1 + {i}/{states})*x{i}*m" for i in range(states)}
+    box = {"k": (1, 2), "m": (0.5, 1.5)}
+    return ro.Problem.from_strings(rates, dict.fromkeys(rates, 1), box, (0, 0.8), events=[pour])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("problem", "integrator"),
+    [(dripping(2), "single"), (dripping(MANY), "auto")],
+    ids=["alone", "stacks of many states"],
+)
+def test_references_with_events_are_followed_in_groups(problem, integrator):
+    options = {"integrator": integrator, "check": 40}
+    here = ro.solve(problem, 1e-3, **options)
+    times, point = np.linspace(0, 0.8, 9), {"k": 1.3, "m": 0.9}
+    with Recording(2) as executor:
+        there = ro.solve(problem, 1e-3, **options, executor=executor)
+    assert here.success
+    assert there(times, **point).tobytes() == here(times, **point).tobytes()
+    assert there.errors == here.errors
+    assert executor.names.count("_followed") > 1
+    exact = np.exp(-1.3 * 0.9 * times)  # poured at 0.8, where the trajectory is continued from 1.8
+    poured = np.log(1 / 0.8) / (1.3 * 0.9)
+    exact = np.where(times >= poured, 1.8 * np.exp(-1.3 * 0.9 * (times - poured)), exact)
+    np.testing.assert_allclose(there["x0"](times, **point), exact, atol=5e-3)
+
+
+def test_an_error_of_a_group_with_events_is_that_of_this_process():
+    """A trajectory that is not finite further on is named by the same point."""
+    stop = {"when": "x - 2", "then": {"x": "x"}, "direction": "rising"}
+    problem = ro.Problem.from_strings(
+        {"x": "k/(1.6 - x)"}, {"x": "1"}, {"k": (0.05, 0.2)}, (0, 1), events=[stop]
+    )
+    messages = []
+    for executor in (None, 2):
+        with nullcontext() if executor is None else Recording(2) as given:
+            with pytest.raises(ro.RankoneError) as caught:
+                ro.solve(problem, 1e-3, integrator="single", executor=given)
+            messages.append(str(caught.value))
+    assert messages[0] == messages[1]

@@ -28,6 +28,7 @@ from rankone.trajectories.stacks.integrator import StackedIntegrator, StackedTra
 from rankone.trajectories.stacks.steppers import Piece
 from rankone.trajectories.workers import Workers
 
+Answer = TypeVar("Answer")  # What a task comes to
 _Integrator = TypeVar("_Integrator", SingleIntegrator, StackedIntegrator)
 _SINGLES = 8  # Trajectories of one task where each is integrated alone
 _STACK_STATES = 15_000  # States of a group that fits the cache
@@ -35,11 +36,32 @@ _LEAST_STACK = 32  # Fewest trajectories of a group: calls of NumPy dominate bel
 
 
 @dataclass(frozen=True)
-class _DenseOnWorkers(Generic[_Integrator]):
+class OnWorkers(Generic[_Integrator]):
     """An integrator of which :meth:`run` is divided among workers, and nothing else."""
 
     integrator: _Integrator
     workers: Workers
+
+    def groups(self, system: System, points: Array) -> list[Array]:
+        """Points (m, d) of a system in groups, whoever integrates them."""
+        raise NotImplementedError
+
+    def sends(self, system: System) -> bool:
+        """Whether there are workers, and the system is theirs."""
+        return system is self.workers.system and self.workers.pool is not None
+
+    def map(
+        self,
+        function: Callable[..., Answer],
+        system: System,
+        tasks: Sequence[tuple[object, ...]],
+        *failures: type[Exception],
+        done: Callable[[float], None] | None = None,
+    ) -> list[Answer]:
+        """The answers of ``function(system, *task)``, by workers if it is their system."""
+        if system is self.workers.system:
+            return self.workers.map(function, tasks, *failures, done=done)
+        return [function(system, *task) for task in tasks]
 
     def sample(
         self,
@@ -60,46 +82,50 @@ class _DenseOnWorkers(Generic[_Integrator]):
 
 
 @dataclass(frozen=True)
-class SinglesOnWorkers(_DenseOnWorkers[SingleIntegrator]):
+class SinglesOnWorkers(OnWorkers[SingleIntegrator]):
     """Trajectories one by one, of which each worker integrates some."""
+
+    def groups(self, system: System, points: Array) -> list[Array]:
+        return _divided(points, _SINGLES)
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
     ) -> SingleTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
         work = self.integrator, edges, tolerances
-        if system is not self.workers.system or self.workers.pool is None:
+        if not self.sends(system):
             return self.integrator.run(system, points, *work[1:])
-        tasks = [(group, *work) for group in _divided(points, _SINGLES)]
+        tasks = [(group, *work) for group in self.groups(system, points)]
         some = self.workers.map(_singles, tasks)
         if any(each.end < edges[-1] for each in some):  # the others end there as well
             return self.integrator.run(system, points, *work[1:])
         paths = tuple(itertools.chain.from_iterable(each.paths for each in some))
         if len(tasks) > 1:
-            _hold(paths)
+            hold_all(paths)
         return SingleTrajectories(
             paths, some[0].end, np.concatenate([each.state for each in some], 1)
         )
 
 
 @dataclass(frozen=True)
-class GroupedStacks(_DenseOnWorkers[StackedIntegrator]):
+class GroupedStacks(OnWorkers[StackedIntegrator]):
     """Stacks of trajectories of many states in groups."""
+
+    def groups(self, system: System, points: Array) -> list[Array]:
+        return _divided(points, max(_STACK_STATES // system.n_differential, _LEAST_STACK))
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
     ) -> StackedTrajectories | GroupedTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
-        size = max(_STACK_STATES // system.n_differential, _LEAST_STACK)
-        tasks = [(group, self.integrator, edges, tolerances) for group in _divided(points, size)]
+        work = self.integrator, edges, tolerances
+        tasks = [(group, *work) for group in self.groups(system, points)]
         if len(tasks) == 1:
             return self.integrator.run(system, points, edges, tolerances)
-        if system is not self.workers.system:
-            return GroupedTrajectories(tuple(_stacked(system, *task) for task in tasks))
         with _expecting_all() as done:
-            groups = self.workers.map(_stacked, tasks, done=done)
-        if self.workers.pool is not None:
-            _hold([piece for group in groups for piece in group.pieces])
+            groups = self.map(_stacked, system, tasks, done=done)
+        if self.sends(system):
+            hold_all([piece for group in groups for piece in group.pieces])
         return GroupedTrajectories(tuple(groups))
 
 
@@ -218,7 +244,7 @@ def _expecting_all() -> Iterator[Callable[[float], None]]:
         raise OutOfMemoryError(max(out.needed, needed), out.limit, out.reached) from out
 
 
-def _hold(pieces: Sequence[Path | Piece]) -> None:
+def hold_all(pieces: Sequence[Path | Piece]) -> None:
     """Count what workers sent as held."""
     left = sum(piece.nbytes for piece in pieces)
     for piece in pieces:

@@ -14,11 +14,13 @@ from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
+from rankone.support.errors import ConvergenceError
 from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
 from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
+from rankone.trajectories.groups import OnWorkers, hold_all
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     SampledTrajectories,
@@ -27,6 +29,8 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.paths import Path, Paths, joined
+from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator
 
 _DIGITS = 12  # Decimal digits of pseudo-times that differ
 _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
@@ -197,6 +201,9 @@ def _paths(
 class StretchIntegrator:
     """An :class:`Integrator` of systems in stretches: integrates over clock time, by another one.
 
+    Trajectories that an integrator on workers would divide into groups are followed so, with the
+    same bits whoever follows them.
+
     An OrderError says where a trajectory does not meet the events of the others.
     """
 
@@ -220,10 +227,10 @@ class StretchIntegrator:
         )
         if clock.forced is not None:
             return forced_trajectories(system, clock, self.integrator, points, tolerances)
-        trajectories = follow(clock, self.integrator, points, tolerances, len(order.instants))
-        borders = stretch_borders(clock, trajectories, points)
-        if order.ending is Ending.LENGTH:
-            self._finish(clock, trajectories, points, borders[:, -1], tolerances)
+        if isinstance(self.integrator, OnWorkers):
+            trajectories, borders = self._in_groups(self.integrator, system, points, tolerances)
+        else:
+            trajectories, borders = self.followed(clock, points, tolerances)
         single = self.name == "single"
         method = "LSODA" if single else "DOP853"
         name = "single" if single else "stack"
@@ -245,6 +252,34 @@ class StretchIntegrator:
         states = np.moveaxis(dense(times), 2, 0)
         return SampledTrajectories(states, times.size, dense.end, states[-1], dense.integrator)
 
+    def _in_groups(
+        self,
+        integrator: OnWorkers[SingleIntegrator] | OnWorkers[StackedIntegrator],
+        system: System,
+        points: Array,
+        tolerances: Tolerances,
+    ) -> tuple[list[EventTrajectory], Array]:
+        """The same as :meth:`followed`, group by group."""
+        assert system.clock is not None
+        alone = replace(self, integrator=integrator.integrator)
+        groups = integrator.groups(system.clock.system, points)
+        tasks = [(alone, group, tolerances) for group in groups]
+        parts = integrator.map(_followed, system, tasks, ConvergenceError)
+        trajectories = [each for some, _ in parts for each in some]
+        if integrator.sends(system) and len(parts) > 1:
+            hold_all([path for each in trajectories for path in each.paths])
+        return trajectories, np.concatenate([borders for _, borders in parts])
+
+    def followed(
+        self, clock: Clock, points: Array, tolerances: Tolerances
+    ) -> tuple[list[EventTrajectory], Array]:
+        """Trajectories from event to event, and the times at which their stretches end."""
+        trajectories = follow(clock, self.integrator, points, tolerances, len(clock.order.instants))
+        borders = stretch_borders(clock, trajectories, points)
+        if clock.order.ending is Ending.LENGTH:
+            self._finish(clock, trajectories, points, borders[:, -1], tolerances)
+        return trajectories, borders
+
     def _finish(
         self,
         clock: Clock,
@@ -265,3 +300,11 @@ class StretchIntegrator:
             if path.end < ends[k] - SAME_INSTANT * clock.length:
                 raise end_error(clock, points[k], path.end)
             trajectories[k].paths.append(path)
+
+
+def _followed(
+    system: System, integrator: StretchIntegrator, points: Array, tolerances: Tolerances
+) -> tuple[list[EventTrajectory], Array]:
+    """What a worker follows."""
+    assert system.clock is not None
+    return integrator.followed(system.clock, points, tolerances)
