@@ -362,3 +362,9 @@ def test_units_of_outputs():
     assert dict(output.metadata.units)["peak"] == "1e3"
     with pytest.raises(OptionError, match="no output `top`"):
         prey().output({"peak": ro.maximum(x)}, units={"top": "1"})
+
+
+@pytest.mark.parametrize("power", [(4 * x * (1 - x)) ** 100000, "(4*x*(1-x))**100000"])
+def test_powers_of_numbers_that_no_float_holds(power):
+    with pytest.raises(OptionError, match="too large a number"):
+        prey().output({"q": power})

@@ -236,6 +236,9 @@ def test_quantiles_and_samples():
         solution.sample(1, seed=-1)
     with pytest.raises(OptionError, match="more than one dimension"):
         solution.sobol([[1.0]])
+    for times in ("a", [0.0, "b"], sp.Symbol("t")):
+        with pytest.raises(EvaluationError, match="not a real number"):
+            solution.sobol(t=times)
     for empty in (solution.mean([]), solution.sobol([]).first[:, 0], solution.var([])):
         assert empty.shape == (1, 0)
 

@@ -258,9 +258,12 @@ def _expression(
     applied = (f for f in expression.atoms(AppliedUndef) if f.args == (sp.Symbol(metadata.time),))
     named = {f: f.func.__name__ for f in applied} | {s: s.name for s in expression.free_symbols}
     held = {*metadata.states, *metadata.coordinates}
-    return exact(
-        expression.xreplace({e: shorthand[n] for e, n in named.items() if n in {*shorthand} - held})
-    )
+    short = {e: shorthand[n] for e, n in named.items() if n in {*shorthand} - held}
+    try:
+        return exact(expression.xreplace(short))
+    except ProblemError as error:
+        message = f"the output {quote(name)}: {error.message}"
+        raise OptionError(message, term=output, remedy=error.remedy) from None
 
 
 def _shorthand(metadata: SolutionMetadata) -> dict[str, sp.Expr]:

@@ -313,7 +313,7 @@ def _float(rational: sp.Rational) -> float:
     if not sys.float_info.min <= abs(nearest) < math.inf:
         size = "large" if nearest else "small"
         raise ProblemError(
-            f"the number {sp.Float(rational, 6)} is too {size}",
+            f"the number {rational.evalf(6)} is too {size}",
             term=rational,
             remedy="change the units",
         )

@@ -25,6 +25,8 @@ from rankone.support.wording import clip, quote, written
 _SAFE_DIGITS = 15  # Significant decimal digits that every floating-point number holds
 _EXTREME_RATIO = 1e30  # Numbers beyond it, or its reciprocal, go back into their exponential
 _LARGEST_SCALE_DIGITS = 6  # Decimal digits of the scale s in (x/s)**n: units rarely differ by more
+LARGEST_SCALE_BITS = 100_000
+"""Bits of a number before a variable, such as that of the power ``(x/310.15)**125``."""
 _SUM_ERROR_ULPS = 2  # Last places by which sums of a few decimal numbers miss their decimal result
 _LARGEST_LOGARITHM = 1e5  # Of a function of numbers that is evaluated: floats end near 710
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
@@ -54,12 +56,23 @@ def exact(expression: sp.Expr) -> sp.Expr:
     ``5.07e-435*exp(1000.0*a)`` when it is written. A number out of the range of floating-point
     numbers is a ProblemError.
     """
-    if expression.is_Rational or expression.is_Symbol:
+    if expression.is_Symbol:
         return expression
     if expression.is_Float:
         return _fraction(expression)
+    numbers = expression.atoms(sp.Number)
+    for number in numbers:
+        if number.is_Rational and max(abs(number.p), number.q).bit_length() > LARGEST_SCALE_BITS:
+            size = "large" if abs(number) > 1 else "small"
+            raise ProblemError(
+                f"{quote(number)} in {quote(expression)} is too {size} a number",
+                term=expression,
+                remedy="change the units; SymPy takes numbers out of powers such as (4*x)**1000",
+            )
+    if expression.is_Rational:
+        return expression
     check_size(expression)
-    floats = sorted(expression.atoms(sp.Float))
+    floats = sorted(number for number in numbers if number.is_Float)
     if any(map(_is_extreme, floats)):
         expression = expression.replace(lambda e: e.is_Mul and _is_extreme(e.args[0]), _joined)
         floats = sorted(expression.atoms(sp.Float))
@@ -147,13 +160,14 @@ def _decimal(number: sp.Expr) -> sp.Float | None:
     if not isinstance(number, sp.Rational):
         return None
     if number.q == 1:
-        return sp.Float(number, _DIGITS) if abs(number.p) > _LARGEST_INTEGER else None
+        # not from text: Python writes no integers of more than 4,300 digits
+        return number.evalf(_DIGITS) if abs(number.p) > _LARGEST_INTEGER else None
     cofactor = int(number.q)
     for prime in (2, 5):
         while cofactor % prime == 0:
             cofactor //= prime
     is_decimal = cofactor == 1 or number.q >= _LARGEST_DENOMINATOR
-    return sp.Float(number, _DIGITS) if is_decimal else None
+    return number.evalf(_DIGITS) if is_decimal else None
 
 
 class _Decimals(Printer):  # type: ignore[misc]

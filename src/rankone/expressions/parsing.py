@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import sympy as sp
 
-from rankone.expressions.notation import check_size, exact
+from rankone.expressions.notation import LARGEST_SCALE_BITS, check_size, exact
 from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import clip, did_you_mean, quote
@@ -69,7 +69,6 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any float needs
-_LARGEST_SCALE_BITS = 100_000  # Bits of the power of a number before a variable: (x/310.15)**125
 _LARGEST_NUMBER = 10**300  # Of a power of numbers: near the largest float, with room for a factor
 _LARGEST_DECIMAL = 10**308  # Range of decimal numbers, with its reciprocal: that of floats
 _LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more take SymPy forever
@@ -271,7 +270,7 @@ class _Translator(ast.NodeVisitor):
         scale = base.as_coeff_Mul()[0]  # SymPy takes its power
         if scale.is_Rational and exponent.is_Rational:
             bits = max(int(scale.p).bit_length(), int(scale.q).bit_length())
-            most = _LARGEST_POWER_BITS if base == scale else _LARGEST_SCALE_BITS
+            most = _LARGEST_POWER_BITS if base == scale else LARGEST_SCALE_BITS
             large = scale != 1 and bits * abs(exponent) > most
             if large or (base == scale and abs(sp.N(base**exponent)) > _LARGEST_NUMBER):
                 power = sp.Pow(scale, exponent, evaluate=False)

@@ -317,10 +317,11 @@ class StatisticsOverBox(SolutionCore):
             "the standard deviations with one parameter fixed at a time; main_effects takes "
             "correlations",
         )
-        times = t if t is None else np.atleast_1d(np.asarray(t))
-        if times is not None and times.ndim > 1:
+        checked = np.atleast_1d(self._times(t))
+        if checked.ndim > 1:
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
-        clock = np.asarray([] if times is None else times, dtype=float)
+        times = None if t is None else checked
+        clock = np.empty(0) if times is None else times
         share, spread, sizes, errors = self._shares_of_variance(times, statistics)
         first, total = self._at(times, statistics.first), self._at(times, statistics.total)
         second = self._at(times, statistics.second) * share[:, None, None]
