@@ -24,12 +24,16 @@ def test_engines_are_found_by_name() -> None:
 
 
 def test_auto_takes_the_engines_that_fit() -> None:
-    def names(*options: str, parameters: int = 3, separated: bool = True) -> list[str]:
-        engines = engines_for("auto", options, parameters, separated=separated)
+    def names(
+        *options: str, parameters: int = 3, separated: bool = True, states: int = 2
+    ) -> list[str]:
+        engines = engines_for("auto", options, parameters, separated=separated, states=states)
         return [engine.name for engine in engines]
 
     assert names() == ["cross", "train"]
     assert names(parameters=1) == ["train", "cross"]
+    assert names(parameters=1, states=63) == ["train", "cross"]
+    assert names(parameters=1, states=64) == ["cross", "train"]
     assert names(separated=False) == ["cross"]
     assert names("max_sweeps") == ["train"]
     assert names("max_trajectories") == ["cross"]

@@ -78,6 +78,7 @@ def export_solver(
         (),
         len(separated.coordinates) - 1,
         separated=not separated.general or method != AUTO,
+        states=len(separated.states),
     )
     reason = compiled.methods[engine.name]
     if reason is not None:

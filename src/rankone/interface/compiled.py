@@ -251,7 +251,8 @@ class CompiledProblem(CompiledStages):
             return marked._checked(method=method, unknowns=unknowns, **options)
         arguments = {name: options.pop(name) for name in SOLVE_ARGUMENTS if name in options}
         count = len(self.separated.coordinates) - 1
-        engines = engines_for(method, options, count, separated=self._has_operators)
+        separated, states = self._has_operators, len(self.first_order.states)
+        engines = engines_for(method, options, count, separated=separated, states=states)
         form = self.form_for(str(method))
         request = SolveRequest.of(
             form.system,

@@ -202,7 +202,12 @@ class CompiledStages:
     def automatic(self) -> tuple[str, ...]:
         """The methods that ``method="auto"`` tries one after the other."""
         parameters = len(self.problem.parameters)
-        tried = engines_for(AUTO, parameters=parameters, separated=self._has_operators)
+        tried = engines_for(
+            AUTO,
+            parameters=parameters,
+            separated=self._has_operators,
+            states=len(self.first_order.states),
+        )
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, object]:
