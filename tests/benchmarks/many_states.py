@@ -149,6 +149,46 @@ def epidemic(n: int) -> ro.Problem:
     return ro.Problem.from_strings(rhs, initial, around(factor=1.4, b=0.2, g=0.2), (0, 20))
 
 
+def saturation(n: int) -> ro.Problem:
+    """Random Michaelis-Menten conversions between species, two for each."""
+    generator = np.random.default_rng(3)
+    terms: dict[str, list[str]] = {f"x{i}": [] for i in range(n)}
+    for reaction in range(2 * n):
+        a, b = generator.choice(n, 2, replace=False)
+        fastest, half = generator.uniform(0.2, 2), generator.uniform(0.3, 2)
+        rate = f"{fastest:.3f}*k{reaction % 3}*x{a}/({half:.3f} + x{a})"
+        terms[f"x{a}"].append(f"- {rate}")
+        terms[f"x{b}"].append(f"+ {rate}")
+    rhs = {name: " ".join(own) or "0" for name, own in terms.items()}
+    initial = {name: f"{generator.uniform(0.5, 1.5):.3f}" for name in rhs}
+    return ro.Problem.from_strings(rhs, initial, around("k0", "k1", "k2"), (0, 2))
+
+
+def genes(n: int) -> ro.Problem:
+    """Genes that activate and repress each other by Hill's law, of powers of their own."""
+    generator = np.random.default_rng(4)
+    rhs = {}
+    for i in range(n):
+        by, power = f"x{generator.integers(n)}", f"{generator.uniform(1.5, 3.5):.2f}"
+        half, rate = f"{generator.uniform(0.5, 1.5):.3f}", f"{generator.uniform(0.5, 2):.3f}"
+        law = f"{by}**{power}/({half}**{power} + {by}**{power})"
+        rhs[f"x{i}"] = f"{rate}*a*{law if i % 2 else f'(1 - {law})'} - b*x{i}"
+    initial = {name: f"{generator.uniform(0.2, 1.2):.3f}" for name in rhs}
+    return ro.Problem.from_strings(rhs, initial, around("a", "b", factor=1.2), (0, 3))
+
+
+def neurons(n: int) -> ro.Problem:
+    """A random network of rate neurons, six inputs each (Hopfield, 1984)."""
+    generator = np.random.default_rng(5)
+    rhs = {}
+    for i in range(n):
+        inputs = sorted({int(j) for j in generator.integers(n, size=6)})
+        total = " + ".join(f"{generator.normal():.3f}*x{j}" for j in inputs)
+        rhs[f"x{i}"] = f"-d*x{i} + s*tanh({total})"
+    initial = {name: f"{generator.uniform(-1, 1):.3f}" for name in rhs}
+    return ro.Problem.from_strings(rhs, initial, around("d", "s"), (0, 3))
+
+
 CASES = {
     "chain of 100": Case(lambda: chain(100)),
     "chain of 1,000": Case(lambda: chain(1000)),
@@ -159,6 +199,9 @@ CASES = {
     "springs, 200": Case(lambda: springs(200), 1e-4),
     "Brusselator, 30 x 30": Case(lambda: brusselator(30), 1e-4),
     "epidemic, 1,000 nodes": Case(lambda: epidemic(1000)),
+    "saturation, 1,000": Case(lambda: saturation(1000)),
+    "genes, 500": Case(lambda: genes(500)),
+    "neurons, 1,000": Case(lambda: neurons(1000)),
 }
 
 

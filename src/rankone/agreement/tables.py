@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import sympy as sp
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rankone.agreement.problems import REMEDY, ComparedPoints, DisagreementError
 from rankone.discretization.coordinates import name_of
+from rankone.expressions.array_values import ArrayProgram
 from rankone.expressions.parsing import syntax_trees
 from rankone.expressions.text_values import value_of
 from rankone.frontend.problem import Problem
@@ -43,8 +44,8 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
         sums = _Sums(problem, table)
         rates, sizes = sums.rates(t, p, u)
         _compare(problem, "rate", points.rates, rates, sizes)
-        if table.texts:
-            _compare(problem, "rate", _written_rates(problem, table.texts, t, p, u), rates, sizes)
+        if table.texts or table.rates:
+            _compare(problem, "rate", _written_rates(problem, table, t, p, u), rates, sizes)
         direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * u
         slopes, sizes = sums.slopes(t, p, u, direction)
         _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
@@ -67,7 +68,7 @@ def _check_forms(
     """
     t, p, u = points.time, points.parameters, points.states
     direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * np.where(u, u, 1.0)
-    ahead = _written_rates(problem, table.texts, t, p, u + 1j * _STEP * direction)
+    ahead = _written_rates(problem, table, t, p, u + 1j * _STEP * direction)
     slopes = np.where(np.isfinite(points.rates), ahead.imag / _STEP, np.nan)
     sizes = np.abs(points.rates) + _along(system, t, p, u, np.abs(direction), np.abs)
     rates = np.where(np.isfinite(points.rates), ahead.real, np.nan)
@@ -75,12 +76,17 @@ def _check_forms(
     _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
 
 
-def _written_rates(problem: Problem, texts: Sequence[str], t: Array, p: Array, u: Array) -> Array:
+def _written_rates(problem: Problem, table: TermTable, t: Array, p: Array, u: Array) -> Array:
     """Right-hand sides at points, evaluated as they are written."""
-    names = [problem.time[0].name, *(symbol.name for symbol in problem.parameters)]
-    values = dict(zip([*names, *map(name_of, problem.initial)], [t, *p, *u], strict=True))
-    rates = (sum(value_of(tree, values) for _, tree in syntax_trees(text)) for text in texts)
-    return np.array([np.broadcast_to(rate, t.shape) for rate in rates])
+    leaves = [problem.time[0], *problem.parameters, *problem.initial]
+    at = [t, *p, *u]
+    if table.texts:
+        values = dict(zip(map(name_of, leaves), at, strict=True))
+        pieces = map(syntax_trees, table.texts)
+        sums = (sum(value_of(tree, values) for _, tree in each) for each in pieces)
+        return np.array([np.broadcast_to(rate, t.shape) for rate in sums])
+    program = ArrayProgram(dict(zip(leaves, at, strict=True)))
+    return np.array([np.broadcast_to(program(rate), t.shape) for rate in table.rates])
 
 
 Places = NDArray[np.intp]

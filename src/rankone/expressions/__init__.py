@@ -3,6 +3,7 @@
 ========================  ==========================================================================
 :mod:`~.parsing`          text to expressions
 :mod:`~.text_values`      text to numbers
+:mod:`~.array_values`     expressions to numbers
 :mod:`~.notation`         exact numbers in place of floating-point ones; text and LaTeX for people
 :mod:`~.unknowns`         unknowns as functions of time, and their derivatives
 :mod:`~.named_constants`  numbers that keep their name up to generated code

@@ -16,6 +16,7 @@
 :mod:`~.term_sums`      the arithmetic of such tables
 :mod:`~.rate_forms`     rate laws that differ in their unknowns and numbers alone
 :mod:`~.tabulated_texts`  right-hand sides as text, read straight into such a table
+:mod:`~.tabulated_equations`  equations of SymPy, read into such a table
 :mod:`~.mistakes`       what is often written in place of an unknown at the time t
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives

@@ -50,6 +50,7 @@ from rankone.frontend.mistakes import check_symbols_as_unknowns
 from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.steady_start import SteadyState, check_autonomous, conditioned
+from rankone.frontend.tabulated_equations import tabulated_equations
 from rankone.frontend.term_table import TabulatedEquations, has_distinct_names
 from rankone.ir.functions import check_distinct
 from rankone.support.errors import ProblemError, RankoneWarning, warn
@@ -78,6 +79,8 @@ class CheckedProblem(ProblemContent):
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
+        if self._is_plain:
+            self._keep(equations=tabulated_equations(self.written["equations"], time[0], box))
         if self._is_tabulated(time[0], box):
             self._keep_table(time, box, distributions)
             return
@@ -113,6 +116,12 @@ class CheckedProblem(ProblemContent):
         self._take_out_impulses(symbols, moving)
         self._take_out_rates()
 
+    @property
+    def _is_plain(self) -> bool:
+        """Whether there are equations and initial values alone."""
+        besides = self.jumps, self.events, self.constants, self.definitions
+        return not any(map(bool, besides)) and not isinstance(self.initial, SteadyState)
+
     def _is_tabulated(self, time: sp.Symbol, box: Box) -> bool:
         """Whether the equations are a table of terms, with nothing besides.
 
@@ -121,8 +130,7 @@ class CheckedProblem(ProblemContent):
         if not isinstance(self.equations, TabulatedEquations):
             return False
         table = self.equations.table
-        besides = self.jumps, self.events, self.constants, self.definitions
-        if any(map(bool, besides)) or not table.fits(time, box):
+        if not self._is_plain or not table.fits(time, box):
             return False
         if not has_distinct_names(table.states, time, box):
             return False

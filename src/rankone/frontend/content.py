@@ -21,7 +21,9 @@ from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
 from rankone.statistics.distributions import scale_of
-from rankone.support.wording import aligned_equations, count
+from rankone.support.wording import abridged, aligned_equations, count
+
+_MORE_LATEX = r"& \ldots \text{{ {} more}}"
 
 
 class ProblemContent:
@@ -122,12 +124,14 @@ class ProblemContent:
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         definitions = (self.written["definitions"] or {}).items()
         lines += [f"  {name_of(symbol)} = {text_of(sp.sympify(e))}" for symbol, e in definitions]
-        lines += [f"  {text_of(equation)}" for equation in self._shown()]
+        lines += [f"  {line}" for line in self._equation_texts()]
         starts = self._shown_initial()
         guessed = {
             i for i, u in enumerate(starts) if self.reduction and u in self.reduction.guessed
         }
-        at_start = initial_texts(map(name_of, starts), self.time[1], starts.values(), guessed)
+        at_start = abridged(
+            initial_texts(map(name_of, starts), self.time[1], starts.values(), guessed), str
+        )
         if self.rest is not None:
             at_start = [f"at the start: {self.rest_text}"]
         units = self.units or {}
@@ -156,10 +160,11 @@ class ProblemContent:
     def _repr_latex_(self) -> str:
         written = {**(self.written["definitions"] or {}), **(self.constants or {})}
         lines = [f"{sp.latex(s)} &= {latex_of(sp.sympify(e))}" for s, e in written.items()]
-        lines += [latex_of(equation) for equation in self._shown()]
+        lines += abridged(self._shown(), latex_of, _MORE_LATEX)
         starts = self._shown_initial()
         if self.rest is None:
-            lines += initial_latex(starts, self.time[1], starts.values())
+            at_start = initial_latex(starts, self.time[1], starts.values())
+            lines += abridged(at_start, str, _MORE_LATEX)
         else:
             lines.append(rf"& \text{{at the start: {self.rest_text}}}")
         lines += [
@@ -185,6 +190,14 @@ class ProblemContent:
         """The jumps that were given, in the states as they are written."""
         states = {state: state for state in self.initial}
         return system_jumps(self.jumps or {}, {}, states, self.time)
+
+    def _equation_texts(self) -> list[str]:
+        """The equations; those of many texts are not read for that."""
+        if self.table is None or not self.table.texts:
+            return abridged(self._shown(), text_of)
+        rates = [*zip(map(name_of, self.unknowns), self.table.texts, strict=True)]
+        time = self.time[0].name
+        return abridged(rates, lambda rate: f"d{rate[0]}/d{time} = {' '.join(rate[1].split())}")
 
     def _shown(self) -> list[sp.Eq]:
         """The equations; an expression that vanishes equals zero."""

@@ -37,8 +37,8 @@ def table_of_texts(
     if len(texts) < len(rhs):
         return None
     try:
-        rates = [reader.terms(text) for text in texts]
-        return reader.sums.table(tuple(states.values()), rates, texts)
+        sums = [reader.terms(text) for text in texts]
+        return reader.sums.table(tuple(states.values()), sums, texts=texts)
     except (NotTabulated, ProblemError, SyntaxError, ValueError, RecursionError, MemoryError):
         return None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import sympy as sp
@@ -139,10 +140,15 @@ class TermSums:
         return self._applied(name, argument)
 
     def table(
-        self, states: Sequence[sp.Expr], rates: Iterable[TermSum], texts: tuple[str, ...] = ()
+        self,
+        states: Sequence[sp.Expr],
+        sums: Iterable[TermSum],
+        *,
+        texts: tuple[str, ...] = (),
+        rates: tuple[sp.Expr, ...] = (),
     ) -> TermTable:
-        """The table of the rates of some states."""
-        sums = [self._without_cancellation(without_zeros(rate)) for rate in rates]
+        """The table of some states, whose rates are sums that came as texts or expressions."""
+        sums = [self._without_cancellation(without_zeros(rate)) for rate in sums]
         used = {s for rate in sums for _, symbols in rate for s in symbols}
         forms, values, inner = self._laws.tabulated(used, self.functions)
         if len(forms) > _MOST_FORMS * self.states:
@@ -150,7 +156,8 @@ class TermSums:
         if values and all(form.expression.is_polynomial(*form.symbols) for form in forms):
             raise NotTabulated  # the general way multiplies out as long as that loses no digits
         targets = dict(enumerate(sums)) | inner
-        return _table(states, self.functions, forms, values, targets, texts)
+        table = _table(states, self.functions, forms, values, targets)
+        return replace(table, texts=texts, rates=rates)
 
     def _applied(self, operation: str, *arguments: TermSum) -> TermSum:
         """The symbol of an operation as a sum."""
@@ -220,7 +227,6 @@ def _table(
     forms: Sequence[RateForm],
     values: Sequence[Value],
     targets: dict[int, TermSum],
-    texts: tuple[str, ...],
 ) -> TermTable:
     """The table with symbols numbered one by one, and without functions that only forms have."""
     n = len(states)
@@ -241,4 +247,6 @@ def _table(
     ]
     renumbered = (Value(number[v.symbol], v.form, numbered(v.symbols), v.numbers) for v in values)
     chosen = tuple(functions[f] for f in kept)
-    return TermTable(tuple(states), chosen, tuple(terms), texts, tuple(forms), tuple(renumbered))
+    return TermTable(
+        tuple(states), chosen, tuple(terms), forms=tuple(forms), values=tuple(renumbered)
+    )

@@ -48,6 +48,8 @@ class TermTable:
         stand for ``values``, or for sums inside of them, which have terms of their own.
     texts : tuple of str
         The right-hand sides of which the terms were read, if they came as texts.
+    rates : tuple of Expr
+        The same if they came as expressions.
     forms : tuple of RateForm
         Expressions with slots: rate laws that are no products.
     values : tuple of Value
@@ -58,6 +60,7 @@ class TermTable:
     functions: tuple[sp.Expr, ...]
     terms: tuple[Entry, ...]
     texts: tuple[str, ...] = ()
+    rates: tuple[sp.Expr, ...] = ()
     forms: tuple[RateForm, ...] = ()
     values: tuple[Value, ...] = ()
 

@@ -24,7 +24,7 @@ from rankone.ir.system import System
 from rankone.solvers.registry import AUTO, ENGINES, engines_for
 from rankone.support import __version__
 from rankone.support.errors import OptionError, SeparationError
-from rankone.support.wording import count, number, quote
+from rankone.support.wording import abridged, count, number, quote
 from rankone.symbolic import FirstOrderSystem, WeakForm
 from rankone.symbolic.features import SymbolicFeatures, features_of
 from rankone.symbolic.superposition import additive_parameters
@@ -224,7 +224,7 @@ class CompiledStages:
 
     def __repr__(self) -> str:
         clock, *parameters = self.separated.coordinates
-        names = ", ".join(state.name for state in self.separated.states)
+        names = ", ".join(abridged([state.name for state in self.separated.states], str))
         distributions = self.problem.distributions
         box = ", ".join(
             with_measure(f"{c.name} in [{c.lower:g}, {c.upper:g}]", distributions.get(c.name))

@@ -5,15 +5,18 @@ from __future__ import annotations
 import difflib
 import functools
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from typing import Protocol
+from typing import Protocol, TypeVar
+
+Subject = TypeVar("Subject")
 
 _LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
 _LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
 _MOST_LISTED = 16  # Names of a list in a message: more are read by nobody
 _LISTED = 6  # Those of a longer list that are shown
 _MOST_ROWS = 40  # Rows of a table that fit on one screen
+_ENDS = 8  # Lines of a longer list that are shown at its beginning, and at its end
 _WIDEST_CELL = 32  # Characters of a cell, so that a row of three stays on one line
 _RIGHT = "coefficient"  # The column that is aligned on the right
 
@@ -69,6 +72,17 @@ def listing(subjects: Iterable[object], near: str | None = None) -> str:
     if len(quoted) < 2:
         return "".join(quoted)
     return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
+
+
+def abridged(
+    subjects: Sequence[Subject], text: Callable[[Subject], str], hidden: str = "... {} more ..."
+) -> list[str]:
+    """The text of each subject; of many those at both ends, and how many are ``hidden``."""
+    more = len(subjects) - 2 * _ENDS
+    if len(subjects) <= _MOST_ROWS:
+        return [text(subject) for subject in subjects]
+    first, last = subjects[:_ENDS], subjects[-_ENDS:]
+    return [*map(text, first), hidden.format(more), *map(text, last)]
 
 
 def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6) -> str:

@@ -26,7 +26,7 @@ from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
 from rankone.support.deferred import Deferred
 from rankone.support.errors import check_kind
-from rankone.support.wording import aligned_equations, count, number, quote
+from rankone.support.wording import abridged, aligned_equations, count, number, quote
 
 _DIRECTIONS = {"rising": RISING, "falling": FALLING, "both": BOTH}
 
@@ -181,7 +181,7 @@ class FirstOrderSystem(Stage):
     def __repr__(self) -> str:
         states = count(len(self.states), "state")
         lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
-        lines += [f"  {text_of(equation)}" for equation in self._equations()]
+        lines += [f"  {text}" for text in abridged(self._equations(), text_of)]
         pairs = zip(self._constraint_equations(), self.constraints.names, strict=True)
         lines += [f"  {text_of(equation)}  ({name})" for equation, name in pairs]
         names = (state.name for state in self.states)
@@ -189,7 +189,7 @@ class FirstOrderSystem(Stage):
         starts = initial_texts(names, start, self.initial, guessed)
         if self.rest is not None:
             starts = [f"at the start: {self.rest.text}"]
-        lines.append(f"  {', '.join(starts)}")
+        lines.append(f"  {', '.join(abridged(starts, str))}")
         texts = [*self._jump_texts(), *event_texts(self._events())]
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
