@@ -131,6 +131,18 @@ def test_a_growing_basis_holds_columns_to_the_tolerance():
     np.testing.assert_allclose(basis.columns(first), columns[:, :10], atol=1e-8)
 
 
+def test_a_growing_basis_holds_the_few_columns_that_many_others_do_not_span():
+    generator = np.random.default_rng(5)
+    columns = generator.standard_normal((300, 8)) @ generator.standard_normal((8, 2000))
+    columns[:, [3, 1501]] = generator.standard_normal((300, 2))
+    basis = GrowingBasis(300)
+    coefficients = basis.coefficients(columns, 1e-8)
+    assert 10 <= len(coefficients) <= 12
+    np.testing.assert_allclose(basis.columns(coefficients), columns, atol=1e-8)
+    gram = basis.vectors.T @ basis.vectors
+    np.testing.assert_allclose(gram, np.eye(len(gram)), atol=1e-12)
+
+
 def adapted(function, box, target, attempts=6, borders=()):
     """Bases and largest error at random points after some attempts."""
     limits = InterpolationLimits(ChebyshevBasis, 400, 60)

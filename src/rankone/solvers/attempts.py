@@ -65,7 +65,7 @@ what calibrations took."""
 # Endings after which a narrower box may help
 _NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
 _MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it
-_LAST_SHARE = 0.5  # Work of the last attempt over that of all: each costs more than those before
+_LAST_SHARE = 0.5  # Work of an attempt that came to no end, over what was spent on it
 # Limits in the order in which they explain a failure
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 _REMEDIES = {
@@ -84,15 +84,20 @@ _LIMITS_OF_THE_SOLVE = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """One pass over the horizon, and its measured error."""
+    """One pass over the horizon, its measured error, and the work of its march."""
 
     result: MarchResult
     measured: Measured | None
+    work: float = 0.0
 
     @property
     def error(self) -> float:
         """Largest measured error; infinite if there is none."""
         return math.inf if self.measured is None else self.measured.error
+
+    def measured_by(self, reference_set: ReferenceSet) -> Attempt:
+        """The same, measured against another reference set."""
+        return replace(self, measured=reference_set.measured(self.result.slabs))
 
     def better_than(self, best: Attempt | None) -> bool:
         """Whether to keep this attempt: it got further, or as far with a smaller error."""
@@ -278,8 +283,9 @@ def _narrowed(
     reference_set, result = marcher.reference_set, best.result
     if status not in _NARROWED or not reference_set.domain.box:
         return []
-    march, missed = stages.work["march"], 1.0
+    work, missed = _LAST_SHARE * stages.work["march"], 1.0
     if result.stopped is None and result.slabs:
+        work = best.work
         bases, spectra = result.slabs[-1].bases, spectra_of(result.slabs, reference_set.states)
         tails = [basis.tail(s) for basis, s in zip(bases, spectra, strict=True)]
         missed = max(best.error / max(max(tails), 1e-300), 1.0)
@@ -290,7 +296,7 @@ def _narrowed(
         return []
     resolutions = [Resolution.of(basis, missed * s, request.rtol) for basis, s in modes]
     names = reference_set.system.parameters
-    box = narrowed_box(names, resolutions, _LAST_SHARE * march, stages.budget)
+    box = narrowed_box(names, resolutions, work, stages.budget)
     return [] if box is None else [box]
 
 
@@ -368,7 +374,8 @@ def _attempts(
         stages.sampled += result.sampled
         before = marcher.reference_set
         with stages.of("check"):
-            attempt = Attempt(result, before.measured(result.slabs))
+            work = stages.work["march"] - marched
+            attempt = Attempt(result, before.measured(result.slabs), work)
             try:
                 further = _further_points(before, attempt, rtol, index)
                 if further is not None:
@@ -376,9 +383,8 @@ def _attempts(
             except OutOfBudgetError as out:  # the attempt was not measured at all points
                 result.stop(out)
             if marcher.reference_set is not before:
-                attempt = Attempt(result, marcher.reference_set.measured(result.slabs))
-                if best is not None:
-                    best = Attempt(best.result, marcher.reference_set.measured(best.result.slabs))
+                attempt = attempt.measured_by(marcher.reference_set)
+                best = best and best.measured_by(marcher.reference_set)
         if marcher.reference_set.end < before.end:  # a trajectory ends earlier than was known
             best = None
             continue
@@ -393,7 +399,7 @@ def _attempts(
             break
         if not marcher.refine(attempt, progress):
             break
-        if LEAST_COST_RATIO * (stages.work["march"] - marched) > work_left():
+        if LEAST_COST_RATIO * attempt.work > work_left():
             limit = Status.WORK_LIMIT  # the next attempt would not come to its end
             break
     if best is None:
@@ -413,7 +419,7 @@ def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attemp
         return best
     if stricter is reference_set or stricter.end < reference_set.end:
         return best
-    return Attempt(best.result, stricter.measured(best.result.slabs))
+    return best.measured_by(stricter)
 
 
 def _further_points(

@@ -42,7 +42,7 @@ def engines_for(
     cross   any right-hand side  first from two parameters on: the fastest on all problems
                                  measured, and the only one for systems that do not separate
     train   separated systems    first up to one parameter and 63 states, with a small part of the
-                                 budget; else with what is left of it (30 %) where cross does not
+                                 budget; else with what is left of it (22 %) where cross does not
                                  reach the tolerance and nothing is steep
     greedy  separated systems    never, only by ``method="greedy"``
     ======  ===================  ================================================================

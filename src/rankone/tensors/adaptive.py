@@ -147,14 +147,18 @@ class AdaptiveInterpolation:
         columns: Columns,
         known_elements: Callable[[int], Sequence[KnownElements]],
         begun: Callable[[int, int, int], None] | None = None,
+        chosen: Callable[[Sequence[Basis1D]], None] | None = None,
     ) -> tuple[Train, bool]:
         """Interpolate columns on the nodes of this attempt; also whether a rank was cut.
 
         In the first attempt ``known_elements`` maps the number of nodes of an element to the known
-        facts on each parameter. Core 0 of the train holds coefficients of columns (rank, r_1), the
-        others hold modes of the bases.
+        facts on each parameter. ``chosen`` is told the bases before columns are sampled on them.
+        Core 0 of the train holds coefficients of columns (rank, r_1), the others hold modes of the
+        bases.
         """
         bases = self._attempt_bases(columns, known_elements)
+        if chosen is not None:
+            chosen(bases)
         if bases:
             left = self._left_points(bases)
             tolerance = ROW_SPACE_SHARE * self.level / np.sqrt(len(bases))

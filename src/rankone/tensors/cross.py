@@ -43,6 +43,8 @@ _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 # Square of the norm of a remainder, over that of the column, that Pythagoras' theorem resolves
 _PYTHAGOREAN = 1e-13
+# Columns for which a basis grows at a time: those between them hardly add to what these span
+_MOST_SPANNED = 400
 _LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
 
 Columns = Callable[[Array], Array]
@@ -297,17 +299,31 @@ class GrowingBasis:
         if rank and missed.max(initial=0.0) <= tolerance**2:
             return coefficients
         remainder = columns - self.vectors @ coefficients
-        sizes = np.linalg.norm(remainder, axis=0)
-        if sizes.max(initial=0.0) <= tolerance and rank:
-            return coefficients
-        large = sizes > _LOST_SHARE * tolerance
-        if not large.any():  # so far all are negligible
-            large = sizes == sizes.max(initial=0.0)
-        added = _span(remainder[:, large], _LOST_SHARE * tolerance)
+        for most in (_MOST_SPANNED, columns.shape[1]):
+            sizes = np.linalg.norm(remainder, axis=0)
+            held = self.vectors.shape[1]
+            if held == length or (held and sizes.max(initial=0.0) <= tolerance):
+                break
+            large = np.flatnonzero(sizes > _LOST_SHARE * tolerance)
+            if not large.size:  # so far all are negligible
+                large = np.flatnonzero(sizes == sizes.max(initial=0.0))
+            added = self._added(remainder[:, large[:: max(-(-large.size // most), 1)]], tolerance)
+            further = added.T @ remainder
+            coefficients = np.concatenate([coefficients, further])
+            if large.size <= most:
+                break
+            charge(3.0 * product(length, added.shape[1], columns.shape[1]))
+            remainder -= added @ further
+        return coefficients
+
+    def _added(self, remainders: Array, tolerance: float) -> Array:
+        """Vectors (length, k) that the basis grows by, for remainders of columns."""
+        length, rank = self.vectors.shape
+        added = _span(remainders, _LOST_SHARE * tolerance)
         charge(2.0 * product(length, added.shape[1], rank) + qr(*added.shape) + self.vectors.size)
         added, _ = np.linalg.qr(added - self.vectors @ (self.vectors.T @ added))
         self.vectors = np.concatenate([self.vectors, added], axis=1)
-        return np.concatenate([coefficients, added.T @ remainder])
+        return added
 
     def columns(self, coefficients: Array) -> Array:
         """Columns (length, m) from coefficients (rank, m) that may be older than the basis."""

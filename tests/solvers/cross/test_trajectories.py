@@ -8,7 +8,7 @@ from rankone.discretization import ChebyshevBasis
 from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers.cross.trajectories import Trajectories
-from rankone.support.budget import OutOfMemoryError, limited
+from rankone.support.budget import OutOfMemoryError, OutOfWorkError, limited, work_done
 from rankone.tensors.cross import Samples
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks.integrator import StackedIntegrator
@@ -73,6 +73,22 @@ def test_errors_on_lines_count():
     unchecked = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(0)), lines)
     assert len(unchecked.lines) == 0
     assert not unchecked.checked
+
+
+def test_stiff_trajectories_that_cannot_be_paid_are_not_begun():
+    system = ro.compile(EXAMPLES["robertson"].problem).system
+    reference_set = ReferenceSet.of(system, SolveRequest(1e-4, Domain.of(system), Check(24)))
+    stiff = Trajectories(reference_set, TimeGrid((0.0, 20.0, 40.0), 10), 1e-4, 1.0, 10_000)
+    assert stiff.stiff
+    points = Domain.of(system).bounds.mean(axis=1) * np.linspace(0.9, 1.1, 800)[:, None]
+    with limited() as account:
+        stiff(points[:150])
+        taken = account.done
+    with limited(2.0 * taken):
+        with pytest.raises(OutOfWorkError):
+            stiff(points)
+        assert work_done() == 0.0
+        stiff(points[:75])
 
 
 def test_each_trajectory_is_integrated_once(trajectories):

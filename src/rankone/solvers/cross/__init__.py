@@ -5,6 +5,7 @@ module            subject
 ================  =====================================================================
 ``engine``        attempts: interpolate, check against the reference, refine
 ``trajectories``  stacked trajectories on a time grid, held in a growing basis
+``cost``          what the next attempt costs at least
 ``worst_lines``   nodes that the worst points of an attempt need
 ``steep``         why an attempt fails: a steep dependence on a parameter
 ``options``       limits and discretisation; the record of an attempt

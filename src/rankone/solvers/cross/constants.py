@@ -60,6 +60,8 @@ SMALLEST_TIGHTNESS_FACTOR = 1e-3
 LARGEST_TIGHTNESS_FACTOR = 4.0  # Largest factor on the tolerance from one calibration to the next
 # This many explicit steps cost less than the implicit steps that would replace them
 EXPLICIT_STEP_LIMIT = 400
+# Work of a trajectory over that of the cheapest so far, at least: what cannot be paid is not begun
+LEAST_SAMPLE_RATIO = 0.6
 MIN_STACK = 32  # Fewest trajectories integrated together: calls of NumPy dominate below
 MAX_STACK = 1500  # Most trajectories integrated together by explicit steps
 # Most trajectories integrated together by implicit steps: each has its own Jacobian

@@ -17,6 +17,7 @@ from rankone.ir.system import System
 from rankone.ir.verdict import Cause, MemoryNeeded, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross import constants
+from rankone.solvers.cross.cost import AttemptCost
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
 from rankone.solvers.cross.steep import steepest_front
 from rankone.solvers.cross.trajectories import (
@@ -29,7 +30,13 @@ from rankone.solvers.cross.worst_lines import LineLimits, WorstLines, worst_line
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, unlimited, work_left
+from rankone.support.budget import (
+    OutOfBudgetError,
+    OutOfWorkError,
+    unlimited,
+    work_done,
+    work_left,
+)
 from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
@@ -112,6 +119,7 @@ class CrossMarcher:
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
         self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
         self.choice = sampling_choice(reference_set)
+        self.last: AttemptCost | None = None
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -149,8 +157,10 @@ class CrossMarcher:
         self, trajectories: Trajectories, level: float, number: int, pace: Pace
     ) -> MarchResult:
         """The interpolation of trajectories, with its record."""
-        march, grid = MarchResult(), trajectories.grid
-        train, limited = self.adaptive.interpolate(trajectories, self._known_elements, pace.bond)
+        march, grid, before = MarchResult(), trajectories.grid, work_done()
+        train, limited = self.adaptive.interpolate(
+            trajectories, self._known_elements, pace.bond, self._afford
+        )
         bases, spectra = self.adaptive.bases or (), self.adaptive.spectra
         if limited:
             march.limits.add(Status.RANK_LIMIT)
@@ -166,8 +176,16 @@ class CrossMarcher:
         record = CrossRecord(number, start, end, True, level, tails, train.ranks, sizes, *counts)
         record = replace(record, integrator=self.choice.taken)
         march.records.append(record)
+        self.last = AttemptCost(sizes, train.ranks, trajectories.count, work_done() - before)
         pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(train.ranks, default=1)))
         return march
+
+    def _afford(self, bases: Sequence[Basis1D]) -> None:
+        """Raise an OutOfWorkError if an attempt with these bases would not come to its end."""
+        if self.last is None or not bases:
+            return
+        if self.last.least([basis.size for basis in bases]) > work_left():
+            raise OutOfWorkError
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""

@@ -11,7 +11,7 @@ from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.system import System
 from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
-from rankone.support.budget import memory_left, reserve, work_done
+from rankone.support.budget import OutOfWorkError, memory_left, reserve, work_done, work_left
 from rankone.tensors.cross import GrowingBasis
 from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
 from rankone.trajectories.diagnosis import first_to_end
@@ -44,7 +44,8 @@ class Trajectories:
     ``tightness`` the first tolerance of the integration and of the basis over it: some trajectories
     of the reference are integrated together with the first ones, and their error then sets it.
     ``report`` is called after each batch with the part of a call that is done. ``highest_modes``
-    (slabs,) are those in time, the largest of all trajectories, and ``work`` counts the operations.
+    (slabs,) are those in time, the largest of all trajectories, and ``work`` counts the operations;
+    ``least_work`` is that of a trajectory in the cheapest stack that was stiff and not small.
     ``choice`` is that of the integrator.
     """
 
@@ -65,7 +66,7 @@ class Trajectories:
         avoided = reference_set.reference.avoided
         self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
-        self.count, self.work = 0, 0.0
+        self.count, self.work, self.least_work = 0, 0.0, 0.0
         self.choice = choice or sampling_choice(reference_set)
         self.scale = _norm_of_ones(grid.times.size, reference_set.states.size)
         self.units = reference_set.states * self.scale
@@ -79,8 +80,12 @@ class Trajectories:
             return self._coefficients(self._on_lines())
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
-        blocks = []
+        blocks, begun = [], 0
         for group in self._groups(points):
+            least = constants.LEAST_SAMPLE_RATIO * self.least_work
+            if least * (len(points) - begun) > work_left():
+                raise OutOfWorkError
+            begun += len(group)
             self._reserve(len(group))
             columns = self._integrated(group) if self.calibrated else self._calibrated(group)
             self.count += len(group)
@@ -202,6 +207,8 @@ class Trajectories:
         try:
             sampled = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.report)
             work = (work_done() - before) / len(points)
+            if self.stiff and 2 * len(points) >= self._chunk_size():
+                self.least_work = min(self.least_work or work, work)
             for (_, taken), chunk in zip(sampled, chunks, strict=True):
                 self.choice.record(taken, len(chunk), work * len(chunk))
             pairs = zip(sampled, chunks, strict=True)
