@@ -1,5 +1,7 @@
 """Solves of oscillators over stretches between markers."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -168,3 +170,20 @@ def test_a_front_that_many_meet_after_the_horizon_is_a_marker():
     last = solution.event_times("marker_0", ks=5.0, ki=2.0, x0=1e-3)
     assert np.isnan(last).all()  # it comes three horizons later
     assert np.isfinite(solution.event_times("marker_0", ks=0.05, ki=200.0, x0=0.1)).all()
+
+
+@pytest.mark.slow
+def test_crossings_are_looked_for_only_where_their_paths_fit():
+    """Paths of a hundred trajectories of fifty states take more than the solve."""
+    rates = {f"x{i}": f"k*x{i - 1} - (k + c)*x{i}" if i else "-k*x0" for i in range(50)}
+    initial = {name: "1" if name == "x0" else "0" for name in rates}
+    compiled = ro.compile(
+        ro.Problem.from_strings(rates, initial, {"k": (7, 14), "c": (1, 2)}, (0, 2))
+    )
+    compiled.solve(1e-1, check=8)  # imports
+    tracemalloc.start()
+    solution = compiled.solve(1e-3, max_memory="50MB", method="cross")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert solution.success, solution.message
+    assert peak < 1.2 * 50e6

@@ -14,7 +14,7 @@ from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfWorkError, limited, work_left
+from rankone.support.budget import OutOfWorkError, limited, memory_left, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.event_trajectory import EventTrajectory
@@ -52,6 +52,8 @@ _PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be
 # its samples take several times as much
 _MARKED_SHARE = 0.3
 _LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
+# Copies of the paths of trajectories while crossings are looked for: one by one, together, crossing
+_PATH_COPIES = 3
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 FirstPoints: TypeAlias = Callable[[System, SolveRequest], Array]
@@ -124,7 +126,9 @@ def _by_reference(
     if reference.blown is not None or reference_set.cuts or reference.integrator == "compiled":
         return None  # compiled trajectories have no paths to look for crossings on
     separate = cast(SeparateTrajectories, dense)
-    if not may_pay(separate.of(SCOUTS).paths):
+    scouts = separate.of(SCOUTS).paths
+    each = max(path.nbytes for path in scouts)
+    if not may_pay(scouts) or _PATH_COPIES * each * len(reference.points) > memory_left():
         return None
     tolerances = Tolerances.down_to(reference_set.accuracy, _FLOOR * sizes)
     return _by_paths(system, request, reference.points, separate.paths, tolerances, first_points)
