@@ -176,3 +176,17 @@ def test_spans_of_their_own_are_taken_by_taylor_steps(monkeypatch):
             atol=1e-14,
         ).y
         np.testing.assert_allclose(path(times), exact, rtol=2e-7, atol=1e-8)
+
+
+def test_a_decay_that_lasts_is_left_to_radau_at_once(monkeypatch):
+    """Not one that is over soon: explicit steps grow as it slows down."""
+    counts = []
+    step = stacks.StackedTaylor.step
+    monkeypatch.setattr(stacks.StackedTaylor, "step", lambda self: counts.append(1) or step(self))
+    lasting = {"x": "-a*(x - y**2)", "y": "-b*y**2"}
+    system = system_of(lasting, {"x": "2", "y": "1"}, 1e6)
+    assert trajectories(system, points_of(3), 1e-7).method == "Radau"
+    assert len(counts) <= 30
+    counts.clear()
+    system = system_of({"x": "-a*x**3", "y": "-b*y"}, {"x": "1e4", "y": "1"}, 2.0)
+    assert trajectories(system, points_of(3), 1e-7).method == "Taylor"

@@ -7,6 +7,8 @@ in calls of NumPy, so that the stages are made here, with as few of them as ther
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy.integrate
 from numpy.typing import NDArray
@@ -27,6 +29,7 @@ from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 _NESTED_ROWS = 7  # Rows of a step
 _SAFETY = 0.9  # Part of the step that the estimate of the error allows
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
+_FIRST_FACTOR = 3.5  # The first step, at most, over SciPy's, whose error is far below the tolerance
 # Error, in tolerances, from which a step is divided at a kink: below, kinks are not its reason
 _DIVIDED_ERROR = 0.2
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
@@ -62,7 +65,10 @@ class DividedPiece(NestedPiece):
 
 
 class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
-    """Steps that suit every trajectory: the error is the largest of all, not their mean."""
+    """Steps that suit every trajectory: the error is the largest of all, not their mean.
+
+    Of ``smooth`` rates the first step is longer than SciPy's: nothing hides between its stages.
+    """
 
     t: float
     y: Array
@@ -79,9 +85,13 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
         tolerances: Tolerances,
         control: DefectControl | None = None,
         kinks: Kinks | None = None,
+        smooth: bool = False,
     ) -> None:
         self.kinks = kinks
         super().__init__(rates, start, states, end, tolerances, control)
+        if smooth:
+            steps = math.ceil((end - start) / min(_FIRST_FACTOR * self.h_abs, self.max_step))
+            self.h_abs = (end - start) / steps
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step whose error is within the tolerance, shorter than the last one if it must be."""

@@ -43,11 +43,15 @@ from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
 from rankone.trajectories.stacks.taylor import (
     StackedTaylor,
     TaylorSeries,
+    TaylorTerms,
     steps_ratio,
     taylor_order,
 )
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
+# Explicit steps before it is probed whether a decay that has lasted for some of its times, and
+# would limit so many steps if it goes on, makes more of them pointless
+_EARLY_PROBE, _LASTING, _POINTLESS_STEPS = 5, 5.0, 3000.0
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
 _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
@@ -56,6 +60,7 @@ _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
 _TELLING_STEPS = 100  # Steps that tell how many are left: those of a transient are fewer
 _TELLING_SHARE = 0.01  # Part of the horizon after which fewer do
+_COMPARED = 32  # Trajectories at whose starts a series is compared with the rates, about
 _IMPLICIT_STEPS = 20  # Implicit steps at least, whatever the time that is left
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
@@ -219,10 +224,11 @@ class StackedTrajectories:
 class _DenseRecord:
     """Keeps all steps over a horizon with their dense output.
 
-    It takes no steps that are divided at kinks: paths have one polynomial in each.
+    It takes no steps that are divided at kinks: paths have one polynomial in each. Samples alone
+    begin with long ones.
     """
 
-    takes_kinks = False
+    is_sampled = False
 
     def __init__(self, horizon: tuple[float, float], shape: tuple[int, int]) -> None:
         self.horizon, self.shape = horizon, shape
@@ -275,7 +281,7 @@ class _DenseRecord:
 class _SampleRecord:
     """Keeps the states at given times."""
 
-    takes_kinks = True
+    is_sampled = True
 
     def __init__(self, times: Array, shape: tuple[int, int]) -> None:
         self.times, self.states = times, np.empty((times.size, *shape))
@@ -316,10 +322,9 @@ class _SegmentRates:
         k, m = len(times), self.parameters.shape[1]
         charge(self.cost(k * m) + _STAGE_COST(states.size))
         within = np.minimum(np.maximum(times, self.first), self.last)
-        columns = np.ascontiguousarray(states.reshape(k, -1, m).swapaxes(0, 1))
-        times, points = np.repeat(within, m), np.concatenate([self.parameters] * k, axis=1)
-        rates = self.rhs(times, columns.reshape(-1, k * m), points)
-        return rates.reshape(-1, k, m).swapaxes(0, 1).reshape(k, -1)
+        columns = states.reshape(k, -1, m).swapaxes(0, 1)
+        rates = self.rhs(within[:, None], columns, self.parameters[:, None])
+        return rates.swapaxes(0, 1).reshape(k, -1)
 
     def of(self, columns: NDArray[np.intp]) -> Callable[[Array, Array], Array]:
         """Rates (n, c) of some trajectories, at times (c,) and states (n, c)."""
@@ -358,9 +363,13 @@ class _Stack:
         avoided = np.inf
         with np.errstate(all="ignore"):
             if not self.options.stiff:
-                kinks = Kinks.of(self.system, self.parameters) if record.takes_kinks else None
+                kinks = Kinks.of(self.system, self.parameters) if record.is_sampled else None
                 explicit = partial(
-                    StackedDOP853, tolerances=self.tolerances, control=control, kinks=kinks
+                    StackedDOP853,
+                    tolerances=self.tolerances,
+                    control=control,
+                    kinks=kinks,
+                    smooth=record.is_sampled and has_smooth_rates(self.system, self.edges[0]),
                 )
                 if (series := self._series()) is not None:
                     explicit = partial(StackedTaylor, tolerances=self.tolerances, series=series)
@@ -383,14 +392,17 @@ class _Stack:
         system, p, start = self.system, self.parameters, self.edges[0]
         if not has_smooth_rates(system, start):
             return None
-        series, tolerance = TaylorSeries.of(system, p), self.tolerances.relative
+        terms, tolerance = TaylorTerms.of(system), self.tolerances.relative
         n, m = self.shape
         rates = function_cost(system.rhs, system.user_functions)
         stages = _DOP853_STAGES * (rates(m) + _STAGE_COST(n * m)) + _STEP_COST(n * m)
-        if steps_ratio(tolerance) * series.cost(taylor_order(tolerance)) > stages:
+        if steps_ratio(tolerance) * terms.cost(taylor_order(tolerance), m) > stages:
             return None
-        state = system.initial(p)
-        return series if series.agrees(state, system.rhs(start, state, p)) else None
+        some = p[:, :: max(m // _COMPARED, 1)]
+        state = system.initial(some)
+        if not terms.at(system, some).agrees(state, system.rhs(start, state, some)):
+            return None
+        return terms.at(system, p)
 
     def _steps(
         self, method: _Method, record: _Record, steps_left: Callable[[Stepper, int], float]
@@ -449,15 +461,21 @@ class _Stack:
 
         Stability limits a step by the fastest rate of decay at the present state. The error
         estimate lets unstable steps pass while what they amplify is small; defect control refuses
-        them, and a fifth of their length is stable. So the length that was refused counts.
+        them, and a fifth of their length is stable. So the length that was refused counts. At the
+        first probe stability need not limit a step yet, if it would limit very many.
         """
-        probes = count in _FIRST_PROBES or count % _PROBE_INTERVAL == 0
+        probes = count in (_EARLY_PROBE, *_FIRST_PROBES) or count % _PROBE_INTERVAL == 0
         if not probes and solver.refusals < _PROBE_REFUSALS:
             return 0.0
-        longest = solver.longest_tried()
-        left = float((self.edges[-1] - solver.t) / solver.step_size)
-        if left <= max(self.options.bearable_steps, self._cheaper_steps):
+        longest, ahead = solver.longest_tried(), self.edges[-1] - solver.t
+        left = float(ahead / solver.step_size)
+        bearable = max(self.options.bearable_steps, self._cheaper_steps)
+        early = count == _EARLY_PROBE
+        if left <= (max(bearable, _POINTLESS_STEPS) if early else bearable):
             return 0.0
         rate, states = solver.stiff_product / longest, solver.y.reshape(self.shape)
+        if early:
+            pointless = solver.stiff_product * max(bearable, _POINTLESS_STEPS) / ahead
+            rate = max(pointless, _LASTING / (solver.t - self.edges[0]))
         stiff = decays_faster(self.system, self.points, solver.t, states, rate)
         return left if stiff else 0.0

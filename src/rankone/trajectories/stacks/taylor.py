@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.integrate
@@ -50,6 +50,7 @@ _ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
 _TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
 _PRODUCT_COST = 0.5  # Operations of a product of two coefficients
 _STEP_COST = 80e3  # Operations of a step besides
+_KEPT = 16  # Systems whose terms are kept in order
 
 
 def steps_ratio(tolerance: float) -> float:
@@ -95,33 +96,7 @@ class TaylorSeries:
     @classmethod
     def of(cls, system: System, parameters: Array) -> TaylorSeries:
         """The series of a separated system without functions of time at parameters (d, m)."""
-        n, m = system.n_differential, parameters.shape[1]
-        rows = [system.parameter_factors(j, p) for j, p in enumerate(parameters)]
-        constant = np.zeros((n, m))
-        entries, targets, columns = list[float](), list[int](), list[int]()
-        flows = dict[tuple[tuple[int, ...], tuple[int, ...]], int]()
-        for coefficient, state, (_, *indices), states in system.terms:
-            if not states:
-                constant[state] += coefficient * _factor(rows, indices, m)
-                continue
-            flow = tuple(sorted(states)), tuple(indices)
-            entries.append(coefficient)
-            targets.append(state)
-            columns.append(flows.setdefault(flow, len(flows)))
-        places, products = _variables(n, [monomial for monomial, _ in flows])
-        variables = np.array([places[monomial] for monomial, _ in flows], dtype=np.intp)
-        factors = None
-        if any(any(indices) for _, indices in flows):
-            factors = np.array([_factor(rows, indices, m) for _, indices in flows])
-        else:
-            columns = variables[columns].tolist()
-        shape = n, len(places) if factors is None else len(flows)
-        sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
-        if n < SPARSE_STATES:
-            np.add.at(sums, (targets, columns), entries)
-        else:
-            sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
-        return cls(constant, sums, products, variables, factors)
+        return TaylorTerms.of(system).at(system, parameters)
 
     @property
     def size(self) -> int:
@@ -144,10 +119,81 @@ class TaylorSeries:
     def cost(self, order: int) -> float:
         """Operations of a step."""
         n, m = self.constant.shape
-        products = self.size - n
-        multiplied = 0.5 * order * order * products * _PRODUCT_COST
-        read = order * _TERM_COST * (2.0 * n + self.variables.size + 2.0 * products)
-        return float(order * _ORDER_COST + _STEP_COST + m * (multiplied + read))
+        return _step_cost(order, m, n, self.products, self.variables.size)
+
+
+def _step_cost(order: int, m: int, n: int, products: Sequence[_Products], variables: int) -> float:
+    """Operations of a step of m trajectories of n states, with so many products and variables."""
+    count = sum(level.left.size for level in products)
+    multiplied = 0.5 * order * order * count * _PRODUCT_COST
+    read = order * _TERM_COST * (2.0 * n + variables + 2.0 * count)
+    return float(order * _ORDER_COST + _STEP_COST + m * (multiplied + read))
+
+
+@dataclass(frozen=True)
+class TaylorTerms:
+    """The terms of n rates as polynomials in the states, whatever the parameters are.
+
+    ``constants`` are the terms without a state: coefficient, rate, and rows of the factor of each
+    parameter. ``flows`` are such rows for each flow, empty where no factor depends on the
+    parameters. The others are those of a :class:`TaylorSeries`.
+    """
+
+    n: int
+    constants: tuple[tuple[float, int, tuple[int, ...]], ...]
+    sums: Array | scipy.sparse.csr_array
+    products: tuple[_Products, ...]
+    variables: NDArray[np.intp]
+    flows: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, system: System) -> TaylorTerms:
+        """The terms of a separated system without functions of time."""
+        return _terms_of(system)
+
+    def at(self, system: System, parameters: Array) -> TaylorSeries:
+        """The series of the system at parameters (d, m)."""
+        m = parameters.shape[1]
+        rows = [system.parameter_factors(j, p) for j, p in enumerate(parameters)]
+        constant = np.zeros((self.n, m))
+        for coefficient, state, indices in self.constants:
+            constant[state] += coefficient * _factor(rows, indices, m)
+        factors = None
+        if self.flows:
+            factors = np.array([_factor(rows, indices, m) for indices in self.flows])
+        return TaylorSeries(constant, self.sums, self.products, self.variables, factors)
+
+    def cost(self, order: int, m: int) -> float:
+        """Operations of a step of m trajectories."""
+        return _step_cost(order, m, self.n, self.products, self.variables.size)
+
+
+@lru_cache(_KEPT)
+def _terms_of(system: System) -> TaylorTerms:
+    n, constants = system.n_differential, list[tuple[float, int, tuple[int, ...]]]()
+    entries, targets, columns = list[float](), list[int](), list[int]()
+    flows = dict[tuple[tuple[int, ...], tuple[int, ...]], int]()
+    for coefficient, state, (_, *indices), states in system.terms:
+        if not states:
+            constants.append((coefficient, state, tuple(indices)))
+            continue
+        flow = tuple(sorted(states)), tuple(indices)
+        entries.append(coefficient)
+        targets.append(state)
+        columns.append(flows.setdefault(flow, len(flows)))
+    places, products = _variables(n, [monomial for monomial, _ in flows])
+    variables = np.array([places[monomial] for monomial, _ in flows], dtype=np.intp)
+    varying = any(any(indices) for _, indices in flows)
+    if not varying:
+        columns = variables[columns].tolist()
+    shape = n, len(flows) if varying else len(places)
+    sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
+    if n < SPARSE_STATES:
+        np.add.at(sums, (targets, columns), entries)
+    else:
+        sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
+    of_flows = tuple(indices for _, indices in flows) if varying else ()
+    return TaylorTerms(n, tuple(constants), sums, products, variables, of_flows)
 
 
 class Recursion:
