@@ -37,7 +37,8 @@ OUT_OF_PHASE = 8.0
 which markers pay."""
 SCOUTS = slice(9)
 """Trajectories that are looked at first, corners of the box among them."""
-_SCOUTED = 0.4  # Part of the spread that they have to show, roughly, before all are looked at
+# Part of the spread and of the steepness that they have to show, roughly, before all are looked at
+_SCOUTED = 0.4
 _FEWEST, _FRONT = 3, 10.0  # Crossings that each has to pass, and least slope where they are fewer
 _LATER, _FURTHER = 0.1, 2.0  # Margins after a mark that is foreseen: in gaps, and in errors
 _MOST_DEGREE = 8  # Of the polynomials that foresee marks
@@ -192,20 +193,36 @@ def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
 
 def _rough_spread(paths: Sequence[Path], state: int, lower: float, upper: float) -> float:
     """The spread of a candidate, from straight lines between the nodes; 0 if some do not cross."""
-    level = 0.5 * (lower + upper)
+    crossings = _rough_crossings(paths, state, 0.5 * (lower + upper))
+    fewest = min(times.size for times, _ in crossings)
+    if not fewest:
+        return 0.0
+    common = np.array([times[:fewest] for times, _ in crossings])
+    slopes = np.array([each[:fewest] for _, each in crossings])
+    return float((np.ptp(common, axis=0) * slopes.min(axis=0)).max()) / (upper - lower)
+
+
+def _rough_steepness(paths: Sequence[Path], state: int, level: float) -> tuple[float, bool]:
+    """The same for the least slope times the mean gap, and whether some cross several times."""
+    crossings = _rough_crossings(paths, state, level)
+    fewest = min(times.size for times, _ in crossings)
+    if not fewest:
+        return math.inf, True  # perhaps between the nodes
+    begin = paths[0].breaks[0]
+    steep = [rates[:fewest].min() * (times[fewest - 1] - begin) for times, rates in crossings]
+    return float(min(steep)) / fewest, max(times.size for times, _ in crossings) >= _FEWEST
+
+
+def _rough_crossings(paths: Sequence[Path], state: int, level: float) -> list[tuple[Array, Array]]:
+    """Times and absolute rates at which a state of each path crosses a level, by straight lines."""
     crossings: list[tuple[Array, Array]] = []
     for path in paths:
         heights = path.nodal[:, :, state].ravel() - level
         times = (path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES).ravel()
         k = np.flatnonzero(np.diff(np.signbit(heights)))
-        if not k.size:
-            return 0.0
         rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], 1e-300)
         crossings.append((times[k] - heights[k] / rates, np.abs(rates)))
-    fewest = min(times.size for times, _ in crossings)
-    common = np.array([times[:fewest] for times, _ in crossings])
-    slopes = np.array([each[:fewest] for _, each in crossings])
-    return float((np.ptp(common, axis=0) * slopes.min(axis=0)).max()) / (upper - lower)
+    return crossings
 
 
 def _steepest(
@@ -243,6 +260,9 @@ def _candidate(
     lower, upper = span
     level = lower + share * (upper - lower)
     if len({bool(path.nodal[0, 0, state] > level) for path in paths}) > 1:
+        return None
+    steepness, several = _rough_steepness(paths[SCOUTS], state, level)
+    if steepness < _SCOUTED * (transversal if several else _FRONT) * (upper - lower):
         return None
     marker = Marker(state, level)
     event = marker_event(marker, "")
