@@ -135,6 +135,8 @@ class _WorstPoints:
     def after_jumps(self) -> Array:
         """Points (m, d) where the states after a jump are not what it makes of those before it."""
         jumps, bounds = self.reference_set.system.jumps, self.reference_set.domain.bounds
+        if not jumps.times:
+            return np.zeros((0, len(bounds)))
         affordable = _affordable(self.slabs)
         count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
         anywhere = self._points(self.generator.random((count, len(bounds))))
