@@ -94,7 +94,7 @@ def test_a_box_narrowed_as_told_converges(compiled, effort):
 
 def test_where_no_attempt_ended_lines_tell(compiled):
     """The budget ends in the first interpolation."""
-    refused = compiled.solve(1e-5, method="cross", effort=0.01)
+    refused = compiled.solve(1e-5, method="cross", effort=0.005)
     assert "nothing was interpolated yet" in refused.message
     assert told(refused)
 

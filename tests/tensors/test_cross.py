@@ -11,15 +11,7 @@ from rankone.tensors.adaptive import (
     Tightening,
     needed,
 )
-from rankone.tensors.cross import GrowingBasis, _skeleton, batched, interpolate, left_points
-
-
-def test_skeletons_interpolate_with_small_coefficients():
-    rows = np.linalg.qr(np.random.default_rng(1).standard_normal((200, 12)))[0].T
-    skeleton, coefficients = _skeleton(rows)
-    np.testing.assert_allclose(rows[:, skeleton] @ coefficients, rows, atol=1e-12)
-    np.testing.assert_allclose(coefficients[:, skeleton], np.eye(12), atol=1e-10)
-    assert np.abs(coefficients).max() <= 1.1
+from rankone.tensors.cross import GrowingBasis, batched, interpolate, left_points
 
 
 class Separable:
@@ -99,9 +91,8 @@ def test_left_points_are_taken_until_further_ones_add_nothing():
         return samples(indices)
 
     interpolate(noted, bases, batched(left_points(sizes, 12, 0), *range(2, 12, 2)), 1e-12, 50)
-    # at the last bond of 20 nodes the second batch is enough; both are sampled in one call before
-    assert sampled[:3] == [4 * 20, 2 * 20, 2 * 20]
-    assert sampled[3] == 4 * 20 * 3
+    # at each bond of 20 nodes the second batch is enough; both are sampled in one call
+    assert sampled[:2] == [4 * 20, 4 * 20 * 3]
 
     needy = np.zeros((1, 20, 20, 20))  # each left point sees a direction that no other has
     needy[0, np.arange(20), np.arange(20), np.arange(20)] = 1.0

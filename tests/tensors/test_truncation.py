@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rankone.tensors.train import row_space, truncated_svd
+from rankone.tensors.train import truncated_svd
 
 
 @cache
@@ -50,26 +50,3 @@ def test_a_full_rank_matrix_with_a_poor_hint_is_still_decomposed():
     matrix = np.random.default_rng(3).standard_normal((150, 150))
     left, values, right = truncated_svd(matrix, 1e-8, 1000, np.eye(150)[:2])
     np.testing.assert_allclose((left * values) @ right, matrix, atol=1e-9)
-
-
-@pytest.mark.parametrize(("m", "n"), [(20, 30), (300, 280), (900, 120), (90, 400), (700, 600)])
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-10])
-@pytest.mark.parametrize("expected", [4, 20, 60])
-def test_a_row_space_has_its_error_and_nearly_the_least_rank(m, n, tolerance, expected):
-    matrix = decaying(m, n, 0.5)
-    weights, rows = row_space(matrix, tolerance, 1000, expected)
-    remainder = matrix - (matrix @ rows.T) @ rows
-    assert np.linalg.norm(remainder) <= tolerance * (1 + 1e-6) + 1e-14
-    np.testing.assert_allclose(rows @ rows.T, np.eye(weights.size), atol=1e-12)
-    exact = singular_values(m, n, 0.5)[: weights.size]
-    np.testing.assert_allclose(weights, exact, atol=tolerance)
-    assert weights.size <= truncated_svd(matrix, tolerance, 1000)[1].size + 2
-
-
-def test_a_row_space_of_more_rows_than_expected_is_still_complete():
-    matrix = decaying(600, 500, 0.95)
-    _, rows = row_space(matrix, 1e-7, 1000, 3)
-    assert np.linalg.norm(matrix - (matrix @ rows.T) @ rows) <= 1e-7
-    full = np.random.default_rng(3).standard_normal((150, 150))
-    assert row_space(full, 1e-8, 1000, 3)[1].shape == (150, 150)
-    assert row_space(full, 1e-8, 7, 3)[0].size == 7

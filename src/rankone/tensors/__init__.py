@@ -5,6 +5,7 @@ module             subject, in the order to read
 =================  =================================================================================
 ``train``          a tensor train: orthonormal cores, truncation; truncated SVD
 ``slab``           states on a time slab as a train; derivatives and smaller boxes
+``skeleton``       columns of a matrix that give all others with small coefficients
 ``cross``          cross interpolation of sampled columns in one sweep
 ``scale_choice``   the coordinate of each parameter that needs the fewest nodes
 ``adaptive``       its nodes, left points and tolerances, from attempt to attempt

@@ -23,6 +23,7 @@ from rankone.tensors.cross import (
     batched,
     interpolate,
     left_points,
+    with_last_joined,
     with_points,
 )
 from rankone.tensors.scale_choice import LineColumns, basis_values, best_coordinates
@@ -34,8 +35,8 @@ MOST_FIRST_LEFT_POINTS = 30  # Most of them in the first attempt, which takes wh
 LEFT_POINT_BATCHES = 8, 4  # Left points with which it begins and goes on
 # The same for later attempts, over the left points that they take at least
 LATER_BATCHES = 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0
-# Tolerance of row spaces, relative to the level of an attempt: an error there is amplified
-ROW_SPACE_SHARE = 0.025
+# Tolerance of skeletons, relative to the level of an attempt: an error there is amplified
+SKELETON_SHARE = 0.04
 # Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
 ROUNDING_SHARE = (
@@ -161,7 +162,7 @@ class AdaptiveInterpolation:
             chosen(bases)
         if bases:
             left = self._left_points(bases)
-            tolerance = ROW_SPACE_SHARE * self.level / np.sqrt(len(bases))
+            tolerance = SKELETON_SHARE * self.level / np.sqrt(len(bases))
             samples, most = Samples(columns, bases), self.limits.max_rank
             train, limited = interpolate(samples, bases, left, tolerance, most, begun)
         else:
@@ -171,7 +172,7 @@ class AdaptiveInterpolation:
         train, self.spectra = train.rounded_with_norms(ROUNDING_SHARE * self.level)
         return train, limited
 
-    def _left_points(self, bases: Sequence[Basis1D]) -> list[list[Integers]]:
+    def _left_points(self, bases: Sequence[Basis1D]) -> Sequence[list[Integers]]:
         """Batches of left points: several in the first attempt, which takes as many as it needs."""
         sizes = [basis.size for basis in bases]
         if math.prod(sizes) <= FULL_GRID_NODES:
@@ -179,12 +180,13 @@ class AdaptiveInterpolation:
         if self.bases is None:
             first, further = LEFT_POINT_BATCHES
             left = left_points(sizes, MOST_FIRST_LEFT_POINTS, SEED)
-            return batched(left, *range(first, MOST_FIRST_LEFT_POINTS, further))
+            ends = [*range(first, MOST_FIRST_LEFT_POINTS, further)]
+            return with_last_joined(batched(left, *ends), sizes)
         ends = [round(ratio * self._left_count) for ratio in LATER_BATCHES]
         left = left_points(sizes, ends[-1], SEED)
         if self.doubtful is not None:
             left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
-        return batched(left, *ends)
+        return with_last_joined(batched(left, *ends), sizes)
 
     def _attempt_bases(
         self, columns: Columns, known_elements: Callable[[int], Sequence[KnownElements]]

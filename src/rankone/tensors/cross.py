@@ -3,40 +3,39 @@
 A column holds the states at all times, or other numbers, at one point of the parameters, as
 coefficients in a basis that grows. At bond b the columns at (left points) x (nodes of p_b) x
 (right points) are a matrix with the rows (left point, coefficient) and one column for each node
-and right point. Its row space, truncated, gives core b as an interpolation from a skeleton of its
-columns, which are the right points of the next bond. Each left point brings many rows, so that a
+and right point. Core b interpolates all columns from a skeleton of them, which are the right points
+of the next bond. Each left point brings many rows, so that a
 few of them serve ranks far higher.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import scipy.linalg
 
 from rankone.discretization import Basis1D
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr, svd
-from rankone.tensors.train import GRAM_RESOLUTION, Integers, Train, row_space
+from rankone.tensors.skeleton import Skeleton, skeleton_of
+from rankone.tensors.train import Integers, Train
 
 # Grids up to this many nodes are sampled completely: adapting would save nothing
 FULL_GRID_NODES = 1600
+# Parameters from which on, and nodes of two of them up to which, the last two are sampled together
+_LEAST_JOINED, _JOINED_NODES = 3, 64
 _CORNER_SHARE = 0.8  # Part of the left points that are corners of their grid
-_CORNER_WEIGHT = 0.5  # Weight of corners in the error of a row space: it may be larger there
+_CORNER_WEIGHT = 0.5  # Weight of corners in the error of a skeleton: it may be larger there
 # Largest ratio of the rank of a bond to that of the next one that is expected: ranks grow ever less
 _MOST_GROWTH = 2.0
 _EXTRA_RANK = 16  # Added to the expected rank of a bond
-# Error of a row space at left points that it was not made for, over the tolerance, that shows that
+# Error of a skeleton at left points that it was not made for, over the tolerance, that shows that
 # the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
 _SPANNED = 5.0
-_MAX_EXCHANGES = 100  # Most exchanges of columns of a skeleton; Goreinov et al. need a few per rank
-_VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
-_EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
 _BLOCK_COPIES = 5.0  # Copies of the columns of a bond: sampled, weighted, joined, projected
 _TABLE_COPIES = 3.0  # Copies of all samples: before and after some are added, and these
 _LOOKUP_COST = 250.0  # Operations of looking a node up
@@ -45,6 +44,8 @@ _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _PYTHAGOREAN = 1e-13
 # Columns for which a basis grows at a time: those between them hardly add to what these span
 _MOST_SPANNED = 400
+# Singular values, over the largest, that a Gram matrix tells from rounding
+_GRAM_RESOLUTION = 1e-6
 _LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
 
 Columns = Callable[[Array], Array]
@@ -93,6 +94,19 @@ def batched(left: Sequence[Integers], *ends: int) -> list[list[Integers]]:
     return [np.split(points, [end for end in ends if end < len(points)]) for points in left]
 
 
+def with_last_joined(
+    left: Sequence[list[Integers]], sizes: Sequence[int]
+) -> Sequence[list[Integers]]:
+    """Batches of left points of which those of the last bond are those before it, at all nodes.
+
+    Few nodes of the last two parameters are sampled together: a call costs more than they do.
+    """
+    if len(sizes) < _LEAST_JOINED or sizes[-2] * sizes[-1] > _JOINED_NODES:
+        return left
+    nodes = np.arange(sizes[-2])[:, None]
+    return [*left[:-1], [_product(points, nodes) for points in left[-2]]]
+
+
 def with_points(left: Sequence[Integers], nodes: Sequence[Array], points: Array) -> list[Integers]:
     """The nodes of each bond that are nearest to points (m, d), and left points behind them."""
     nearest = np.stack(
@@ -119,7 +133,7 @@ def _corners(dimensions: int, count: int, generator: np.random.Generator) -> Int
 
 
 def _weights(left: Integers, sizes: Sequence[int]) -> Array:
-    """Weights of left points in the error of a row space: less for corners of their grid."""
+    """Weights of left points in the error of a skeleton: less for corners of their grid."""
     if len(left) == math.prod(sizes):
         return np.ones(len(left))
     at_ends = ((left == 0) | (left == np.array(sizes) - 1)).all(axis=1)
@@ -138,8 +152,8 @@ def interpolate(
 
     ``samples``, such as :class:`Samples`, gives columns at node indices (m, d); ``left`` holds
     batches of the :func:`left_points` of each bond, of which the later ones are taken until one
-    adds nothing; the tolerance is the root mean square error of a row space
-    over the columns of its bond. ``begun`` is called when a bond is begun: how many were done, of
+    adds nothing; the tolerance is the root mean square error of the columns of a bond that are
+    interpolated from its skeleton. ``begun`` is called when a bond is begun: how many were done, of
     how many, and the rank. Core 0 of the train holds sampled columns (rows, r_1); cores j >= 1 are
     scaled by the roots of the weights. Also returns whether a rank was cut.
     """
@@ -153,12 +167,11 @@ def interpolate(
         columns = _product(np.arange(size)[:, None], right)
         expected = math.ceil(growth * len(right)) + _EXTRA_RANK
         block = _Block(samples, left[b], [basis.size for basis in bases[:b]], columns)
-        rows = block.row_space(tolerance, max_rank, expected)
-        limited |= len(rows) == max_rank
-        growth = min(len(rows) / len(right), _MOST_GROWTH)
-        skeleton, core = _skeleton(rows)
-        cores.insert(0, core.reshape(len(rows), size, len(right)))
-        right = columns[skeleton]
+        found = block.skeleton(tolerance, max_rank, expected)
+        limited |= found.rank == max_rank
+        growth = min(found.rank / len(right), _MOST_GROWTH)
+        cores.insert(0, found.coefficients.reshape(found.rank, size, len(right)))
+        right = columns[found.columns]
     roots = [np.sqrt(basis.weights)[:, None] for basis in bases]
     scaled = (core * root for core, root in zip(cores, roots, strict=True))
     return Train((samples(right), *scaled)), limited
@@ -173,68 +186,57 @@ class _Block:
     sizes: Sequence[int]
     columns: Integers
 
-    def row_space(self, tolerance: float, max_rank: int, expected: int) -> Array:
-        """Orthonormal rows (r, N) that span those of the matrix up to the tolerance.
+    def skeleton(self, tolerance: float, max_rank: int, expected: int) -> Skeleton:
+        """Columns from which all others are interpolated up to the tolerance.
 
-        Its first batch, and the further ones until one is in the span of those before it.
+        At the first batch, and at further ones until one is interpolated as well from the columns
+        that were found before.
         """
-        rows = np.zeros((0, len(self.columns)))
-        if len(self.batches) > 1:  # one call for the two that are needed in any case
-            self.samples(_product(np.concatenate(self.batches[:2]), self.columns))
-        for left in self.batches:
-            weights = _weights(left, self.sizes)
-            matrix = self._matrix(left, weights)
-            allowed = tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
-            if not len(rows):
-                _, rows = row_space(matrix, allowed, max_rank, expected)
-                continue
-            further, missed = self._further(matrix, rows, allowed, max_rank)
-            rows = np.concatenate([rows, further])
-            if missed <= _SPANNED * allowed or len(rows) >= min(max_rank, len(self.columns)):
+        matrices, squares, found = list[Array](), 0.0, None
+        for matrix, weights in self._matrices():
+            square = tolerance**2 * float(np.sum(weights**2)) * len(self.columns)
+            missed, allowed = math.inf, math.sqrt(square)
+            if found is not None:
+                missed = found.missed(matrix)
+                if missed <= allowed:
+                    break
+                matrices, expected = [found.rows_of(matrices)], found.rank + _EXTRA_RANK
+            matrices, squares = [*matrices, matrix], squares + square
+            found = skeleton_of(matrices, math.sqrt(squares), max_rank, expected)
+            if missed <= _SPANNED * allowed or found.rank >= min(max_rank, len(self.columns)):
                 break
-        return rows
+        assert found is not None
+        return found
 
-    def _further(
-        self, matrix: Array, rows: Array, allowed: float, max_rank: int
-    ) -> tuple[Array, float]:
-        """What a batch adds to a row space (r, N), and what the row space missed of it."""
-        charge(2.0 * product(len(matrix), matrix.shape[1], len(rows)))
-        remainder = matrix - (matrix @ rows.T) @ rows
-        missed = float(np.linalg.norm(remainder))
-        most = min(max_rank, len(self.columns)) - len(rows)
-        if missed <= allowed or not most:
-            return rows[:0], missed
-        return row_space(remainder, allowed, most, len(remainder))[1], missed
+    def _matrices(self) -> Iterator[tuple[Array, Array]]:
+        """The matrix (left points x coefficients, columns) of each batch, and the weights.
 
-    def _matrix(self, left: Integers, weights: Array) -> Array:
-        block = self.samples(_product(left, self.columns))
-        reserve(_BLOCK_COPIES * block.nbytes)
-        block = block.reshape(-1, len(left), len(self.columns)) * weights[:, None]
-        charge(4.0 * block.size)
-        return np.asarray(block.reshape(-1, len(self.columns)))
+        The first two are sampled in one call: they are needed in any case.
+        """
+        yield from self._sampled(self.batches[:2])
+        for batch in self.batches[2:]:
+            yield from self._sampled([batch])
+
+    def _sampled(self, batches: Sequence[Integers]) -> Iterator[tuple[Array, Array]]:
+        """The same for some batches."""
+        left, count = np.concatenate(batches), len(self.columns)
+        samples = self.samples(_pairs(left, self.columns))
+        reserve(_BLOCK_COPIES * samples.nbytes)
+        charge(4.0 * samples.size)
+        rows = samples.T.reshape(count, len(left), -1)
+        weights, first = _weights(left, self.sizes), 0
+        for batch in batches:
+            some = slice(first, first + len(batch))
+            first += len(batch)
+            weighted = rows[:, some] * weights[some, None]
+            yield weighted.reshape(count, -1).T, weights[some]
 
 
-def _skeleton(rows: Array) -> tuple[Integers, Array]:
-    """Columns (r,) of orthonormal rows (r, N) that give all others with small coefficients (r, N).
-
-    ``rows = rows[:, skeleton] @ coefficients``. Columns are exchanged as long as that enlarges the
-    volume of the skeleton by a tenth (Goreinov et al., How to find a good submatrix, 2010).
-    """
-    rank = len(rows)
-    charge(3.0 * qr(*rows.shape) + product(rank, rank, rows.shape[1]))
-    _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
-    skeleton = pivots[:rank].astype(np.int64)
-    coefficients = np.asarray(np.linalg.solve(rows[:, skeleton], rows))
-    for _ in range(_MAX_EXCHANGES):
-        i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
-        if abs(coefficients[i, j]) < _VOLUME_GAIN:
-            break
-        charge(_EXCHANGE_COST * coefficients.size)
-        change = coefficients[:, j].copy()
-        change[i] -= 1.0
-        coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
-        skeleton[i] = j
-    return skeleton, coefficients
+def _pairs(left: Integers, right: Integers) -> Integers:
+    """All pairs of rows, side by side; the left ones run fastest."""
+    return np.concatenate(
+        [np.tile(left, (len(right), 1)), np.repeat(right, len(left), axis=0)], axis=1
+    )
 
 
 def _product(left: Integers, right: Integers) -> Integers:
@@ -258,22 +260,30 @@ class Samples:
     def __call__(self, indices: Integers) -> Array:
         """Coefficients of the columns at nodes (m, d): shape (rank of the basis, m)."""
         charge(_LOOKUP_COST * len(indices) + 0.5 * self._table.size)
-        codes, inverse = np.unique(indices @ self._strides, return_inverse=True)
-        missing = np.setdiff1d(codes, self._codes, assume_unique=True)
-        if missing.size:
-            self._add(missing)
-        columns = self._places[np.searchsorted(self._codes, codes)]
-        charge(_COPY_COST * len(self._table) * len(indices))
-        return self._table[:, columns[inverse]]
+        codes = indices @ self._strides
+        places = self._found(codes)
+        missing = places < 0
+        if missing.any():
+            self._add(np.unique(codes[missing]))
+            places = self._found(codes)
+        charge(_COPY_COST * self._table.shape[1] * len(indices))
+        return self._table.take(places, axis=0).T
+
+    def _found(self, codes: Integers) -> Integers:
+        """The places of columns in the table (m,), negative for those that are not there."""
+        if not self._codes.size:
+            return np.full(codes.size, -1)
+        near = np.minimum(np.searchsorted(self._codes, codes), self._codes.size - 1)
+        return np.where(self._codes[near] == codes, self._places[near], -1)
 
     def _add(self, codes: Integers) -> None:
         indices = (codes[:, None] // self._strides) % self._sizes
         points = np.stack([x[indices[:, j]] for j, x in enumerate(self.nodes)], axis=1)
         coefficients = self.columns(points)
-        rank, count = self._table.shape
+        count, rank = self._table.shape
         reserve(8.0 * _TABLE_COPIES * len(coefficients) * (count + codes.size))
-        table = np.zeros((len(coefficients), count + codes.size))
-        table[:rank, :count], table[:, count:] = self._table, coefficients
+        table = np.zeros((count + codes.size, len(coefficients)))
+        table[:count, :rank], table[count:] = self._table, coefficients.T
         self._table = table
         self._codes = np.concatenate([self._codes, codes])
         self._places = np.concatenate([self._places, count + np.arange(codes.size)])
@@ -291,7 +301,7 @@ class GrowingBasis:
         """Coefficients (rank, m) of columns (length, m), each missed by a tolerance at most."""
         length, rank = self.vectors.shape
         charge(2.0 * product(length, rank, columns.shape[1]) + 4.0 * columns.size)
-        coefficients = self.vectors.T @ columns
+        coefficients = (columns.T @ self.vectors).T  # column by column, as they are read
         if rank == length:
             return coefficients
         squares = _squares(columns)
@@ -348,7 +358,7 @@ def _span(columns: Array, tolerance: float) -> Array:
         wide = columns.shape[1] > columns.shape[0]
         squares, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
-        threshold = max(tolerance, GRAM_RESOLUTION * weights[0])
+        threshold = max(tolerance, _GRAM_RESOLUTION * weights[0])
         rank = max(int(np.count_nonzero(weights > threshold)), 1)
         directions = vectors[:, :rank]
         if not wide:

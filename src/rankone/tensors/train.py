@@ -6,7 +6,7 @@ U[..., i_1, ..., i_d] = C_0[..., :] C_1[:, i_1, :] ... C_d[:, i_d, :]
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,13 +24,6 @@ Integers = NDArray[np.int64]
 _DIRECT_SIDE = 48
 # Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more).
 _RANDOM_DIRECTIONS = 12
-_RANDOM_COST = 3.0  # Operations of a random number in single precision
-# Tolerance, over the norm of a matrix, from which its rows may be combined in single precision
-_SINGLE_PRECISION = 1e-5
-# Norm of a remainder, over that of the matrix, below which Pythagoras' theorem does not give it
-_PYTHAGOREAN = 2e-7
-# Singular values, over the largest, that a Gram matrix tells from rounding
-GRAM_RESOLUTION = 1e-6
 # Rows whose new direction is smaller than this, relative to the largest, are rounding
 _NEGLIGIBLE_ROW = 1e-13
 # The same for directions that only widen a frame: they need not be kept to the last digit
@@ -231,80 +224,6 @@ def truncated_svd(
     rank = min(max(int(np.count_nonzero(tails > tolerance)), 1), max_rank, weights.size)
     left = left[:, :rank] if basis is None else basis @ left[:, :rank]
     return left, weights[:rank], right[:rank]
-
-
-def row_space(matrix: Array, tolerance: float, max_rank: int, expected: int) -> tuple[Array, Array]:
-    """Singular values (r,) and right vectors (r, n) of a matrix, as :func:`truncated_svd` has them.
-
-    Where at most ``expected`` of them are likely to matter, and the matrix is large, they are those
-    of its projection on the span of random combinations of its rows.
-    """
-    basis, reduced, missed = _projected(matrix, 0.5 * tolerance, expected + _RANDOM_DIRECTIONS)
-    weights, right_of = _right_vectors(reduced, tolerance)
-    tails = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1] + missed**2)
-    rank = min(max(int(np.count_nonzero(tails > tolerance)), 1), max_rank, weights.size)
-    right = right_of(rank)
-    return weights[:rank], right if basis is None else right @ basis.T
-
-
-def _right_vectors(matrix: Array, tolerance: float) -> tuple[Array, Callable[[int], Array]]:
-    """Singular values (k,) of a matrix (m, n), and a function of r for right vectors (r, n).
-
-    They come from eigenvectors of the smaller Gram matrix, at a fraction of the cost, if the
-    tolerance stands out of its rounding errors. Those of a wide matrix then are made orthonormal.
-    """
-    m, n = matrix.shape
-    if tolerance <= GRAM_RESOLUTION * float(np.linalg.norm(matrix)):
-        if m > 2 * n:
-            charge(qr(m, n))
-            matrix = np.asarray(np.linalg.qr(matrix, mode="r"))
-        _, weights, right = _svd(matrix)
-        return weights, lambda rank: right[:rank]
-    wide = n > m
-    smaller, larger = sorted(matrix.shape)
-    charge(product(smaller, larger, smaller) + svd(smaller, smaller))
-    squares, vectors = np.linalg.eigh(matrix @ matrix.T if wide else matrix.T @ matrix)
-    weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
-
-    def right_of(rank: int) -> Array:
-        if not wide:
-            return np.asarray(vectors[:, :rank].T)
-        charge(2.0 * product(n, m, rank) + qr(n, rank))
-        scaled = vectors[:, :rank] / np.maximum(weights[:rank], 1e-300)
-        return np.asarray(np.linalg.qr(matrix.T @ scaled)[0].T)
-
-    return weights, right_of
-
-
-def _projected(matrix: Array, tolerance: float, width: int) -> tuple[Array | None, Array, float]:
-    """Orthonormal columns (n, k), the matrix times them, and what they miss of its rows.
-
-    No columns, and the matrix itself, where decomposing it costs hardly more. The combinations of
-    rows are computed in single precision if the tolerance allows it.
-    """
-    m, n = matrix.shape
-    if min(m, n) <= max(_DIRECT_SIDE, 2 * width):
-        return None, matrix, 0.0
-    generator, size = np.random.default_rng(n), float(np.linalg.norm(matrix))
-    single = tolerance > _SINGLE_PRECISION * size
-    rounded = np.asarray(matrix, dtype=np.float32 if single else np.float64)
-    basis, projected = np.zeros((n, 0)), np.zeros((m, 0))
-    while 2 * (basis.shape[1] + width) <= min(m, n):
-        charge(2.0 * product(m, n, width) + 2.0 * qr(n, width) + _RANDOM_COST * m * width)
-        directions = generator.random((width, m), dtype=np.float32) - np.float32(0.5)
-        rows = np.asarray(np.matmul(directions, rounded), dtype=np.float64)
-        for _ in range(2 if basis.size else 0):  # twice against cancellation
-            rows = rows - (rows @ basis) @ basis.T
-        added, _ = np.linalg.qr(rows.T)
-        basis, projected = np.hstack([basis, added]), np.hstack([projected, matrix @ added])
-        square = max(size**2 - float(np.linalg.norm(projected)) ** 2, 0.0)
-        missed = math.sqrt(square + (_PYTHAGOREAN * size) ** 2)
-        if missed > tolerance and square < (10.0 * _PYTHAGOREAN * size) ** 2:
-            missed = float(np.linalg.norm(matrix - projected @ basis.T))
-        if missed <= tolerance:
-            return basis, projected, missed
-        width = max(2 * _RANDOM_DIRECTIONS, basis.shape[1] // 4)
-    return None, matrix, 0.0
 
 
 def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, Array, float]:

@@ -96,3 +96,9 @@ def test_the_same_twice():
     one, two = (compiled.solve(1e-2, method="cross") for _ in range(2))
     point = dict.fromkeys(one.parameters, 0.8)
     np.testing.assert_array_equal(one(0.5, point), two(0.5, point))
+
+
+def test_the_last_parameter_of_many_is_resolved_at_corners():
+    """Its skeleton is chosen at left points that vary in the parameter before it, too."""
+    solution = ro.solve(EXAMPLES["kirchhoff"].problem, rtol=1e-4, method="cross")
+    assert solution.corner_error < 0.6e-4

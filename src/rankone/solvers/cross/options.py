@@ -57,7 +57,7 @@ class CrossOptions(Options):
 class CrossRecord(SlabRecord):
     """One interpolation over the whole horizon.
 
-    ``tolerance`` is that of the row spaces, ``residuals`` holds for each parameter the size of its
+    ``tolerance`` is that of the skeletons, ``residuals`` holds for each parameter the size of its
     two highest modes, both in units of the states' sizes.
 
     Attributes
