@@ -16,6 +16,7 @@ from rankone.codegen.rates import ARRAY_STATES
 from rankone.frontend import term_sums, text
 from rankone.ir.jacobian import pattern_of
 from rankone.support.deferred import Deferred
+from rankone.symbolic.surfaces import MAX_SURFACES
 
 N = ARRAY_STATES
 BOX = {"k": (0.5, 1.5), "c": (1.0, 2.0)}
@@ -237,3 +238,37 @@ def test_the_same_bytes_under_another_hash_seed():
     }
     assert len(texts) == 1
     assert "def slopes_of_form_0" in texts.pop()
+
+
+def vanishing(surfaces, function, value):
+    """Those of functions that vanish where another one has a value."""
+    return [s for s in surfaces if s.has(function) and s.subs(function, value) == 0]
+
+
+@pytest.mark.parametrize(
+    "narrow",
+    [
+        "exp(-((x0 - 0.7)/1e-6)**2 - 0.1*x2 - 0.1*x3 - 0.1*x4)",
+        "1/(1e-9 + (x0 - 0.7)**2 + x2*x3 + x4*x5 + x6*x7)",
+        "1/(1 + exp(1e6*((x0 - 0.7)*(1 + x2*x3 + x4 + x5 + x6))))",
+    ],
+)
+def test_narrow_laws_with_long_sums_have_surfaces(narrow):
+    problem = problem_of(laws_of("saturation") | {"x1": narrow})
+    assert problem.table.forms
+    features = ro.compile(problem).features
+    x0 = problem.unknowns[0]
+    assert len(vanishing([*features.peaks, *features.steps], x0, sp.Rational(7, 10))) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", [10, N + 10])
+def test_of_many_surfaces_the_sharpest_are_kept(place, monkeypatch):
+    widths = ["1e-6" if i == place else f"1.{i}" for i in range(N + 20)]
+    rhs = {f"x{i}": f"exp(-((y - 0.{i + 101})/{w})**2) - x{i}" for i, w in enumerate(widths)}
+    problem = problem_of(rhs | {"y": "k"})
+    assert problem.table.forms
+    y, value = problem.unknowns[-1], sp.Rational(f"0.{place + 101}")
+    for compiled in (ro.compile(problem), by_lines(rhs | {"y": "k"}, monkeypatch)):
+        assert len(compiled.features.peaks) == MAX_SURFACES
+        assert vanishing(compiled.features.peaks, y, value)

@@ -107,6 +107,16 @@ class TermTable:
                 self._written[symbol] = sp.Add(*map(self.product, source))
         return self._written[symbol]
 
+    def is_linear(self, symbol: int) -> bool:
+        """Whether a number in terms stands for a sum of multiples of states, and a constant."""
+        source = self._sources[symbol]
+        if isinstance(source, Value):
+            return False
+        constant = all(self.functions[function].is_number for _, _, function, _ in source)
+        return constant and all(
+            len(s) < 2 and max(s, default=0) < len(self.states) for *_, s in source
+        )
+
     def product(self, entry: Entry) -> sp.Expr:
         """A term as an expression."""
         coefficient, _, function, symbols = entry

@@ -36,7 +36,13 @@ from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.wording import quote, written
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.surfaces import MAX_SURFACES, moving_cuts, parameter_surfaces, state_surfaces
+from rankone.symbolic.surfaces import (
+    MAX_SURFACES,
+    digits,
+    moving_cuts,
+    parameter_surfaces,
+    state_surfaces,
+)
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
@@ -151,22 +157,27 @@ def features_of_table(system: FirstOrderSystem, table: TermTable) -> SymbolicFea
     """The features of a system of many states from the table of its rates.
 
     Laws of one form differ in where their surfaces over the states are. No more of them are looked
-    at than there may be surfaces.
+    at than there may be surfaces, those with the numbers farthest from one.
     """
     time = system.coordinates[0].symbol
     states = dict(enumerate(system.functions))
+    plain = dict(zip(table.states, system.functions, strict=True))
     inner: dict[sp.Expr, int] = {}
 
     def slot(symbol: int) -> sp.Expr:
-        """A state, or what stands for a sum or a value in another law."""
+        """A state, a further law, or what stands for a sum of states in another law."""
         if symbol in states:
             return states[symbol]
+        if not table.is_linear(symbol):
+            return table.written(symbol).xreplace(plain)
         stand_in = sp.Function(f"law {symbol}")(time)
         inner[stand_in] = symbol
         return stand_in
 
     by_form: list[list[sp.Expr]] = [[] for _ in table.forms]
-    for value in table.values:
+    for value in sorted(
+        table.values, key=lambda value: -digits(abs(float(x)) for x in value.numbers)
+    ):
         if len(by_form[value.form]) < MAX_SURFACES:
             slots = map(slot, value.symbols)
             by_form[value.form].append(table.forms[value.form].filled(slots, value.numbers))
@@ -175,7 +186,6 @@ def features_of_table(system: FirstOrderSystem, table: TermTable) -> SymbolicFea
     in_turns = (law for each in itertools.zip_longest(*several) for law in each if law is not None)
     laws += itertools.islice(in_turns, MAX_SURFACES)
     features = features_of(system.coordinates, [*table.functions, *laws], system.initial)
-    plain = dict(zip(table.states, system.functions, strict=True))
 
     def of_states(surface: sp.Expr) -> sp.Expr:
         used = [stand_in for stand_in in inner if surface.has(stand_in)]

@@ -110,30 +110,45 @@ def state_surfaces(
     A side of a boundary that is as narrow as a peak, as of ``Max(0, 1 - ((x - a)/w)**2)``, has its
     middle among those of peaks.
 
-    Each is in the first of these only; there are at most 64 in all.
+    Each is in the first of these only; there are at most 64 in all, of more the sharpest.
     """
 
     def moving(expression: sp.Basic) -> set[sp.Expr]:
         unknowns = set(expression.atoms(AppliedUndef))
         return unknowns | (expression.free_symbols & {time} if not unknowns else set())
 
-    of_peaks = (surface for _, surface in peaks(rates, moving))
-    of_steps = (surface for _, surface in steps(rates, moving))
     smooth = (f for f, _ in boundaries(rates, _SIDES) if not f.has(*_SIDES, sp.Piecewise))
-    middles = (middle for boundary in smooth for middle in extrema(boundary, moving))
+    middles = ((side, middle) for side in smooth for middle in extrema(side, moving))
     sorts = (
-        itertools.chain(of_peaks, middles),
-        _zeros(rates, CONTINUOUS),
-        itertools.chain(of_steps, _zeros(rates, DISCONTINUOUS)),
+        itertools.chain(peaks(rates, moving), middles),
+        ((f, f) for f in _zeros(rates, CONTINUOUS)),
+        itertools.chain(steps(rates, moving), ((f, f) for f in _zeros(rates, DISCONTINUOUS))),
     )
     surfaces: set[sp.Expr] = set()
     by_sort = []
     for functions in sorts:
-        distinct = (f for f in _distinct(filter(moving, functions)) if not surfaces & {f, -f})
-        by_sort.append(tuple(itertools.islice(distinct, MAX_SURFACES - len(surfaces))))
-        surfaces.update(by_sort[-1])
+        sharpest: dict[sp.Expr, float] = {}
+        for function, surface in functions:
+            if moving(surface):
+                sharpest[surface] = max(sharpness(function), sharpest.get(surface, 0.0))
+        distinct = [f for f in _distinct(sharpest) if not surfaces & {f, -f}]
+        if len(distinct) > MAX_SURFACES - len(surfaces):
+            first = sorted(distinct, key=lambda f: -max(sharpest[f], sharpest.get(-f, 0.0)))
+            distinct = _distinct(first[: MAX_SURFACES - len(surfaces)])
+        by_sort.append(tuple(distinct))
+        surfaces.update(distinct)
     at_peaks, at_kinks, at_steps = by_sort
     return at_peaks, at_kinks, at_steps
+
+
+def sharpness(function: sp.Basic) -> float:
+    """How far the numbers in a function are from one, in digits: far where it is narrow."""
+    return digits(float(abs(number)) for number in function.atoms(sp.Number) if number.is_finite)
+
+
+def digits(numbers: Iterable[float]) -> float:
+    """How far numbers are from one, at most; zeros do not count."""
+    return max((abs(math.log10(number)) for number in numbers if number > 0.0), default=0.0)
 
 
 def parameter_surfaces(
