@@ -54,6 +54,16 @@ def test_values(expression):
         assert float(function(*at)) == pytest.approx(exact, rel=1e-12), at
 
 
+@pytest.mark.parametrize("exponent", [-5, -4, -2, -1, 2, 3, 4, 7, 30, 101])
+@pytest.mark.parametrize("at", [-2.4, -1.3, -0.4, -1e-9, 1e-12, 0.6])
+def test_whole_powers_less_one(exponent, at):
+    written = stable(a * (1 + x) ** exponent - a)
+    function = sp.lambdify([x, a], written, [NUMPY, "numpy", "scipy"])
+    with mpmath.workdps(60):
+        exact = 3 * ((1 + mpmath.mpf(at)) ** exponent - 1)
+    assert float(function(at, 3.0)) == pytest.approx(float(exact), rel=1e-12)
+
+
 def test_no_overflow():
     written = stable(sp.exp(x) / (1 + sp.exp(x)) + sp.log(1 + sp.exp(y)))
     function = sp.lambdify([x, y], written, [NUMPY, "numpy", "scipy"])

@@ -167,8 +167,22 @@ def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
     if isinstance(function, expit):
         return None, expit(-argument)
     if function.is_Pow and function.exp.is_Rational and sp.S.One in function.base.args:
-        return None, -expm1(function.exp * log1p(function.base - 1))
+        return None, -_power_less_one(function.base - 1, function.exp)
     return None, None
+
+
+def _power_less_one(x: sp.Expr, exponent: sp.Rational) -> sp.Expr:
+    """(1 + x)**exponent - 1, of integers also where 1 + x is negative."""
+    if not exponent.is_Integer:
+        return expm1(exponent * log1p(x))
+    if exponent == 0:
+        return sp.S.Zero
+    if exponent % 2 and exponent > 0:
+        return x + (1 + x) * _power_less_one(x, exponent - 1)
+    if exponent % 2:
+        return (_power_less_one(x, exponent + 1) - x) / (1 + x)
+    square = x * (2 + x)  # less one
+    return square if exponent == 2 else expm1(exponent / 2 * log1p(square))
 
 
 _COMPLEMENTED = (sp.exp, sp.cos, sp.cosh, sp.tanh, sp.erf, expit, sp.Pow)
