@@ -222,8 +222,8 @@ def _by_paths(
     swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
     clock = replace(clock, swings=swings)
     whole, there = over_stretches(replace(clock, repeats_from=0), request)
-    # samples in steps of a series cost less, since they end where they repeat
-    samples_later = has_smooth_rates(system, domain.horizon[0])
+    # samples end where they repeat: they cost less in steps of a series, or one by one
+    samples_later = has_smooth_rates(system, domain.horizon[0]) or clock.steep
     lines = None if samples_later else first_points(whole, there)
     reference_set = ReferenceSet.of(whole, there, lines)  # to the end, whatever repeats
     clock = _after_reference(clock, chosen, reference_set)
