@@ -30,6 +30,10 @@ LAWS = {
     "reversible": [f"(c*x{i} - k*x{i - 1})/(1 + x{i}/c + x{i - 1}/0.{i + 1})" for i in range(1, N)],
     "hill": [f"k*x{i - 1}**3/(0.4{i}**3 + x{i - 1}**3) - x{i}" for i in range(1, N)],
     "hill of any power": [f"x{i - 1}**c/(k**c + x{i - 1}**c) - x{i}" for i in range(1, N)],
+    "hill of numbers": [
+        f"x{i - 1}**{p}/(0.4{i}**{p} + x{i - 1}**{p}) - sqrt(2)*x{i}/(sqrt(3) + x{i})"
+        for i, p in ((i, f"2.{1 + i % 8}") for i in range(1, N))
+    ],
     "repression": [f"1/(1 + (x{i - 1}/0.{i + 1})**2.{i + 1}) - x{i}" for i in range(1, N)],
     "arrhenius": [f"-exp(-k/(0.3{i}*x{i}))*x{i}" for i in range(N)],
     "network": [
@@ -157,6 +161,13 @@ def test_laws_of_one_form_are_printed_once():
     assert compiled.source.count("\ndef form_") == 1
     assert len(form.symbols) == len(form.numbers) == 1
     assert str(form.expression).replace("_", "") == "x0/(c0 + x0)"
+
+
+def test_powers_of_numbers_stand_in_slots():
+    problem = problem_of(laws_of("hill of numbers"))
+    assert len(problem.table.forms) == 2
+    numbers = {value.numbers[0] for value in problem.table.values if len(value.numbers) == 1}
+    assert [float(number) for number in numbers] == pytest.approx([3**0.5], rel=1e-15)
 
 
 def test_nothing_is_written_out_until_it_is_read(monkeypatch):

@@ -12,6 +12,7 @@ import contextlib
 import io
 import itertools
 import keyword
+import math
 import re
 import tokenize
 from collections.abc import Callable, Mapping
@@ -69,7 +70,9 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any float needs
-_LARGEST_NUMBER = 10**300  # Of a power of numbers: near the largest float, with room for a factor
+_LARGEST_LOGARITHM = 300 * math.log(
+    10
+)  # Of a power of numbers: near the largest float, with room for a factor
 _LARGEST_DECIMAL = 10**308  # Range of decimal numbers, with its reciprocal: that of floats
 _LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more take SymPy forever
 # Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time
@@ -272,7 +275,7 @@ class _Translator(ast.NodeVisitor):
             bits = max(int(scale.p).bit_length(), int(scale.q).bit_length())
             most = _LARGEST_POWER_BITS if base == scale else LARGEST_SCALE_BITS
             large = scale != 1 and bits * abs(exponent) > most
-            if large or (base == scale and abs(sp.N(base**exponent)) > _LARGEST_NUMBER):
+            if large or (base == scale and _logarithm(base, exponent) > _LARGEST_LOGARITHM):
                 power = sp.Pow(scale, exponent, evaluate=False)
                 raise self.error(f"{quote(power)} is too large a number")
         if base.is_Rational and exponent.is_Rational and exponent.q > _LARGEST_ROOT:
@@ -379,6 +382,13 @@ class _Translator(ast.NodeVisitor):
             f"{quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ''))} is not a condition",
             "write for example (t > 1) & (t < 2), or 1 < t < 2",
         )
+
+
+def _logarithm(base: sp.Rational, exponent: sp.Rational) -> float:
+    """The logarithm of the size of a power, of which SymPy takes the exact value slowly."""
+    if base == 0:
+        return -math.inf if exponent > 0 else math.inf if exponent < 0 else 0.0
+    return float(exponent) * (math.log(abs(int(base.p))) - math.log(int(base.q)))
 
 
 def _call(name: str, arguments: list[sp.Expr]) -> str:

@@ -34,7 +34,7 @@ def tabulated_equations(equations: object, time: sp.Symbol, box: Box) -> object:
     try:
         sums = [reader.terms(rate) for rate in rates.values()]
         table = reader.sums.table(tuple(rates), sums, rates=tuple(rates.values()))
-    except (NotTabulated, ProblemError, RecursionError):
+    except (NotTabulated, ProblemError, ValueError, RecursionError):  # no real number
         return equations
     return TabulatedEquations(len(equations), lambda: equations, table)
 

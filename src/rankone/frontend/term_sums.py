@@ -24,6 +24,7 @@ from rankone.frontend.rate_forms import (
 from rankone.frontend.term_table import Entry, TermTable
 
 _HIGHEST_POWER = 8  # Of an unknown; higher ones of numbers of any size are for the general way
+_DIGITS = 20  # Decimal digits of numbers that are no fractions: a few more than floats hold
 _LONG = 4  # Terms of an argument from which on what cancels in it is looked for here
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)
@@ -41,6 +42,7 @@ class TermSums:
         self.functions: list[sp.Expr] = [sp.S.One]
         self._numbers: dict[sp.Expr, int] = {sp.S.One: 0}
         self._products: dict[tuple[int, int], int] = {}
+        self._fractions: dict[int, Fraction] = {}
         self._laws = RateLaws(states)
 
     def function(self, expression: sp.Expr) -> TermSum:
@@ -161,9 +163,21 @@ class TermSums:
 
     def _applied(self, operation: str, *arguments: TermSum) -> TermSum:
         """The symbol of an operation as a sum."""
-        cleaned = [without_zeros(argument) for argument in arguments]
+        cleaned = [without_zeros(self._with_fractions(argument)) for argument in arguments]
         cleaned = [self._without_cancellation(a) if len(a) >= _LONG else a for a in cleaned]
         return {(0, (self._laws.symbol(operation, *cleaned),)): Fraction(1)}
+
+    def _with_fractions(self, total: TermSum) -> TermSum:
+        """A sum with ``0.7**2.5`` and ``sqrt(2)`` as fractions, which stand in slots as numbers."""
+        changed: TermSum = {}
+        for (f, symbols), number in total.items():
+            function = self.functions[f]
+            if f and function.is_number:
+                if f not in self._fractions:
+                    self._fractions[f] = Fraction(str(sp.N(function, _DIGITS)))
+                f, number = 0, number * self._fractions[f]
+            changed[f, symbols] = changed.get((f, symbols), 0) + number
+        return changed
 
     def _without_cancellation(self, total: TermSum) -> TermSum:
         """The same with ``k*x - k*x*exp(z)`` as one product of ``1 - exp(z)``, written by itself.
