@@ -283,3 +283,12 @@ def test_of_many_surfaces_the_sharpest_are_kept(place, monkeypatch):
     for compiled in (ro.compile(problem), by_lines(rhs | {"y": "k"}, monkeypatch)):
         assert len(compiled.features.peaks) == MAX_SURFACES
         assert vanishing(compiled.features.peaks, y, value)
+
+
+@pytest.mark.parametrize("law", ["tanh(0*x1)", "exp(x3 - x3)", "tanh(0*x1 + 0*x2 + 0*x3 + 0*x4)"])
+def test_laws_without_unknowns_are_numbers(law):
+    compiled = ro.compile(problem_of(laws_of("saturation") | {"x5": f"k*{law} - x5"}))
+    u, p = np.full(N, 0.5), np.array([0.7, 1.2])
+    constant = 0.7 if "exp" in law else 0.0
+    assert compiled.system.rhs(0.0, u, p)[5] == pytest.approx(constant - 0.5, abs=1e-15)
+    assert compiled.system.jacobian(0.0, u, p)[5, 5] == pytest.approx(-1.0)

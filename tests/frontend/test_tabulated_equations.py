@@ -137,3 +137,17 @@ def test_many_equations_are_shown_in_short():
         (0, 1),
     )
     assert repr(text).splitlines()[1] == "  dy0/dt = -k*y0/(2 + y0)"
+
+
+def test_a_function_of_the_user_keeps_its_own_values():
+    """It may have the name of a function of SymPy."""
+    log = ro.function("log", np.log10, lambda v: 1 / (v * np.log(10)))
+    t, k = sp.symbols("t k")
+    states = [sp.Function(f"x{i}")(t) for i in range(FEWEST_TABULATED)]
+    rates = [-k * x / (1 + y) for x, y in zip(states, states[1:] + states[:1], strict=True)]
+    rates[1] += log(1 + states[1])
+    equations = [sp.Eq(x.diff(t), rate) for x, rate in zip(states, rates, strict=True)]
+    initial = dict.fromkeys(states, sp.Rational(1, 2))
+    system = ro.compile(ro.Problem(equations, (t, 0, 1), {k: (0.5, 1.5)}, initial)).system
+    at_half = system.rhs(0.0, np.full(len(states), 0.5), np.array([1.0]))
+    assert at_half[1] == pytest.approx(-1 / 3 + np.log10(1.5), rel=1e-14)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import rankone as ro
 from rankone.ir.forms import Coordinate
@@ -44,17 +45,17 @@ def test_nothing_narrow_is_stepped_over(shape, area, width):
 
 @pytest.mark.slow
 def test_what_no_event_tells_is_met_at_random_places():
-    """The exponent is largest where its slope vanishes, which is neither linear nor periodic."""
-    rate = "1/(1 + 50*k*exp(60000*(x + 0.5 - exp(x - 0.5))))"
+    """The exponent is largest where its slope vanishes, which is no polynomial, nor periodic."""
+    rate = "1/(1 + 50*k*exp(-30000*(x - 2 + 2.25/(x + 1))))"
     problem = compiled(rate, {"k": (0.5, 1.5)})
     points = check_points(np.array([[0.5, 1.5]]), 96)
     reference = integrate_reference(problem.system, points, (0.0, 3.0), 3e-6)
-    delay = 50 * points[:, 0] * np.sqrt(2 * np.pi / 60000)
+    delay = 50 * points[:, 0] * np.sqrt(np.pi / 20000)
     ends = reference(np.array([3.0]))[0, :, 0]
     assert np.abs(ends - (3.0 - delay)).min() < 1e-3
     solution = problem.solve(1e-3, effort="low")
     assert not solution.success or solution(t=3, k=1)[0] == pytest.approx(
-        3.0 - 50 * np.sqrt(2 * np.pi / 60000), abs=5e-3
+        3.0 - 50 * np.sqrt(np.pi / 20000), abs=5e-3
     )
 
 
@@ -63,6 +64,42 @@ def test_periodic_functions_are_narrow_in_high_powers_and_exponentials():
     problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {}, (0, 1))
     features = features_of([Coordinate("t", t, 0, 1)], [problem.equations[0].rhs], [])
     assert {str(f) for f in features.peaks} == {"-sin(x(t))", "1000*cos(x(t))", "2*sin(2*x(t))"}
+
+
+@pytest.mark.parametrize(
+    ("exponent", "middles"),
+    [
+        ("(x - 2)**2 + x**2", {0, 1, 2}),
+        ("(x - 2)**2 + t**2", {2}),
+        ("x**2 - 4*x + 4", {0, 2}),
+        ("(x - 2)*(x - 2)*(x + 1)*(x + 1)", {-1, 2}),
+        ("(x - 2)*(2 - x)*(x + 1)", {2}),
+        ("(x - 2)**2 + x", {sp.Rational(3, 2), 2}),
+        ("x**3 - 3*x", {-1, 1}),
+        ("exp(2*x - 4) - 2*x", {2}),
+        ("exp(x - 2) + exp(2 - x)", {2}),
+    ],
+)
+def test_no_square_hides_another(exponent, middles):
+    problem = ro.Problem.from_strings({"x": f"exp(-({exponent}))"}, {"x": "1"}, {}, (0, 1))
+    peaks = features_of([Coordinate("t", t, 0, 1)], [problem.equations[0].rhs], []).peaks
+    assert {zero for peak in peaks for zero in sp.solve(peak, unknown("x"))} == middles
+
+
+@pytest.mark.parametrize(
+    "rate",
+    ["1/(1 + exp({}))", "exp({})/(1 + exp({}))**2", "1/(1 + exp({}) + exp(-({})))"],
+)
+@pytest.mark.parametrize("argument", ["1000000*x - 500000", "(x - 1/2)/1e-6", "x - k/2"])
+def test_logistic_steps_have_middles(rate, argument):
+    written = rate.replace("{}", argument)
+    problem = ro.Problem.from_strings({"x": written}, {"x": "1"}, {"k": (1, 2)}, (0, 1))
+    coordinates = [Coordinate("t", t, 0, 1), Coordinate("k", sp.Symbol("k"), 1, 2)]
+    features = features_of(coordinates, [problem.equations[0].rhs], [])
+    middles = [f.subs(sp.Symbol("k"), 1) for f in (*features.peaks, *features.steps)]
+    assert {sp.nsimplify(zero) for f in middles for zero in sp.solve(f, unknown("x"))} == {
+        sp.Rational(1, 2)
+    }
 
 
 def test_surfaces_over_states_are_middles_and_borders():

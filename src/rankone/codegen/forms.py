@@ -127,7 +127,7 @@ _ENTRIES = """\
             x[first:last] = _sums(sums, last - first, functions, x)
         else:
             _, slopes, slots, numbers = form
-            x[first:last] = slopes(t, p, x[slots], numbers).reshape(last - first, -1)
+            x[first:last] = slopes(t, p, x[slots], numbers).reshape(last - first, x.shape[1])
     return _sums(SLOPES, len(JACOBIAN_PLACES), functions, x).reshape(-1, *shape)
 """
 _LONGEST_FORM = 60  # Characters of a form in the summary of its function

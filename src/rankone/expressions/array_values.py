@@ -15,9 +15,9 @@ from rankone.support.arrays import Array
 
 _NAMES = ("sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "log")
 _FUNCTIONS = {
-    **{name: getattr(np, name) for name in _NAMES},
-    "atan": np.arctan,
-    "erf": scipy.special.erf,
+    **{getattr(sp, name): getattr(np, name) for name in _NAMES},
+    sp.atan: np.arctan,
+    sp.erf: scipy.special.erf,
 }
 
 
@@ -49,5 +49,5 @@ class ArrayProgram:
         if expression.is_Pow:
             base, exponent = arguments
             return base**exponent
-        function = _FUNCTIONS.get(type(expression).__name__)
+        function = _FUNCTIONS.get(type(expression))
         return math.nan if function is None else function(*arguments)

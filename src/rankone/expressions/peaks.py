@@ -7,6 +7,7 @@ which make a pulse.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 
 import sympy as sp
@@ -19,6 +20,7 @@ Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
 _PERIODIC = (sp.sin, sp.cos)
 _HIGH_POWER = 100  # A power from which a function counts as a peak where its base is extreme
+_FEW_ADDENDS = 4  # Most addends of a sum that may be a threshold
 _SHIFT_DIGITS = 20  # Decimal digits of a logarithm in a threshold: more than a float holds
 
 
@@ -70,37 +72,73 @@ def subexpressions(expressions: Iterable[sp.Basic], *functions: type) -> list[sp
 
 
 def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
-    """What vanishes where an exponential is as large as the only other addend."""
-    for term in base.args if base.is_Add and len(base.args) == 2 else ():
-        other_term = base - term
-        for step in term.atoms(sp.exp):
-            ratio = term / step / other_term
-            if not variables(ratio) and not _squares(step.exp, variables):
-                shift = sp.log(sp.Abs(ratio))
-                if shift.is_number:
-                    shift = sp.Rational(str(sp.N(shift, _SHIFT_DIGITS)))
-                yield step.exp + shift
+    """What vanishes where an exponential is as large as another addend of a short sum."""
+    addends = base.args if base.is_Add and len(base.args) <= _FEW_ADDENDS else ()
+    for first, second in itertools.combinations(addends, 2):
+        (rest, exponent), (other_rest, other) = map(_without_exponentials, (first, second))
+        step = exponent - other
+        ratio = rest / other_rest
+        if variables(step) and not variables(ratio) and not _squares(step, variables):
+            shift = sp.log(sp.Abs(ratio))
+            if shift.is_number:
+                shift = sp.Rational(str(sp.N(shift, _SHIFT_DIGITS)))
+            yield step + shift
+
+
+def _without_exponentials(term: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """A product but for its exponentials, and the sum of their exponents."""
+    factors = sp.Mul.make_args(term)
+    exponents = [f.exp for f in factors if isinstance(f, sp.exp)]
+    return sp.Mul(*(f for f in factors if not isinstance(f, sp.exp))), sp.Add(*exponents)
 
 
 def extrema(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
-    """What vanishes where an expression is least or largest: what is squared, or its slope.
+    """What vanishes where an expression is least or largest: what is squared, and slopes.
 
-    A sum of several squares is least where no single function vanishes. The slope counts if it is
-    linear or periodic.
+    In a sum of several squares the steepest one tells where it is least. A slope counts if it is a
+    polynomial or periodic, and does not vanish with a square; of one with exponentials it is known
+    where two of its addends are as large.
     """
     squares = _squares(expression, variables)
-    yield from squares if len(squares) == 1 else ()
-    for variable in variables(expression) if not squares else ():
+    yield from squares
+    for variable in variables(expression):
         rate = slope(expression, variable)
-        linear = rate.has(variable) and not slope(rate, variable).has(variable)
-        if linear or any(wave.has(variable) for wave in rate.atoms(*_PERIODIC)):
+        if not rate.has(variable):
+            continue
+        if not _is_polynomial(rate, variable) and not any(
+            wave.has(variable) for wave in rate.atoms(*_PERIODIC)
+        ):
+            yield from _thresholds(rate, variables)
+        elif not any(_vanishes(rate, square, variable) for square in squares):
             yield rate
 
 
+def _is_polynomial(expression: sp.Expr, variable: sp.Expr) -> bool:
+    """Whether an expression is one in a symbol or an unknown."""
+    plain = sp.Dummy()
+    return bool(expression.xreplace({variable: plain}).is_polynomial(plain))
+
+
+def _vanishes(rate: sp.Expr, base: sp.Expr, variable: sp.Expr) -> bool:
+    """Whether a slope is zero where something squared is, as far as that can be seen."""
+    if not base.has(variable):
+        return False
+    ascent = slope(base, variable)
+    if ascent.has(variable):
+        return True
+    return bool(rate.subs(variable, variable - base / ascent).expand() == 0)
+
+
 def _squares(expression: sp.Basic, variables: Variables) -> list[sp.Expr]:
-    """What is raised to an even power, and is not inside another such power."""
+    """What is raised to an even power, and is not inside another such power.
+
+    Also two factors of which one is the other but for its sign.
+    """
     if not variables(expression):
         return []
     if expression.is_Pow and expression.exp.is_even and expression.exp.is_positive:
         return [expression.base]
-    return [square for argument in expression.args for square in _squares(argument, variables)]
+    squares = [square for argument in expression.args for square in _squares(argument, variables)]
+    factors = {f for f in expression.args if f.is_Add} if expression.is_Mul else set()
+    pairs = [f for f in expression.args if f in factors and -f in factors and variables(f)]
+    return squares + pairs[::2]

@@ -14,7 +14,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.expressions.notation import exact
 from rankone.frontend.box import Box
-from rankone.frontend.rate_forms import TermSum
+from rankone.frontend.rate_forms import FUNCTIONS, TermSum
 from rankone.frontend.term_sums import NotTabulated, TermSums, added
 from rankone.frontend.term_table import FEWEST_TABULATED, TabulatedEquations, is_smooth
 from rankone.support.budget import check_time
@@ -83,8 +83,9 @@ class _Reader:
             return self.sums.called("exp", self.terms(expression.exp))
         if expression.is_Pow:
             return self.sums.power(self.terms(expression.base), self.terms(expression.exp))
-        if isinstance(expression, sp.Function) and len(expression.args) == 1:
-            return self.sums.called(type(expression).__name__, self.terms(expression.args[0]))
+        name = type(expression).__name__
+        if FUNCTIONS.get(name) is type(expression):  # a function of the user may have this name
+            return self.sums.called(name, self.terms(expression.args[0]))
         raise NotTabulated
 
     def _product(self, factors: Sequence[sp.Expr]) -> TermSum:
