@@ -55,13 +55,16 @@ def test_values(expression):
 
 
 @pytest.mark.parametrize("exponent", [-5, -4, -2, -1, 2, 3, 4, 7, 30, 101])
-@pytest.mark.parametrize("at", [-2.4, -1.3, -0.4, -1e-9, 1e-12, 0.6])
+@pytest.mark.parametrize("at", [-2.4, -1.3, -1.0000001, -0.4, -1e-9, 1e-12, 0.6])
 def test_whole_powers_less_one(exponent, at):
     written = stable(a * (1 + x) ** exponent - a)
     function = sp.lambdify([x, a], written, [NUMPY, "numpy", "scipy"])
     with mpmath.workdps(60):
         exact = 3 * ((1 + mpmath.mpf(at)) ** exponent - 1)
     assert float(function(at, 3.0)) == pytest.approx(float(exact), rel=1e-12)
+    if exponent > 0:
+        slope = sp.lambdify([x, a], written.diff(x), [NUMPY, "numpy", "scipy"])
+        assert float(slope(-1.0, 3.0)) == 0.0
 
 
 def test_no_overflow():

@@ -172,17 +172,16 @@ def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
 
 
 def _power_less_one(x: sp.Expr, exponent: sp.Rational) -> sp.Expr:
-    """(1 + x)**exponent - 1, of integers also where 1 + x is negative."""
+    """(1 + x)**exponent - 1, of whole exponents for all x."""
     if not exponent.is_Integer:
         return expm1(exponent * log1p(x))
-    if exponent == 0:
-        return sp.S.Zero
-    if exponent % 2 and exponent > 0:
-        return x + (1 + x) * _power_less_one(x, exponent - 1)
-    if exponent % 2:
-        return (_power_less_one(x, exponent + 1) - x) / (1 + x)
-    square = x * (2 + x)  # less one
-    return square if exponent == 2 else expm1(exponent / 2 * log1p(square))
+    if exponent < 0:
+        return -_power_less_one(x, -exponent) / (1 + x) ** -exponent
+    if exponent == 1:
+        return x
+    half = exponent // 2
+    even = _power_less_one(x, half) * ((1 + x) ** half + 1)
+    return even if exponent % 2 == 0 else x + (1 + x) * even
 
 
 _COMPLEMENTED = (sp.exp, sp.cos, sp.cosh, sp.tanh, sp.erf, expit, sp.Pow)
