@@ -78,7 +78,7 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
         (rest, exponent), (other_rest, other) = map(_without_exponentials, (first, second))
         step = exponent - other
         ratio = rest / other_rest
-        if variables(step) and not variables(ratio) and not _squares(step, variables):
+        if variables(step) and not _squares(step, variables):
             shift = sp.log(sp.Abs(ratio))
             if shift.is_number:
                 shift = sp.Rational(str(sp.N(shift, _SHIFT_DIGITS)))
@@ -120,13 +120,17 @@ def _is_polynomial(expression: sp.Expr, variable: sp.Expr) -> bool:
 
 
 def _vanishes(rate: sp.Expr, base: sp.Expr, variable: sp.Expr) -> bool:
-    """Whether a slope is zero where something squared is, as far as that can be seen."""
-    if not base.has(variable):
-        return False
+    """Whether a slope is zero only where something squared is, as far as that can be seen."""
+    factors = sp.Mul.make_args(rate)
+    others = [f for f in factors if f.as_base_exp()[0] not in (base, -base)]
+    if len(others) < len(factors):
+        ascent = slope(base, variable)
+        return not any(f.has(variable) for f in others if f not in (ascent, -ascent))
     ascent = slope(base, variable)
     if ascent.has(variable):
-        return True
-    return bool(rate.subs(variable, variable - base / ascent).expand() == 0)
+        return False
+    linear = ascent != 0 and not slope(rate, variable).has(variable)
+    return linear and bool(rate.subs(variable, variable - base / ascent).expand() == 0)
 
 
 def _squares(expression: sp.Basic, variables: Variables) -> list[sp.Expr]:
