@@ -137,3 +137,25 @@ def test_tables_are_compared_with_the_generated_code():
     problem, other = chain(), chain(K={K: 1.001 * np.eye(N)})
     with pytest.raises(DisagreementError, match="generated rate"):
         check_table(problem, problem.table, ro.compile(other).system)
+
+
+@pytest.mark.parametrize("law", ["k*x{0}/(1.{1} + x{0})", "k*x{0}*x{1}"])
+def test_pickles_keep_tables_and_write_nothing(law, monkeypatch):
+    n = FEWEST_TABULATED
+    rates = {f"x{i}": f"{law.format((i + 1) % n, i)} - x{i}" for i in range(n)}
+    initial = dict.fromkeys(rates, "0.5")
+    problem = ro.Problem.from_strings(rates, initial, {"k": (0.5, 1)}, (0, 1))
+    compiled = ro.compile(problem)
+
+    def never(self):
+        raise AssertionError("what was deferred is read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Deferred, "_items", property(never))
+        again = pickle.loads(pickle.dumps(compiled))
+        assert again.problem.table.terms == problem.table.terms
+    assert again.problem == problem
+    assert again.source == compiled.source
+    assert str(again.first_order) == str(compiled.first_order)
+    at = 0.2, np.linspace(0.1, 1.0, n), np.array([0.7])
+    np.testing.assert_array_equal(again.system.rhs(*at), compiled.system.rhs(*at))

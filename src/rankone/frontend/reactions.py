@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,7 @@ class Network:
             return self._written()
         if n < FEWEST_TABULATED:
             return written_rates(table, self.time, n)
-        return TabulatedEquations(n, lambda: written_rates(table, self.time, n), table)
+        return TabulatedEquations(n, partial(written_rates, table, self.time, n), table)
 
     def _table(self) -> TermTable | None:
         """The terms of all rates; None if laws name species, or powers are no whole numbers."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -36,7 +37,7 @@ def tabulated_equations(equations: object, time: sp.Symbol, box: Box) -> object:
         table = reader.sums.table(tuple(rates), sums, rates=tuple(rates.values()))
     except (NotTabulated, ProblemError, ValueError, RecursionError):  # no real number
         return equations
-    return TabulatedEquations(len(equations), lambda: equations, table)
+    return TabulatedEquations(len(equations), partial(tuple, equations), table)
 
 
 def _rates(equations: Sequence[object], time: sp.Symbol) -> dict[sp.Expr, sp.Expr] | None:

@@ -8,7 +8,7 @@ out when somebody looks at them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cached_property, lru_cache
 
@@ -20,7 +20,7 @@ from rankone.expressions.notation import exact
 from rankone.expressions.unknowns import rate_of
 from rankone.frontend.box import Box
 from rankone.frontend.rate_forms import RateForm, Value, rational
-from rankone.support.deferred import Deferred
+from rankone.support.deferred import Deferred, Item
 from rankone.support.errors import ProblemError
 
 FEWEST_TABULATED = 64
@@ -63,6 +63,10 @@ class TermTable:
     rates: tuple[sp.Expr, ...] = ()
     forms: tuple[RateForm, ...] = ()
     values: tuple[Value, ...] = ()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Without what was written out."""
+        return TermTable, tuple(getattr(self, each.name) for each in fields(self))
 
     def fits(self, time: sp.Symbol, box: Box) -> bool:
         """Whether all functions are smooth ones of time and the parameters of a box."""
@@ -143,29 +147,28 @@ class TermTable:
         return start
 
 
-class TabulatedEquations(Deferred[sp.Basic]):
-    """Equations that are written out when they are first read, and the table of their terms."""
+class _Tabulated(Deferred[Item]):
+    """Expressions that are written out when they are first read, and the table of their terms."""
 
-    def __init__(
-        self, length: int, make: Callable[[], Sequence[sp.Basic]], table: TermTable
-    ) -> None:
+    def __init__(self, length: int, make: Callable[[], Sequence[Item]], table: TermTable) -> None:
         super().__init__(length, make)
         self.table = table
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self._length, self._make, self.table)
+
+
+class TabulatedEquations(_Tabulated[sp.Basic]):
+    """Equations with the table of their terms."""
+
+
+class TabulatedRates(_Tabulated[sp.Expr]):
+    """Right-hand sides with the table of their terms."""
 
 
 def is_smooth(function: sp.Expr) -> bool:
     """Whether a function of time and parameters is smooth wherever it is finite."""
     return all(isinstance(inner, _SMOOTH) for inner in function.atoms(Application))
-
-
-class TabulatedRates(Deferred[sp.Expr]):
-    """Right-hand sides that are written out when they are first read, and the table of them."""
-
-    def __init__(
-        self, length: int, make: Callable[[], Sequence[sp.Expr]], table: TermTable
-    ) -> None:
-        super().__init__(length, make)
-        self.table = table
 
 
 def written_rates(table: TermTable, time: sp.Symbol, equations: int) -> list[sp.Eq]:

@@ -7,6 +7,7 @@ import numbers
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, TypeGuard, TypeVar
 
 import sympy as sp
@@ -98,24 +99,27 @@ def _equations(
 
     ``plain`` says that the problem consists of right-hand sides and initial values alone.
     """
-    t = names["t"]
-
-    def written() -> list[sp.Basic]:
-        rates = (
-            (
-                rate_of(functions[state], t),
-                formula(text, names, f"right-hand side of {quote(state)}", i),
-            )
-            for i, (state, text) in enumerate(rhs.items(), 1)
-        )
-        further = (_equation(text, names, i) for i, text in enumerate(equations, 1 + len(rhs)))
-        return [*(sp.Eq(*sides, evaluate=False) for sides in rates), *further]
-
+    written = partial(_written, rhs, equations, functions, names)
     if not plain or equations or not FEWEST_TABULATED <= len(rhs) == len(functions):
         return written()
     coordinates = {name: symbol for name, symbol in names.items() if name not in functions}
     table = table_of_texts(rhs, functions, coordinates)
     return written() if table is None else TabulatedEquations(len(rhs), written, table)
+
+
+def _written(
+    rhs: Mapping[str, Any], equations: Sequence[str], functions: Names, names: Names
+) -> list[sp.Basic]:
+    """Right-hand sides and further equations as expressions."""
+    rates = (
+        (
+            rate_of(functions[state], names["t"]),
+            formula(text, names, f"right-hand side of {quote(state)}", i),
+        )
+        for i, (state, text) in enumerate(rhs.items(), 1)
+    )
+    further = (_equation(text, names, i) for i, text in enumerate(equations, 1 + len(rhs)))
+    return [*(sp.Eq(*sides, evaluate=False) for sides in rates), *further]
 
 
 def _start(

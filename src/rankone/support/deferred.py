@@ -13,7 +13,7 @@ class Deferred(Sequence[Item]):
     """A tuple of a known length that is made when it is first read.
 
     A thousand equations take seconds to write as expressions, and most of what is done with a
-    system of many states never looks at them.
+    system of many states never looks at them. ``make`` can be pickled, and is what a pickle has.
     """
 
     def __init__(self, length: int, make: Callable[[], Sequence[Item]]) -> None:
@@ -40,4 +40,4 @@ class Deferred(Sequence[Item]):
         return hash(self._items)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return tuple, (self._items,)
+        return type(self), (self._length, self._make)

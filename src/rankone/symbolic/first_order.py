@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import sympy as sp
 
@@ -287,6 +288,10 @@ def _solved_rates(
     return [highest.get(rate, rate).xreplace(dict(functions)) for rate in rates], equations
 
 
+def _rates_of_table(problem: Problem, functions: Mapping[sp.Expr, sp.Expr]) -> list[sp.Expr]:
+    return _solved_rates(problem, functions)[0]
+
+
 def _of_table(
     problem: Problem, states: tuple[State, ...], functions: Mapping[sp.Expr, sp.Expr]
 ) -> FirstOrderSystem:
@@ -297,7 +302,7 @@ def _of_table(
         coordinates=problem.coordinates,
         states=states,
         functions=tuple(functions.values()),
-        rhs=TabulatedRates(n, lambda: _solved_rates(problem, functions)[0], problem.table),
+        rhs=TabulatedRates(n, partial(_rates_of_table, problem, dict(functions)), problem.table),
         initial=tuple(problem.initial.values()),
         origins=tuple(i % equations + 1 for i in range(n)),
     )
@@ -412,11 +417,7 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     remedy = "give a problem or first_order(problem); what is compiled has `.weak_form`"
     check_kind("weak_form", system, FirstOrderSystem, Problem, remedy=remedy)
     t = system.coordinates[0].symbol
-
-    def residuals() -> list[sp.Expr]:
-        pairs = zip(system.functions, system.rhs, strict=True)
-        return [sp.Derivative(u, t) - f for u, f in pairs]
-
+    residuals = partial(_residuals, t, system.functions, system.rhs)
     deferred = isinstance(system.rhs, Deferred)
     return WeakForm(
         coordinates=system.coordinates,
@@ -427,3 +428,10 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
         residuals=Deferred(len(system.rhs), residuals) if deferred else tuple(residuals()),
         jumps=system.jumps,
     )
+
+
+def _residuals(
+    time: sp.Symbol, functions: Sequence[sp.Expr], rates: Sequence[sp.Expr]
+) -> list[sp.Expr]:
+    """The derivative of each state less its rate."""
+    return [sp.Derivative(u, time) - f for u, f in zip(functions, rates, strict=True)]

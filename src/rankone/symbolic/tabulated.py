@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import partial
 
 import sympy as sp
 
@@ -82,7 +83,7 @@ def _listed(entries: list[Entry], table: TermTable, weak: WeakForm) -> Sequence[
     """Terms with rate laws; they are written when they are read."""
     if not entries:
         return ()
-    return Deferred(len(entries), lambda: [_general(entry, table, weak) for entry in entries])
+    return Deferred(len(entries), partial(_written_terms, entries, table, weak))
 
 
 def _is_known(table: TermTable, weak: WeakForm) -> bool:
@@ -90,6 +91,10 @@ def _is_known(table: TermTable, weak: WeakForm) -> bool:
     known = known_functions(weak.coordinates, [*table.expressions, *weak.initial])
     pairs = enumerate(zip(weak.coordinates, known, strict=True))
     return not any(located_defect(f, c, j) is not None for j, (c, fs) in pairs for f in fs)
+
+
+def _written_terms(entries: list[Entry], table: TermTable, weak: WeakForm) -> list[GeneralTerm]:
+    return [_general(entry, table, weak) for entry in entries]
 
 
 def _general(entry: Entry, table: TermTable, weak: WeakForm) -> GeneralTerm:
