@@ -95,7 +95,7 @@ def test_no_square_hides_another(exponent, middles):
     "rate",
     ["1/(1 + exp({}))", "exp({})/(1 + exp({}))**2", "1/(1 + exp({}) + exp(-({})))"],
 )
-@pytest.mark.parametrize("argument", ["1000000*x - 500000", "(x - 1/2)/1e-6", "x - k/2"])
+@pytest.mark.parametrize("argument", ["1000000*x - 500000", "(x - 1/2)/1e-6", "1000000*(x - k/2)"])
 def test_logistic_steps_have_middles(rate, argument):
     written = rate.replace("{}", argument)
     problem = ro.Problem.from_strings({"x": written}, {"x": "1"}, {"k": (1, 2)}, (0, 1))

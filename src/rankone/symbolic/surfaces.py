@@ -19,13 +19,21 @@ from sympy.core.relational import Relational
 
 from rankone.expressions.boundaries import CONTINUOUS, DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
-from rankone.expressions.peaks import extrema, peaks, steps, subexpressions, valleys
+from rankone.expressions.peaks import (
+    Variables,
+    extrema,
+    peaks,
+    steps,
+    subexpressions,
+    valleys,
+)
 from rankone.ir.forms import Coordinate
 
 # Functions of two sides, one of which may be narrow
 _SIDES = (sp.Abs, sp.Max, sp.Min, Relational, sp.Heaviside, sp.sign)
 MAX_SURFACES = 64
 """Surfaces over the states, or over the parameters: every check point and step evaluates them."""
+_STEEP_DIGITS = 3.0  # Digits of the numbers in a logistic step from which steps may miss it
 # Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
 _NARROW_CURVATURE = 1e4
 
@@ -122,7 +130,9 @@ def state_surfaces(
     sorts = (
         itertools.chain(peaks(rates, moving), middles),
         ((f, f) for f in _zeros(rates, CONTINUOUS)),
-        itertools.chain(steps(rates, moving), ((f, f) for f in _zeros(rates, DISCONTINUOUS))),
+        itertools.chain(
+            _steep_steps(rates, moving), ((f, f) for f in _zeros(rates, DISCONTINUOUS))
+        ),
     )
     surfaces: set[sp.Expr] = set()
     by_sort = []
@@ -139,6 +149,13 @@ def state_surfaces(
         surfaces.update(distinct)
     at_peaks, at_kinks, at_steps = by_sort
     return at_peaks, at_kinks, at_steps
+
+
+def _steep_steps(rates: Sequence[sp.Expr], moving: Variables) -> Iterator[tuple[sp.Expr, sp.Expr]]:
+    """Steps over the states; logistic ones, of which neurons have many wide ones, if steep."""
+    for function, surface in steps(rates, moving):
+        if not function.is_Pow or sharpness(function) >= _STEEP_DIGITS:
+            yield function, surface
 
 
 def sharpness(function: sp.Basic) -> float:
