@@ -236,7 +236,7 @@ def row(name: str, method: str) -> str:
     """One line of the table."""
     case, clock = CASES[name], time.process_time
     began = clock()
-    compiled = ro.compile(case.problem())
+    compiled = ro.compile(case.problem())  # with building the problem
     compiling = clock() - began
     solution = compiled.solve(rtol=case.rtol, method=method)
     seconds = clock() - began

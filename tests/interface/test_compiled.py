@@ -1,7 +1,9 @@
 """The pipeline object: stages, timings, pickling, errors."""
 
 import inspect
+import itertools
 import pickle
+import types
 
 import numpy as np
 import pytest
@@ -20,6 +22,23 @@ def test_every_stage_can_be_looked_at():
         "agreement",
     }
     assert "x, y" in repr(compiled)
+
+
+def test_timings_of_a_solution_begin_with_building_the_problem(monkeypatch):
+    """With reading texts, which comes before the checks."""
+    ticks = itertools.count()
+    clock = types.SimpleNamespace(perf_counter=lambda: next(ticks))
+    monkeypatch.setattr("rankone.frontend.problem.clock", clock)
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"}, {"x": "x0"}, {"k": (1, 2), "x0": (8, 12)}, (0, 1)
+    )
+    assert problem.seconds == 3
+    assert ro.Problem(**problem.written).seconds == 1
+    solution = ro.solve(problem, 1e-4)
+    assert solution.timings["problem"] == problem.seconds
+    assert list(solution.timings)[:2] == ["problem", "compile"]
+    assert problem.set(x0=9.0).seconds == 3
+    assert solution.restrict(x0=(8, 9)).timings["problem"] == problem.seconds
 
 
 def test_a_compiled_problem_survives_pickling_and_solves_the_same():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import time as clock
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, wraps
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ParamSpec
 
 import sympy as sp
 
@@ -38,6 +39,21 @@ from rankone.frontend.trajectory import Trajectory, trajectory_of
 from rankone.support.errors import (
     bounded_depth,
 )
+
+_P = ParamSpec("_P")
+
+
+def _timed(build: Callable[_P, Problem]) -> Callable[_P, Problem]:
+    """Keep on the problem the seconds that building it took, with reading its arguments."""
+
+    @wraps(build)
+    def built(*arguments: _P.args, **named: _P.kwargs) -> Problem:
+        began = clock.perf_counter()
+        problem = build(*arguments, **named)
+        object.__setattr__(problem, "seconds", clock.perf_counter() - began)
+        return problem
+
+    return built
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,6 +144,8 @@ class Problem(CheckedProblem):
     rest : Problem or None
         Of a problem that starts at a steady state the one before the start, which comes to rest:
         ``initial`` is then where that one starts.
+    seconds : float
+        What building the problem took.
 
     Raises
     ------
@@ -172,15 +190,19 @@ class Problem(CheckedProblem):
     shorthand: Shorthand = field(init=False)
     written: Mapping[str, Any] = field(init=False)
     compiled: list[Any] = field(init=False)
+    seconds: float = field(init=False)
 
     def __post_init__(self) -> None:
+        began = clock.perf_counter()
         written = {f.name: _kept(getattr(self, f.name)) for f in fields(self) if f.init}
         object.__setattr__(self, "written", MappingProxyType(written))
         object.__setattr__(self, "compiled", [])
         with bounded_depth():
             self._check()
+        object.__setattr__(self, "seconds", clock.perf_counter() - began)
 
     @classmethod
+    @_timed
     def from_strings(
         cls,
         rhs: Mapping[str, str],
@@ -263,6 +285,7 @@ class Problem(CheckedProblem):
         return cls(**problem_arguments(written))
 
     @classmethod
+    @_timed
     def from_matrices(
         cls,
         M: Any,
@@ -322,6 +345,7 @@ class Problem(CheckedProblem):
         return cls(system.equations, time, parameters, system.initial(initial), **further)
 
     @classmethod
+    @_timed
     def from_reactions(
         cls,
         stoichiometry: Any,
@@ -454,6 +478,7 @@ class Problem(CheckedProblem):
             equations.initial = start
         return equations
 
+    @_timed
     def set(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with other numbers of constants; of a parameter its fixed number.
 
@@ -499,6 +524,7 @@ class Problem(CheckedProblem):
             pairs.append((self.rest.shorthand, other.rest.shorthand))
         return all(one.is_like(another) for one, another in pairs)
 
+    @_timed
     def vary(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with constants set free, or other intervals of parameters.
 

@@ -281,8 +281,8 @@ class CompiledProblem(CompiledStages):
             outcome, metadata = solve_with(engines, system, request, self.metadata(), report, truth)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
-        before = {"compile": sum(self.timings.values()), **checked.timings}
-        timings = {**before, **outcome.timings, "solve": seconds}
+        before = {"problem": self.problem.seconds, "compile": sum(self.timings.values())}
+        timings = {**before, **checked.timings, **outcome.timings, "solve": seconds}
         notes = outcome.notes
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
             kinks = not outcome.status.ends_early

@@ -15,7 +15,7 @@ from rankone.support.errors import OptionError
 from rankone.support.wording import quote, shown
 from rankone.tensors.tiling import Tiling
 
-_SHARED = ("compile", "outputs")  # Stages that pieces have in common
+_SHARED = ("problem", "compile", "outputs")  # Stages that pieces have in common
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # What pieces of one problem have in common, and how messages call it
 _COMMON: dict[str, Callable[[SolutionMetadata], object]] = {
