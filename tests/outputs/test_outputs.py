@@ -9,6 +9,8 @@ import scipy.optimize
 import sympy as sp
 
 import rankone as ro
+from rankone.codegen import long_sums
+from rankone.outputs import sampling
 from rankone.support.errors import EvaluationError, OptionError, RankoneError
 from tests.problems import EXAMPLES
 
@@ -368,3 +370,54 @@ def test_units_of_outputs():
 def test_powers_of_numbers_that_no_float_holds(power):
     with pytest.raises(OptionError, match="too large a number"):
         prey().output({"q": power})
+
+
+@functools.cache
+def bar():
+    """Forty cells that exchange, the first of them heated."""
+    n = 40
+    rates = {f"u{i}": f"k*(u{max(i - 1, 0)} - 2*u{i} + u{min(i + 1, n - 1)})" for i in range(n)}
+    rates["u0"] += " + 1"
+    box = {"k": (0.5, 2.0), "start": (0.0, 0.5)}
+    problem = ro.Problem.from_strings(rates, dict.fromkeys(rates, "start"), box, (0, 3))
+    return ro.solve(problem, rtol=1e-5, method="cross")
+
+
+@pytest.mark.parametrize(
+    ("output", "exact"),
+    [
+        ("MEAN", lambda u, t, k: u.mean(axis=0)),
+        ("k*MEAN**2 - u3 + t", lambda u, t, k: k * u.mean(axis=0) ** 2 - u[3] + t),
+        ("maximum(u0 - MEAN)", lambda u, t, k: (u[0] - u.mean(axis=0)).max()),
+        ("MEAN + u3_t", lambda u, t, k: u.mean(axis=0) + k * (u[2] - 2 * u[3] + u[4])),
+    ],
+)
+def test_long_sums_of_states_are_one_source(monkeypatch, output, exact):
+    """They are what they were term by term, with the same errors."""
+    output = output.replace("MEAN", f"(({' + '.join(f'u{i}' for i in range(40))})/40)")
+    quantity = bar().output({"q": output})
+    monkeypatch.setattr(long_sums, "_LEAST_STATES", 100)
+    by_terms = bar().output({"q": output})
+    times = np.linspace(0, 3, 301)
+    at = () if quantity.metadata.timeless else (times,)
+    for at_k, start in [(0.5, 0.5), (1.3, 0.2), (2.0, 0.0)]:
+        want = exact(bar()(times, k=at_k, start=start), times, at_k)
+        got = quantity["q"](*at, k=at_k, start=start)
+        np.testing.assert_allclose(got, want, atol=1e-4)
+    assert quantity.rtol == pytest.approx(by_terms.rtol, rel=1e-2)
+    assert quantity.errors["q"] == pytest.approx(by_terms.errors["q"], rel=0.2, nan_ok=True)
+    assert quantity.outcome.status is by_terms.outcome.status
+
+
+def test_an_output_of_many_states_charges_their_evaluation_once(monkeypatch):
+    """The effect of the error of each state takes values of all of them that are there already."""
+    squares = " + ".join(f"u{i}**2" for i in range(40))
+    calls, original = [], sampling.Sampler._sources
+
+    def counted(sampler, times, points):
+        calls.append(len(points))
+        return original(sampler, times, points)
+
+    monkeypatch.setattr(sampling.Sampler, "_sources", counted)
+    assert bar().output({"q": squares}).success
+    assert len(calls) < 80

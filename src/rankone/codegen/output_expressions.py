@@ -12,6 +12,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.agreement.problems import check_outputs
+from rankone.codegen.long_sums import long_sums
 from rankone.codegen.output_translation import KINDS, OutputTranslator
 from rankone.codegen.printer import numpy_text
 from rankone.expressions.admissible import gaps
@@ -25,7 +26,7 @@ from rankone.ir.forms import Coordinate
 from rankone.ir.functions import known_applied
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.timeline import Timeline
-from rankone.outputs.quantities import Quantities, WrittenFunction
+from rankone.outputs.quantities import Quantities, Source, WrittenFunction
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import listing, quote, shown
@@ -81,14 +82,17 @@ def output_formulas(
     horizon: tuple[float, float],
     samples: tuple[Array, Array, Array],
     timeline: Timeline | None = None,
+    *,
+    with_sums: bool = False,
 ) -> OutputFormulas:
     """Outputs, expressions or their texts by name, translated for the states of a solution.
 
     Texts alone are the names of definitions. Integrals are over the horizon.
 
     The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
-    there (n, m). The events are those of its ``timeline``. An OptionError if ``outputs`` is not
-    such a mapping, or an expression has something that the solution does not hold.
+    there (n, m). The events are those of its ``timeline``. With sums, long sums of states are
+    sources of their own. An OptionError if ``outputs`` is not such a mapping, or an expression has
+    something that the solution does not hold.
     """
     if isinstance(outputs, str):
         outputs = {outputs: outputs}
@@ -110,41 +114,56 @@ def output_formulas(
     texts = [f"{name} = {plain_text(term)}" for name, term in expressions.items()]
     time = sp.Symbol(metadata.time)
     parameters = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
+    written = [*translator.integrands, *formulas]
+    rows = {symbol: source.row for source, symbol in translator.sources.items() if source.is_state}
+    evaluated, sums = long_sums(written, rows if with_sums else ())
+    used = set[sp.Basic]().union(*(expression.free_symbols for expression in evaluated))
+    sources = {symbol: source for source, symbol in translator.sources.items() if symbol in used}
+    sources |= {symbol: Source(len(metadata.states) + k) for k, symbol in enumerate(sums)}
     names = {
         **parameters,
         time: "t",
-        **{symbol: f"s[{i}]" for i, symbol in enumerate(translator.sources.values())},
+        **{symbol: f"s[{i}]" for i, symbol in enumerate(sources)},
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
     states = {
         symbol: rate_of(unknown_of(metadata.states[source.row], time), time, source.order)
         for source, symbol in translator.sources.items()
     }
-    evaluated = (*translator.integrands, *formulas)
+    states |= {
+        symbol: sp.Add(*(weight * states[state] for state, weight in weights.items()))
+        for symbol, weights in sums.items()
+    }
+    count = len(translator.integrands)
+    integrands, values = evaluated[:count], evaluated[count:]
     gap_regions = _gaps(evaluated, states, {*translator.reduced})
-    moving = {*translator.sources.values(), *translator.running, time}
-    timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in formulas)
+    moving = {*sources, *translator.running, time}
+    timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in values)
     of_states = _surfaces(evaluated, moving - {*translator.running})
     of_parameters = _parameter_surfaces(evaluated, {*parameters})
     quantities = Quantities(
         names=tuple(expressions),
         texts=tuple(texts),
         timeless=timeless,
-        sources=tuple(translator.sources),
-        integrands=_function("t, s, p", translator.integrands, names),
+        sources=tuple(sources.values()),
+        integrands=_function("t, s, p", integrands, names),
         reductions=tuple(translator.reductions),
         n_state_surfaces=len(of_states),
         state_surfaces=_function("t, s, p", of_states, names),
         parameter_surfaces=_function("p", of_parameters, names),
         cuts=(),
-        values=_function("t, s, p, r", formulas, names),
+        values=_function("t, s, p, r", values, names),
         gaps=_function(
             "t, s, p", [sp.Piecewise((1, region), (0, True)) for region in gap_regions], names
         ),
         gap_texts=tuple(gap_regions.values()),
+        sums=tuple(
+            tuple((rows[state], weight) for state, weight in weights.items())
+            for weights in sums.values()
+        ),
     )
     _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
-    return OutputFormulas(quantities, evaluated, metadata, states, bool(of_parameters))
+    return OutputFormulas(quantities, tuple(evaluated), metadata, states, bool(of_parameters))
 
 
 def _check(
@@ -161,10 +180,16 @@ def _check(
     def sized(row: Array) -> Array:
         return np.asarray(np.abs(row).max() / length * rng.uniform(-1.0, 1.0, row.shape))
 
-    rows = [states[s.row] if s.order == 0 else sized(states[s.row]) for s in quantities.sources]
+    sampled = {
+        source: states[source.row] if source.order == 0 else sized(states[source.row])
+        for source in translator.sources
+    }
     samples_of = {sp.Symbol(translator.metadata.time): t}
     samples_of |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
-    samples_of |= dict(zip(translator.sources.values(), rows, strict=True))
+    samples_of |= {translator.sources[source]: row for source, row in sampled.items()}
+    sums = [sum(weight * states[row] for row, weight in each) for each in quantities.sums]
+    sampled |= {Source(len(states) + k): row for k, row in enumerate(sums)}
+    rows = [sampled[source] for source in quantities.sources]
     stacked = np.asarray(rows, dtype=float).reshape(len(rows), 1, t.size)
     reduced = [rng.uniform(0.0, 1.0, t.size) for _ in translator.reduced]
 

@@ -452,7 +452,7 @@ class Solution(DistributionOverBox, EstimationFromData, PopulationsFromData, Eve
 
         def of_branch(part: SolutionCore, timeline: Timeline | None) -> Quantities:
             asked = quantities, metadata, horizon, samples_of(part), timeline
-            formulas = expressions.output_formulas(*asked)
+            formulas = expressions.output_formulas(*asked, with_sums=timeline is None)
             return cast(Quantities, formulas.over(metadata.box, horizon))
 
         if request.units is None and isinstance(quantities, Mapping):

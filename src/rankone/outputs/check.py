@@ -86,18 +86,12 @@ class Check:
         points, _ = climbed(error, points, errors, domain.bounds, _TO_ERRORS)
         return Check(points, sampler(points), self.sizes)
 
-    def amplified(self, sampler: Sampler, rtol: float, atol: Array) -> Array:
-        """Effect of errors of the sources on the quantities, over their sizes.
+    def amplified(self, sampler: Sampler, shifts: Array) -> Array:
+        """Effect of ``shifts`` (sources,) of the sources on the quantities, over their sizes.
 
-        Each source is shifted by ``rtol`` times its largest value plus ``atol`` (sources,), up and
-        down; the shape is (sources, quantities, m).
+        The shape is (sources, quantities, m).
         """
-        largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
-        total = np.zeros((largest.size, *self.values.shape[::2]))
-        for change, shift in zip(total, np.diag(rtol * largest + atol), strict=True):
-            both = [sampler(self.points, signed_shift) for signed_shift in (shift, -shift)]
-            change += np.max([np.abs(s - self.values).max(axis=1) for s in both], axis=0)
-        relative: Array = total / self.sizes[:, None]
+        relative: Array = sampler.changed(self.points, shifts) / self.sizes[:, None]
         return relative
 
     def delayed(self, sampler: Sampler) -> Array:

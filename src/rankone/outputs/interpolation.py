@@ -133,10 +133,8 @@ class OutputInterpolation:
             critical = critical_points(sampler, domain)
             critical = critical[sampler.holds(critical)]
             check = self._check(finer, np.concatenate([points.further, critical]))
-            absolute, states = dict(solution.metadata.atol), solution.states
-            sources = self.quantities.sources
-            atol = np.array([absolute.get(states[source.row], 0.0) for source in sources])
-            amplified = check.amplified(finer, solution.rtol, atol)
+            tolerances, shares = self._errors_of_sources(finer, check.points)
+            amplified = check.amplified(finer, tolerances)
             if rtol is None:
                 effect = float(amplified.sum(axis=0).max(initial=0.0))
                 default = _DEFAULT_MARGIN * max(solution.rtol, effect)
@@ -144,12 +142,7 @@ class OutputInterpolation:
             target = self._check(sampler, np.concatenate([points.aimed, critical]))
             with limited(_TRAIN_SHARE * work_left(), _TRAIN_SHARE * seconds_left()):
                 slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
-        errors = list(solution.errors.values())
-        shares = [
-            errors[source.row] / solution.rtol if source.is_state else np.nan
-            for source in self.quantities.sources
-        ]
-        from_solution = np.tensordot(np.array(shares), amplified, 1) + check.delayed(finer)
+        from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
         if domain.box:
             climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
@@ -157,6 +150,31 @@ class OutputInterpolation:
         if isinstance(finer, StretchSampler) and not self.quantities.timeless:
             missed = self._missed_over_clock_time(missed, slabs, finer, check)
         return self._outcome(slabs, missed, from_solution, points.corners, rtol), rtol
+
+    def _errors_of_sources(self, sampler: Sampler, points: Array) -> tuple[Array, Array]:
+        """The largest errors of sources that the solution's tolerance allows, and measured shares.
+
+        Both have the shape (sources,). Shares of derivatives are not known.
+        """
+        solution, states, rtol = self.solution, self.solution.states, self.solution.rtol
+        absolute = dict(solution.metadata.atol)
+        atol = np.array([absolute.get(state, 0.0) for state in states])
+        shares = np.array(list(solution.errors.values())) / rtol
+        in_sums = sampler.largest_in_sums(points)
+        errors = {row: rtol * size + atol[row] for row, size in in_sums.items()}
+        allowed, measured = [], []
+        for source, size in zip(
+            self.quantities.sources, sampler.largest_sources(points), strict=True
+        ):
+            if source.row < len(states):
+                allowed.append(rtol * size + atol[source.row])
+                measured.append(shares[source.row] if source.is_state else np.nan)
+                continue
+            rows, numbers = zip(*self.quantities.sums[source.row - len(states)], strict=True)
+            each = np.abs(numbers) * [errors[row] for row in rows]
+            allowed.append(each.sum())
+            measured.append(each @ shares[list(rows)] / max(each.sum(), np.finfo(float).tiny))
+        return np.array(allowed), np.array(measured)
 
     def _check(self, sampler: Sampler, points: Array) -> Check:
         """Exact quantities at points, with the least sizes."""

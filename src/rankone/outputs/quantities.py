@@ -116,3 +116,5 @@ class Quantities:
     # one where a piecewise function of the states has no branch, and zero elsewhere
     gaps: Callable[[Array, Array, Array], Sequence[Array]]
     gap_texts: tuple[str, ...]
+    # pairs of a state and a number, which are summed: rows of sources behind those of the states
+    sums: tuple[tuple[tuple[int, float], ...], ...] = ()

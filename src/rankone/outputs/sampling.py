@@ -49,6 +49,8 @@ class Sampler:
         grid: TimeGrid,
         rtol: float,
     ) -> None:
+        if quantities.sums:
+            slabs = [_with_sums(slab, quantities) for slab in slabs]
         self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
         self.grid, self.largest = grid, 0.0
         self.pool: Pool | None = None
@@ -79,22 +81,53 @@ class Sampler:
         """Quantities at points if events were later by their error; None without events."""
         return None
 
-    def __call__(self, points: Array, shifts: Array | None = None) -> Array:
+    def __call__(self, points: Array) -> Array:
         """Quantities at points (m, d): shape (quantities, rows, m).
 
-        The ``shifts`` (sources,) are added to the sources. Raises an EvaluationError if a quantity
-        is not finite somewhere, or does not cross.
+        Raises an EvaluationError if a quantity is not finite somewhere, or does not cross.
         """
-        per_point = (4 + len(self.quantities.sources)) * self.grid.times.size
-        count = -(-len(points) * per_point // _CHUNK_NUMBERS)
-        chunks = np.array_split(points, max(count, 1))
+        return self._in_chunks(points, None)
+
+    def changed(self, points: Array, shifts: Array) -> Array:
+        """Largest changes of quantities where each source is shifted: (sources, quantities, m).
+
+        Sources are shifted by their ``shifts`` (sources,), up and down, one after the other.
+        """
+        return self._in_chunks(points, shifts)
+
+    def _in_chunks(self, points: Array, shifts: Array | None) -> Array:
+        """Quantities, or their changes by shifts, some points at a time or on workers."""
+        chunks = self._chunks(points, 4 + len(self.quantities.sources))
         if self.pool is None or len(chunks) < 2:
-            return np.concatenate([self._chunk(chunk, shifts) for chunk in chunks], axis=2)
+            return np.concatenate([self._of_chunk(chunk, shifts) for chunk in chunks], axis=-1)
         limits = LimitsElsewhere.left()
         tasks = [(chunk, shifts, limits) for chunk in chunks]
         sampled = [each.settled() for each in self._shared.map(_counted_chunk, tasks)]
         self.largest = max(self.largest, *(largest for _, largest in sampled))
-        return np.concatenate([values for values, _ in sampled], axis=2)
+        return np.concatenate([values for values, _ in sampled], axis=-1)
+
+    def _chunks(self, points: Array, functions: int) -> list[Array]:
+        """Points of which so many functions of time are held at once."""
+        numbers = len(points) * functions * self.grid.times.size
+        return np.array_split(points, max(-(-numbers // _CHUNK_NUMBERS), 1))
+
+    def largest_sources(self, points: Array) -> Array:
+        """The largest values of the sources at points (m, d): shape (sources,)."""
+        chunks = self._chunks(points, len(self.quantities.sources) + 1)
+        each = [np.abs(self.sources(chunk)).max(axis=(1, 2), initial=0.0) for chunk in chunks]
+        return np.asarray(np.max(each, axis=0))
+
+    def largest_in_sums(self, points: Array) -> dict[int, float]:
+        """The largest values at points (m, d) of states in sums, by their rows."""
+        rows = sorted({row for pairs in self.quantities.sums for row, _ in pairs})
+        largest = np.zeros(len(rows))
+        owner = slab_positions(self.slabs, self.grid.times)
+        for k, slab in enumerate(self.slabs if rows else ()):
+            some, times = slab.with_first(slab.cores[0][rows]), self.grid.times[owner == k]
+            for chunk in self._chunks(points, len(rows)):
+                states = np.abs(some.on_grid(times, some.over_parameters(chunk.T)))
+                largest = np.maximum(largest, states.max(axis=(1, 2), initial=0.0))
+        return dict(zip(rows, largest.tolist(), strict=True))
 
     @cached_property
     def _shared(self) -> Shared[Sampler]:
@@ -196,10 +229,27 @@ class Sampler:
         """The time at pairs of places (N,) and points (N, d): shape (N,)."""
         return times
 
-    def _chunk(self, points: Array, shifts: Array | None) -> Array:
-        times, sources = self.clock(self.grid.times, points), self.sources(points)
-        if shifts is not None:
-            sources = sources + shifts[:, None, None]
+    def _of_chunk(self, points: Array, shifts: Array | None) -> Array:
+        """Quantities at some points, or their changes by shifts of the sources."""
+        sources = self.sources(points)
+        exact = self._quantities(points, sources, None)
+        return exact if shifts is None else self._changes(points, sources, shifts, exact)
+
+    def _changes(self, points: Array, sources: Array, shifts: Array, exact: Array) -> Array:
+        """Largest changes (sources, quantities, m) by shifts of the sources, up and down."""
+        changes = np.zeros((shifts.size, len(exact), len(points)))
+        for k, shift in enumerate(shifts):
+            alone, source = np.zeros_like(shifts), sources[k].copy()
+            for alone[k] in (shift, -shift):
+                sources[k] = source + alone[k]
+                shifted = self._quantities(points, sources, alone)
+                changes[k] = np.maximum(changes[k], np.abs(shifted - exact).max(axis=1))
+            sources[k] = source
+        return changes
+
+    def _quantities(self, points: Array, sources: Array, shifts: Array | None) -> Array:
+        """Quantities of sources that the ``shifts`` (sources,) are added to already."""
+        times = self.clock(self.grid.times, points)
         self._refuse_gaps(times, sources, points)
         with np.errstate(all="ignore"):
             integrands = self.quantities.integrands(times, sources, points.T)
@@ -317,6 +367,16 @@ class Sampler:
         return sources
 
 
+def _with_sums(slab: SlabTrain, quantities: Quantities) -> SlabTrain:
+    """A slab with sums of states as further states."""
+    first = slab.cores[0]
+    weights = np.zeros((len(quantities.sums), len(first)))
+    for row, pairs in zip(weights, quantities.sums, strict=True):
+        states, numbers = zip(*pairs, strict=True)
+        row[list(states)] = numbers
+    return slab.with_first(np.concatenate([first, np.tensordot(weights, first, 1)]))
+
+
 def _counted_chunk(
     sampler: Sampler, points: Array, shifts: Array | None, limits: LimitsElsewhere
 ) -> Counted[tuple[Array, float]]:
@@ -325,6 +385,6 @@ def _counted_chunk(
     own = copy.copy(sampler)  # workers may be threads
 
     def sampled() -> tuple[Array, float]:
-        return own._chunk(points, shifts), own.largest
+        return own._of_chunk(points, shifts), own.largest
 
     return Counted.of(limits, (RankoneError,), sampled)

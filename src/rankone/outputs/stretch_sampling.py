@@ -61,8 +61,8 @@ class StretchSampler(Sampler):
     def clock(self, times: Array, points: Array) -> Array:
         return self._clock(np.broadcast_to(times[:, None], (times.size, len(points))), points)
 
-    def _chunk(self, points: Array, shifts: Array | None) -> Array:
-        sampled = super()._chunk(points, shifts)
+    def _quantities(self, points: Array, sources: Array, shifts: Array | None) -> Array:
+        sampled = super()._quantities(points, sources, shifts)
         if self.quantities.timeless:
             return sampled
         *_, clock, length = self._whole(points)
