@@ -143,6 +143,11 @@ class AdaptiveInterpolation:
         """Error aimed at in the next attempt."""
         return self.share * self.target
 
+    def unresolved(self, bases: Sequence[Basis1D]) -> list[int]:
+        """The parameters whose first lines ask for more nodes than can be predicted from them."""
+        most = min(math.ceil(MAX_PREDICTED_RATIO * self._line_nodes), self.limits.max_nodes)
+        return [j for j, basis in enumerate(bases) if basis.elements == 1 and basis.size >= most]
+
     def interpolate(
         self,
         columns: Columns,

@@ -14,12 +14,19 @@ from rankone.discretization import BASES, Basis1D
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
-from rankone.ir.verdict import Cause, MemoryNeeded, MovingFeatures, Status, TrajectoryStops
+from rankone.ir.verdict import (
+    Cause,
+    MemoryNeeded,
+    MovingFeatures,
+    Status,
+    SteepParameter,
+    TrajectoryStops,
+)
 from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross import constants
 from rankone.solvers.cross.cost import AttemptCost
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
-from rankone.solvers.cross.steep import steepest_front
+from rankone.solvers.cross.steep import first_jump, steepest_front
 from rankone.solvers.cross.trajectories import (
     TooManyTrajectories,
     Trajectories,
@@ -66,6 +73,10 @@ _UNRESOLVED = (
 
 
 _FIRST_TIMED = slice(12)  # Trajectories of the reference that are looked at first for slabs
+
+
+class _JumpFound(Exception):
+    """The solution jumps along a parameter: no number of nodes resolves it."""
 
 
 class Pace:
@@ -120,6 +131,8 @@ class CrossMarcher:
         self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
         self.choice = sampling_choice(reference_set)
         self.last: AttemptCost | None = None
+        self.jump: SteepParameter | None = None
+        self.search_work = 0.0
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -140,6 +153,8 @@ class CrossMarcher:
         )
         try:
             march = self._marched(trajectories, level, number, pace)
+        except _JumpFound:
+            march = self._stopped(Status.STEEP, grid)
         except TooManyTrajectories:
             march = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
@@ -158,8 +173,9 @@ class CrossMarcher:
     ) -> MarchResult:
         """The interpolation of trajectories, with its record."""
         march, grid, before = MarchResult(), trajectories.grid, work_done()
+        self.search_work = 0.0
         train, limited = self.adaptive.interpolate(
-            trajectories, self._known_elements, pace.bond, self._afford
+            trajectories, self._known_elements, pace.bond, self._consider
         )
         bases, spectra = self.adaptive.bases or (), self.adaptive.spectra
         if limited:
@@ -176,16 +192,29 @@ class CrossMarcher:
         record = CrossRecord(number, start, end, True, level, tails, train.ranks, sizes, *counts)
         record = replace(record, integrator=self.choice.taken)
         march.records.append(record)
-        self.last = AttemptCost(sizes, train.ranks, trajectories.count, work_done() - before)
+        work = work_done() - before - self.search_work
+        self.last = AttemptCost(sizes, train.ranks, trajectories.count, work)
         pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(train.ranks, default=1)))
         return march
 
-    def _afford(self, bases: Sequence[Basis1D]) -> None:
-        """Raise an OutOfWorkError if an attempt with these bases would not come to its end."""
-        if self.last is None or not bases:
-            return
-        if self.last.least([basis.size for basis in bases]) > work_left():
-            raise OutOfWorkError
+    def _consider(self, bases: Sequence[Basis1D]) -> None:
+        """Raise an error if an attempt with these bases would be in vain.
+
+        An OutOfWorkError if it would not come to its end. In the first attempt a _JumpFound if
+        lines that are not resolved hold a jump.
+        """
+        if self.last is not None and bases:
+            if self.last.least([basis.size for basis in bases]) > work_left():
+                raise OutOfWorkError
+        elif (rough := self.adaptive.unresolved(bases)) and self.trajectories is not None:
+            domain, system = self.reference_set.domain, self.reference_set.system
+            points = LinePoints(domain.box, domain.first_coordinates).through
+            before = work_done()
+            jump = first_jump(self.trajectories.uncounted, system, domain, points, rough)
+            self.search_work = work_done() - before
+            if jump is not None and jump.change > self.rtol:
+                self.jump = jump
+                raise _JumpFound
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
@@ -291,8 +320,8 @@ class CrossMarcher:
         if not self.worst:
             return None
         points, trajectories = np.array(self.worst[: constants.LINED_POINTS]), self.trajectories
-        each = max(trajectories.work / max(trajectories.count, 1), 1.0)
-        affordable = max(trajectories.count, constants.LINES_BUDGET_SHARE * work_left() / each)
+        share = constants.LINES_BUDGET_SHARE * work_left()
+        affordable = max(trajectories.count, share / trajectories.work_of_each)
         limits = LineLimits(self.options.max_nodes, affordable)
         try:
             return worst_lines(trajectories.uncounted, domain, bases, points, self.rtol, limits)
@@ -340,6 +369,8 @@ class CrossMarcher:
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Whether a steep dependence on a parameter is the reason, and on which."""
         trajectories, domain = self.trajectories, self.reference_set.domain
+        if self.jump is not None:
+            return status, self.jump
         if status is Status.NO_CONVERGENCE:
             return status, TrajectoryStops(float(self.ends))
         system = self.reference_set.system

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
@@ -23,18 +24,39 @@ def steepest_front(
 ) -> SteepParameter | None:
     """The narrowest front on lines through points (d,) of the box; None if there is none.
 
-    Through each point goes one line for each parameter. The trajectories at points (m, d) are in
-    units of the states' sizes: shape (n, T, m).
+    Through each point goes one line for each parameter, up to the first jump that is still there
+    at the end of the horizon. The trajectories at points (m, d) are in units of the states' sizes:
+    shape (n, T, m).
     """
     fronts: list[tuple[float, SteepParameter]] = []
     with suppress(OutOfBudgetError):  # the fronts so far say it as well
-        for point in points:
-            for j in range(len(domain.box)):
-                fronts.extend(_on_line(trajectories, system, domain, point, j))
+        for point, j in itertools.product(points, range(len(domain.box))):
+            for width, front in _on_line(trajectories, system, domain, point, j):
+                if front.jump and front.at_end:
+                    return front
+                fronts.append((width, front))
     narrowest = min(
         fronts, key=lambda pair: (pair[0], not pair[1].at_end, -pair[1].change), default=None
     )
     return narrowest and narrowest[1]
+
+
+def first_jump(
+    trajectories: Callable[[Array], Array],
+    system: System,
+    domain: Domain,
+    points: Sequence[Array],
+    parameters: Sequence[int],
+) -> SteepParameter | None:
+    """The first jump on lines of some parameters through points (d,); None if there is none.
+
+    The trajectories are as those of :func:`steepest_front`.
+    """
+    for point, j in itertools.product(points, parameters):
+        for _, front in _on_line(trajectories, system, domain, point, j, zooms=1):
+            if front.jump:
+                return front
+    return None
 
 
 def _on_line(
@@ -43,11 +65,13 @@ def _on_line(
     domain: Domain,
     point: Array,
     j: int,
+    zooms: int = constants.MAX_ZOOMS,
 ) -> Iterator[tuple[float, SteepParameter]]:
     """Relative widths and fronts on the line through a point along parameter j.
 
-    First fronts that differ at the end of the horizon, then those that differ at any time. Widths
-    are those in the coordinate in which the parameter is looked at first.
+    First fronts that differ at the end of the horizon, then those that differ at any time, of each
+    the ``zooms`` pairs of places that differ most. Widths are those in the coordinate in which the
+    parameter is looked at first.
     """
     scale, box = domain.first_coordinates[j], domain.box[j]
     start, end = scale.to_scale(np.array(box)).tolist()
@@ -64,7 +88,7 @@ def _on_line(
 
     places, coarse = changes(start, end, constants.LINE_PLACES)
     for times in (slice(-1, None), slice(None)):
-        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[: constants.MAX_ZOOMS]:
+        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:zooms]:
             a, b, change = places[i], places[i + 1], coarse[:, times, i]
             if not change.max() >= constants.FRONT_CHANGE:
                 break

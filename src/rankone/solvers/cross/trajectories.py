@@ -67,6 +67,7 @@ class Trajectories:
         self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
+        self._counted_work = 0.0
         self.choice = choice or sampling_choice(reference_set)
         self.scale = _norm_of_ones(grid.times.size, reference_set.states.size)
         self.units = reference_set.states * self.scale
@@ -80,7 +81,7 @@ class Trajectories:
             return self._coefficients(self._on_lines())
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
-        blocks, begun = [], 0
+        blocks, begun, before = [], 0, self.work
         for group in self._groups(points):
             least = constants.LEAST_SAMPLE_RATIO * self.least_work
             if least * (len(points) - begun) > work_left():
@@ -90,6 +91,7 @@ class Trajectories:
             columns = self._integrated(group) if self.calibrated else self._calibrated(group)
             self.count += len(group)
             blocks.append(self._coefficients(columns))
+        self._counted_work += self.work - before
         rank = len(blocks[-1])
         return np.concatenate([_with_rows(block, rank) for block in blocks], axis=1)
 
@@ -114,6 +116,11 @@ class Trajectories:
         times = self.grid.times.size
         numbers = _COPIES * count * self._read * times + 2.0 * self.basis.vectors.size
         reserve(8.0 * numbers)
+
+    @property
+    def work_of_each(self) -> float:
+        """Work of one of the trajectories that count."""
+        return max(self._counted_work / max(self.count, 1), 1.0)
 
     @property
     def _read(self) -> int:
