@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
+from rankone.support.budget import NORMAL
 from rankone.tensors.cross import _span
 
 
@@ -226,3 +227,17 @@ def test_a_front_is_named_though_the_budget_ends():
     solution = ro.solve(separatrix, rtol=1e-3, method="cross", effort=0.03)
     assert solution.status is ro.Status.STEEP
     assert "as on a jump" in solution.message
+
+
+@pytest.mark.parametrize("method", ["cross", "auto"])
+def test_a_jump_on_the_first_lines_ends_a_solve_before_it_samples_the_box(method):
+    well = problem(
+        {"x": "v", "v": "x - x**3 - 0.3*v"},
+        {"x": "a", "v": "b"},
+        {"a": (-1.2, 1.2), "b": (-1, 1)},
+        20,
+    )
+    solution = ro.solve(well, 1e-3, method=method)
+    assert solution.status is ro.Status.STEEP
+    assert "as on a jump" in solution.message and not solution.history
+    assert sum(solution.work.values()) < 0.02 * NORMAL
