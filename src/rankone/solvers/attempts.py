@@ -6,7 +6,7 @@ import itertools
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
@@ -48,7 +48,7 @@ from rankone.verification.reference import safe_intervals
 from rankone.verification.worst_points import worst_points
 
 EXPLANATION_OPERATIONS = 5e9
-"""Most operations kept back to explain a failure: a search for the steep parameter needs them."""
+"""Most operations kept back, and spent, to explain a failure: to find the steep parameter."""
 EXPLANATION_SECONDS = 5.0
 """Most seconds of a time limit kept back for the same: about what those operations take."""
 EXPLANATION_SHARE = 0.15
@@ -207,9 +207,10 @@ def solve_in_attempts(
     ``marcher_of`` integrates it and makes the engine's marcher, ``options`` are those of the
     engine. A part of the budget is kept back to explain a failure.
     """
-    stages = Stages()
+    stages, kept_back = Stages(), min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * work_left())
+    seconds = min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds_left())
     tell_fallback(system, request.integrator)
-    with _keeping_some():
+    with limited(work_left() - kept_back, seconds_left() - seconds):
         try:
             with stages.of("reference"):
                 marcher = marcher_of()
@@ -221,7 +222,7 @@ def solve_in_attempts(
     if made.limit is not None and status is not Status.CONVERGED:
         status = made.limit
     narrower: list[Note] = []
-    with stages.of("check"):
+    with stages.of("check"), limited(kept_back):
         with suppress(OutOfBudgetError):
             narrower = _narrowed(marcher, status, best, request, stages)
         try:
@@ -435,11 +436,3 @@ def _further_points(
         result.doubtful = worst_points(reference_set, result.slabs, share, rtol, number)
         further += [] if result.doubtful is None else [result.doubtful]
     return np.concatenate(further) if further else None
-
-
-def _keeping_some() -> AbstractContextManager[object]:
-    """Keep a part of the budget back to explain a failure."""
-    work, seconds = work_left(), seconds_left()
-    work -= min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * work)
-    seconds -= min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds)
-    return limited(work, seconds)
