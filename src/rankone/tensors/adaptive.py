@@ -144,7 +144,12 @@ class AdaptiveInterpolation:
         return self.share * self.target
 
     def unresolved(self, bases: Sequence[Basis1D]) -> list[int]:
-        """The parameters whose first lines ask for more nodes than can be predicted from them."""
+        """The parameters whose first lines ask for more nodes than can be predicted from them.
+
+        None of them if there is a single one: elements follow its fronts, however narrow.
+        """
+        if len(bases) == 1:
+            return []
         most = min(math.ceil(MAX_PREDICTED_RATIO * self._line_nodes), self.limits.max_nodes)
         return [j for j, basis in enumerate(bases) if basis.elements == 1 and basis.size >= most]
 

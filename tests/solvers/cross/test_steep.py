@@ -241,3 +241,10 @@ def test_a_jump_on_the_first_lines_ends_a_solve_before_it_samples_the_box(method
     assert solution.status is ro.Status.STEEP
     assert "as on a jump" in solution.message and not solution.history
     assert sum(solution.work.values()) < 0.02 * NORMAL
+
+
+def test_a_front_within_a_millionth_of_the_only_interval_is_resolved():
+    solution = ro.solve(problem({"x": "-k*x"}, {"x": 1}, {"k": (0, 1e7)}, 1), 1e-3, method="cross")
+    assert solution.success, solution.message
+    k = np.geomspace(0.1, 1e3, 50)
+    np.testing.assert_allclose(solution["x"](t=0.7, k=k), np.exp(-0.7 * k), atol=5e-3)
