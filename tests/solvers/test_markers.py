@@ -42,6 +42,21 @@ def test_markers_of_the_user_keep_ranks_low():
     np.testing.assert_allclose(states[0], 3.0, atol=2e-3)
 
 
+def test_events_that_change_nothing_bring_trajectories_in_step():
+    """Whatever function of the states they are of; samples go on as over their last period."""
+    made = problem(24, events=[{"when": "x*y - 3", "name": "mark"}])
+    compiled = ro.compile(made)
+    assert compiled.system.separated
+    assert compiled.automatic == ("cross",)
+    solution = compiled.solve(1e-4)
+    assert solution.success
+    assert solution.rank < 20
+    errors = against_trajectories(solution, made, np.linspace(0, 24, 401))
+    assert (errors < 3e-4).all()
+    with pytest.raises(ro.OptionError, match="known times only"):
+        compiled.solve(1e-4, method="train")
+
+
 @pytest.mark.slow
 def test_an_oscillator_over_twenty_periods():
     made = problem(60)

@@ -10,8 +10,11 @@ import sympy as sp
 import rankone as ro
 from rankone.ir.forms import Coordinate
 from rankone.ir.request import Domain
+from rankone.support.budget import limited
 from rankone.symbolic.features import features_of
 from rankone.trajectories.defects import roots
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.explicit import StackedDOP853
 from rankone.verification.points import check_points, surface_points
 from rankone.verification.reference import integrate_reference
@@ -236,3 +239,18 @@ def test_roots_are_found_in_few_evaluations():
     places = roots(functions, functions(np.zeros(3)), functions(np.ones(3)))
     np.testing.assert_allclose(places, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
     assert len(calls) < 20
+
+
+def test_rounded_times_of_an_ignition_miss_nothing():
+    """In steps of 1e-11 at t = 2 times have five digits, and slopes not many more."""
+    heat = "exp(T/(1 + T/20))"
+    rates = {"T": f"c*{heat} - 1.5*T", "c": f"-0.01*c*{heat}"}
+    ignition = ro.Problem.from_strings(rates, {"T": "16.2", "c": "0.82"}, {}, (2, 2.3))
+    system = ro.compile(ignition).system
+    single, tolerances = (
+        SingleIntegrator(looks_anywhere=True),
+        Tolerances(1e-10, np.full((2, 1), 1e-16)),
+    )
+    with limited(2e7):
+        trajectories = single.run(system, np.zeros((1, 0)), (2.0, 2.3), tolerances)
+    assert trajectories.end == 2.3

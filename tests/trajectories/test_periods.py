@@ -38,7 +38,7 @@ def followed(system, accuracy=ACCURACY, repeats_from=8):
     timed = timed_events(system, (), (Marker(0, 5.0),))
     order = EventOrder(((0,),) * COUNT, Ending.EVENT)
     marker = Marker(0, 5.0)
-    clock = Clock(timed, order, (0.0, END), (), (marker,), repeats_from=repeats_from)
+    clock = Clock(timed, order, (0.0, END), (), (marker,), True, repeats_from=repeats_from)
     tolerances = Tolerances(accuracy, accuracy * np.ones((system.n_differential, 1)))
     integrator = span_integrator_for(timed, accuracy=accuracy)
     return clock, follow(clock, integrator, POINTS, tolerances, COUNT)
@@ -165,12 +165,10 @@ def test_rates_that_read_the_time_do_not_repeat(rate):
     assert is_autonomous(system) == (rate == "t*0 + x")
 
 
-def test_events_between_markers_do_not_repeat():
+def test_trajectories_that_events_may_interrupt_do_not_repeat():
     clock, trajectories = followed(system_of())
-    twice = dataclasses.replace(clock.system, events=clock.system.events * 2)
     assert goes_on(clock, trajectories)
-    assert not goes_on(dataclasses.replace(clock, system=twice), trajectories)
-    assert not goes_on(dataclasses.replace(clock, markers=()), trajectories)
+    assert not goes_on(dataclasses.replace(clock, in_step=False), trajectories)
 
 
 def test_next_to_an_unstable_state_that_rests_nothing_repeats():

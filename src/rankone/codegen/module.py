@@ -37,6 +37,7 @@ from rankone.frontend.term_table import TermTable
 from rankone.ir.forms import (
     ConstraintForms,
     Coordinate,
+    EventForm,
     Jump,
     QuadraticSystem,
     SeparatedForm,
@@ -62,6 +63,7 @@ def generate_source(
     meanings: Sequence[sp.Expr] = (),
     constraints: ConstraintForms | None = None,
     rest: RestForm | None = None,
+    events: Sequence[EventForm] = (),
 ) -> str:
     """Python source of the module for a system.
 
@@ -77,6 +79,8 @@ def generate_source(
         What algebraic equations say of the states.
     rest : RestForm, optional
         The system before the start, where that is a steady state.
+    events : sequence of EventForm, optional
+        Events that interrupt nothing.
 
     Returns
     -------
@@ -100,6 +104,7 @@ def generate_source(
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
     expressions = [expression for distinct in factors for expression in distinct]
     expressions += [value for jump in system.jumps for value in jump.values]
+    expressions += [expression for event in events for expression in event.expressions]
     features = features_of(system.coordinates, (), expressions)
     before, printed_before = rest_blocks(rest)
     sections: dict[str, Sequence[Block]] = {
@@ -110,6 +115,7 @@ def generate_source(
         "Lifted states": _lifted(writer, system.differential, meanings),
         "Constraints": constraint_blocks(writer, constraints or ConstraintForms()),
         **_further_sections(writer, features, system.jumps, system.differential, []),
+        "Events": _events(writer, events, system.coordinates),
         "Kernels": kernel_blocks(system),
     }
     n = len(system.differential)
@@ -163,7 +169,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         "Before the start": before,
         "Constraints": constraint_blocks(writer, system.constraints),
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
-        "Events": _events(writer, system),
+        "Events": _events(writer, system.events, system.coordinates, len(system.switches)),
     }
     tables = _tables(False, system.states, len(system.states), (), system.coordinates)
     printed = [*expressions, *writer.printed, *printed_before]
@@ -345,9 +351,14 @@ def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
     return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
-def _events(writer: PointwiseWriter, system: FirstOrderSystem) -> list[Block]:
+def _events(
+    writer: PointwiseWriter,
+    events: Sequence[EventForm],
+    coordinates: Sequence[Coordinate],
+    sides: int = 0,
+) -> list[Block]:
     """The events, what crosses zero, and the states after those that reset some."""
-    events, parameters = system.events, [c.symbol for c in system.coordinates[1:]]
+    parameters = [c.symbol for c in coordinates[1:]]
     if not events:
         return []
     n, k = len(writer.states), len(events)
@@ -369,7 +380,7 @@ def _events(writer: PointwiseWriter, system: FirstOrderSystem) -> list[Block]:
         [
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
-            *([f"N_SIDES = {len(system.switches)}"] if system.switches else []),
+            *([f"N_SIDES = {sides}"] if sides else []),
             *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
             *affine_times,
             *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
@@ -414,11 +425,12 @@ def generated_module(
 ) -> tuple[QuadraticSystem | None, ModuleSpecification]:
     """The module of a system, and its quadratic form if it separates; timed."""
     with timed(timings, "lowering"):
-        general = bool(separated.general or system.events)
+        general = bool(separated.general) or any(event.interrupts for event in system.events)
         quadratic = None if general else quadratic_system(separated)
     with timed(timings, "code generation"):
         if quadratic is None:
             source = general_source(system, name)
         else:
-            source = generate_source(quadratic, name, (), system.constraints, system.rest)
+            further = system.constraints, system.rest, system.events
+            source = generate_source(quadratic, name, (), *further)
     return quadratic, ModuleSpecification(source, name or "system", system.user_functions)

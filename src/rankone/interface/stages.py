@@ -128,7 +128,7 @@ class CompiledStages:
         """
         if method in _ANY_SYSTEM or self._has_operators:
             return self
-        if self.quadratic is not None:
+        if self._operators is not None:
             if self._many_states(method) is None:
                 return self
             raise OptionError(
@@ -155,9 +155,14 @@ class CompiledStages:
         )
 
     @property
+    def _operators(self) -> QuadraticSystem | None:
+        """The quadratic system, for methods that follow no events."""
+        return None if self.first_order.events else self.quadratic
+
+    @property
     def _has_operators(self) -> bool:
         """Whether there are kernels, which methods other than cross need."""
-        return self.quadratic is not None and self.quadratic.has_kernels
+        return bool(self._operators and self._operators.has_kernels)
 
     def _many_states(self, method: str) -> str | None:
         """Why a method does not take a separated system of very many states, if so."""
@@ -186,7 +191,7 @@ class CompiledStages:
         applies = self._has_operators or self.lifted is not None
         if applies or self._stretched is not None:
             pass
-        elif self.quadratic is not None:
+        elif self._operators is not None:
             return {
                 name: None if name in _ANY_SYSTEM else self._many_states(name) for name in ENGINES
             }

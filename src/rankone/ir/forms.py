@@ -120,6 +120,11 @@ class EventForm:
         return tuple(map(float, numbers)) if all(n.is_number for n in numbers) else None
 
     @property
+    def interrupts(self) -> bool:
+        """Whether it may end, reset or divide trajectories; others mark what they pass."""
+        return self.terminal or self.then is not None or self.at is not None
+
+    @property
     def expressions(self) -> tuple[sp.Expr, ...]:
         """What it is made of, but for ``at``."""
         extra = (e for e in (self.delay, self.priority) if e is not None)

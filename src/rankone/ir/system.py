@@ -41,6 +41,7 @@ import numpy as np
 
 from rankone.ir.constraints import Constraints
 from rankone.ir.events import (
+    BOTH,
     CROSSINGS,
     EventOrder,
     ForcedOrder,
@@ -238,8 +239,9 @@ _STEEP = 100.0  # Swings on a stretch, at the fastest rate, from which the flow 
 class Clock:
     """The system over clock time that runs in stretches, and the order of its events.
 
-    Its jumps, the ``cuts`` of its time and its ``markers`` are events. ``foreseen_marks`` tell
-    about when trajectories at points (m, d) have passed so many events, where none interrupts.
+    Its jumps, the ``cuts`` of its time and its ``markers`` are events. Where none interrupts,
+    trajectories may go ``in_step`` from mark to mark, and ``foreseen_marks`` tell about when those
+    at points (m, d) have passed so many of them.
     Where the order is ``forced``, trajectories follow it also where others would come first. Where
     they repeat, from about so many marks on, those that have come back go on as over their last
     period. ``swings`` are how many times a state would go through its size over the horizon at its
@@ -251,6 +253,7 @@ class Clock:
     horizon: tuple[float, float]
     cuts: tuple[float, ...] = ()
     markers: tuple[Marker, ...] = ()
+    in_step: bool = False
     foreseen_marks: OfMarks | None = None
     forced: ForcedOrder | None = None
     repeats_from: int = 0
@@ -264,7 +267,7 @@ class Clock:
     @property
     def marks_per_period(self) -> int:
         """How many marks an oscillator passes in a period."""
-        return CROSSINGS * len(self.markers)
+        return sum(CROSSINGS if each.direction == BOTH else 1 for each in self.system.events)
 
     @property
     def n_guards(self) -> int:

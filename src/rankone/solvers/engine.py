@@ -14,7 +14,7 @@ from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import Status, SwitchesNotHeld
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
-from rankone.solvers.markers import FirstPoints, SolveStart, start_of
+from rankone.solvers.markers import FirstPoints, SolveStart, goes_in_step, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
 from rankone.support.errors import ConvergenceError
@@ -104,6 +104,9 @@ class Engine:
         def solve(stretched: System, over_it: SolveRequest) -> Outcome:
             return self._attempted(stretched, over_it, report)
 
+        if self.name == "cross" and goes_in_step(system, request):
+            with suppress(OrderError):
+                return self._attempted(system, request, report)
         stages = Stages()
         try:
             return self._solve_in_order(system, request, report, stages)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeAlias, cast
@@ -54,6 +54,7 @@ _MARKED_SHARE = 0.3
 _LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
 # Copies of the paths of trajectories while crossings are looked for: one by one, together, crossing
 _PATH_COPIES = 3
+_NO_ORDER = EventOrder((), Ending.EVENT)  # Before trajectories have told it
 _FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 FirstPoints: TypeAlias = Callable[[System, SolveRequest], Array]
@@ -89,6 +90,8 @@ def start_of(
     first_points = first_points or _nowhere
     lines = first_points(system, request)
     large = sparse_pattern(system) is not None  # over stretches the Jacobian is dense
+    if system.events:
+        return _by_events(system, request, first_points)
     if not markers or request.check.points == 0 or large or _interrupted(system):
         return SolveStart(request, reference_set_of(system, request, lines, workers))
     try:
@@ -108,6 +111,14 @@ def start_of(
 def _nowhere(_system: System, request: SolveRequest) -> Array:
     """The first points of an engine that begins with none."""
     return np.zeros((0, len(request.domain.box)))
+
+
+def goes_in_step(system: System, request: SolveRequest) -> bool:
+    """Whether trajectories may go in step from event to event, of which none interrupts them."""
+    marks = all(event.at is None and not event.interrupts for event in system.events)
+    large = sparse_pattern(system) is not None
+    checked = request.check.points > 0
+    return bool(system.events) and marks and checked and not large and not _interrupted(system)
 
 
 def _interrupted(system: System) -> bool:
@@ -141,28 +152,50 @@ def _by_pilots(
 
     They go over a part of the horizon at first, which is enough where all of them repeat.
     """
-    domain = request.domain
-    (start, end), length = domain.horizon, domain.horizon[1] - domain.horizon[0]
-    points, tolerances = pilots(system, domain, _PILOT_RTOL)
-    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
-    time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
-    for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
-        ends = np.full(len(points), end if share == 1.0 else start + share * length)
-        spans = Spans(np.full(len(points), time), states, ends)
-        further = chosen.paths(system, points, spans, tolerances)
-        if any(path.end < ends[0] for path in further):
-            return None
-        paths = [joined(each) for each in zip(paths, further, strict=True)] if paths else [*further]
-        time, states = float(ends[0]), np.stack([path.state for path in paths], axis=1)
+    points, tolerances = pilots(system, request.domain, _PILOT_RTOL)
+    paths: Sequence[Path] = ()
+    for paths in _pilot_paths(system, request, points, tolerances):
         try:
             found = _by_paths(system, request, points, paths, tolerances, first_points)
         except OrderError:  # perhaps they do not go on as they began
-            if share == _PILOT_SHARES[-1]:
+            if paths[0].end >= request.domain.horizon[1]:
                 raise
             continue
         if found is not None:
             return found
-    return _by_late_front(system, request, points, paths, first_points)
+    return _by_late_front(system, request, points, paths, first_points) if paths else None
+
+
+def _pilot_paths(
+    system: System, request: SolveRequest, points: Array, tolerances: Tolerances
+) -> Iterator[Sequence[Path]]:
+    """Trajectories at points (m, d) over parts of the horizon that end with all of it.
+
+    None further where one does not reach the end of a part.
+    """
+    (start, end) = request.domain.horizon
+    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
+    for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
+        ends = np.full(len(points), end if share == 1.0 else start + share * (end - start))
+        spans = Spans(np.full(len(points), time), states, ends)
+        further = chosen.paths(system, points, spans, tolerances)
+        if any(path.end < ends[0] for path in further):
+            return
+        paths = [joined(each) for each in zip(paths, further, strict=True)] if paths else [*further]
+        time, states = float(ends[0]), np.stack([path.state for path in paths], axis=1)
+        yield paths
+
+
+def _by_events(system: System, request: SolveRequest, first_points: FirstPoints) -> SolveStart:
+    """The start over stretches between events of the user that interrupt nothing."""
+    points, tolerances = pilots(system, request.domain, _PILOT_RTOL)
+    clock = Clock(system, _NO_ORDER, request.domain.horizon, in_step=True)
+    for paths in _pilot_paths(system, request, points, tolerances):
+        start = _in_step(clock, request, points, paths, tolerances, first_points)
+        if start is not None:
+            return start
+    raise OrderError("trajectories do not pass the same events in step")
 
 
 def _by_late_front(
@@ -186,7 +219,7 @@ def _by_late_front(
     if found is None:
         return None
     marker, order = found
-    clock = Clock(timed_events(system, (), (marker,)), order, horizon)
+    clock = Clock(timed_events(system, (), (marker,)), order, horizon, (), (marker,))
     stretched, there = over_stretches(clock, request)
     lines = first_points(stretched, there)
     return SolveStart(there, ReferenceSet.of(stretched, there, lines), clock)
@@ -212,15 +245,27 @@ def _by_paths(
     if not markers:
         return None
     timed = timed_events(system, (), markers)
-    chosen = span_integrator_for(timed, request.integrator, accuracy=tolerances.relative)
-    clock = Clock(timed, EventOrder((), Ending.EVENT), domain.horizon, (), markers)
+    clock = Clock(timed, _NO_ORDER, domain.horizon, (), markers, in_step=True)
+    return _in_step(clock, request, points, paths, tolerances, first_points)
+
+
+def _in_step(
+    clock: Clock,
+    request: SolveRequest,
+    points: Array,
+    paths: Sequence[Path],
+    tolerances: Tolerances,
+    first_points: FirstPoints,
+) -> SolveStart | None:
+    """The start over stretches between the marks of a clock, along paths over clock time."""
+    domain, system = request.domain, clock.system
+    chosen = span_integrator_for(system, request.integrator, accuracy=tolerances.relative)
     marked = with_order(chosen, clock, points, paths, tolerances)
-    if marked is None:
+    if marked is None or not marked[0].order.instants:
         return None
     clock, trajectories = marked
     clock = _foreseeing(clock, domain, points, trajectories)
-    swings = swings_of(paths, domain.horizon[1] - domain.horizon[0])
-    clock = replace(clock, swings=swings)
+    clock = replace(clock, swings=swings_of(paths, clock.length))
     whole, there = over_stretches(replace(clock, repeats_from=0), request)
     # samples end where they repeat: they cost less in steps of a series, or one by one
     samples_later = has_smooth_rates(system, domain.horizon[0]) or clock.steep

@@ -25,6 +25,7 @@ _JUMP = 1e-3  # Value at a root, over those at the ends, from which the function
 _ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
 _GRAZING = 0.1  # Least height of a parabola on a step, over those at its ends, that may be zero
 _TURNING_WIDTHS = (0.1, 0.02, 0.002)  # Widths of the parabolas that tell where a height turns
+_TIME_ROUNDINGS = 100.0  # Roundings of a time that count as one of a slope: nodes are rounded
 _LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
 _PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
@@ -91,7 +92,8 @@ class DefectControl:
         start, h = self._spans(solver, columns)
         states, slopes = solver.interpolant(columns)(shares, True)
         rates = self.rates(start + h * shares, states, self.parameters[:, columns])
-        error = np.abs(solver.error_of(slopes - h * rates, columns))
+        defect = _beyond_rounding(slopes - h * rates, rates, start + h)
+        error = np.abs(solver.error_of(defect, columns))
         return self._largest(error / _tolerated(solver, states), columns)
 
     def _spans(self, solver: Steps, columns: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -226,6 +228,12 @@ def turning_points(function: Callable[[Array], Array], shares: Array) -> Array:
         step = np.divide(-slope, bend, out=np.zeros_like(bend), where=bend * np.sign(here) > 0.0)
         shares = inside + width * np.clip(step, -1.0, 1.0)
     return np.asarray(shares)
+
+
+def _beyond_rounding(defect: Array, rates: Array, times: Array) -> Array:
+    """The part of defects (n, c), times the step, that no rounding of the times (c,) explains."""
+    rounding = _TIME_ROUNDINGS * np.spacing(np.abs(times)) * np.abs(rates)
+    return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - rounding, 0.0))
 
 
 def _tolerated(solver: Steps, states: Array) -> Array:

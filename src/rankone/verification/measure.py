@@ -106,7 +106,7 @@ class ReferenceSet:
             cuts = tuple(map(float, range(1, system.clock.order.stretches)))
         points, corners, on_lines = _points_of(system, request, parameter_cuts, lines)
         accuracy = reference_accuracy(request.rtol)
-        if system.clock is not None and system.clock.markers:
+        if system.clock is not None and system.clock.in_step:
             periods = system.clock.order.stretches / system.clock.marks_per_period
             swings = max(system.clock.swings, 1.0)
             accuracy *= min(_IN_STEP / periods, _IN_TIME / swings, 1.0)
@@ -224,7 +224,7 @@ class ReferenceSet:
             blocks = iter([np.where(now <= clock.horizon[1], states, 0.0)])
         largest = _largest(blocks)
         sizes = np.asarray(self._interior(largest, axis=1).max(axis=1))
-        if clock is not None and clock.markers:
+        if clock is not None and clock.in_step:
             self._size_clock(sizes, times, states)
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)

@@ -392,7 +392,7 @@ class CrossMarcher:
 
 def _is_marked(system: System) -> bool:
     """Whether a system runs in stretches between markers."""
-    return system.clock is not None and bool(system.clock.markers)
+    return system.clock is not None and system.clock.in_step
 
 
 def _interpolation(system: System, request: SolveRequest) -> AdaptiveInterpolation:

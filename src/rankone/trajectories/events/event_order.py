@@ -115,7 +115,7 @@ def follow(
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
     events = clock.system.events
-    if clock.markers:
+    if clock.in_step:
         begun = begin_in_step(clock, integrator, points, tolerances, count, begun)
     followed = integrate_to_events(
         integrator,

@@ -217,8 +217,7 @@ class _Search:
         ]
         crossed = [[times[place] for times in of_events] for place in range(len(moved))]
         next_times = np.array([self._next(each) for each in crossed])
-        for place, k in enumerate(moved):
-            self._record(some[place], paths[k], crossed[place], next_times[place])
+        self._record(some, moving, crossed, next_times)
         interrupted = np.flatnonzero(next_times < math.inf)
         for place in np.flatnonzero(next_times == math.inf).tolist():
             each, k = some[place], moved[place]
@@ -263,12 +262,25 @@ class _Search:
         return bool(path.end - path.breaks[0] <= SAME_INSTANT * self.horizon)
 
     def _record(
-        self, trajectory: EventTrajectory, path: Path, crossings: Sequence[Array], time: float
+        self,
+        trajectories: Sequence[EventTrajectory],
+        paths: Sequence[Path],
+        crossed: Sequence[Sequence[Array]],
+        next_times: Array,
     ) -> None:
-        """Record the events on a path that change nothing, before those at a time."""
-        end = time - SAME_INSTANT * self.horizon
-        passed = sorted((x, k) for k, xs in enumerate(crossings) for x in xs.tolist() if x < end)
-        if passed:
-            states = path(np.array([time for time, _ in passed])).T
-            for (at, k), state in zip(passed, states, strict=True):
-                trajectory.happen(k, at, state, state)
+        """Record the events on paths that change nothing, before those at the next times."""
+        ends = next_times - SAME_INSTANT * self.horizon
+        passed = [
+            sorted((x, k) for k, xs in enumerate(crossings) for x in xs.tolist() if x < end)
+            for crossings, end in zip(crossed, ends, strict=True)
+        ]
+        most = max(map(len, passed))
+        if not most:
+            return
+        times = np.stack([np.full(most, path.breaks[0]) for path in paths])
+        for row, each in zip(times, passed, strict=True):
+            row[: len(each)] = [time for time, _ in each]
+        states = np.moveaxis(Paths.of(paths)(times), 0, 2)
+        for trajectory, each, of_each in zip(trajectories, passed, states, strict=True):
+            for (time, k), state in zip(each, of_each, strict=False):
+                trajectory.happen(k, time, state, state)

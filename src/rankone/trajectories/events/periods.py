@@ -53,7 +53,7 @@ def repeating_from(
     not stably.
     """
     system = clock.system
-    if not clock.markers or len(system.events) > len(clock.markers) or not is_autonomous(system):
+    if not clock.in_step or not is_autonomous(system):
         return 0
     count = max(_CHANGED // (system.n_differential + 1), _FEWEST)
     places = {round(place) for place in np.linspace(0, len(trajectories) - 1, count).tolist()}

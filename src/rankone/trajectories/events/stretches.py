@@ -223,6 +223,7 @@ def in_stretches(clock: Clock) -> System:
             clock.cuts,
             clock.horizon,
             clock.markers,
+            clock.in_step,
             clock.foreseen_marks,
             clock.forced,
             clock.repeats_from,
@@ -240,6 +241,7 @@ class StretchSpecification:
     cuts: tuple[float, ...]
     horizon: tuple[float, float]
     markers: tuple[Marker, ...] = ()
+    in_step: bool = False
     foreseen_marks: OfMarks | None = None
     forced: ForcedOrder | None = None
     repeats_from: int = 0
@@ -269,6 +271,7 @@ def _called(
         specification.horizon,
         cuts,
         markers,
+        specification.in_step,
         specification.foreseen_marks,
         specification.forced,
         specification.repeats_from,
