@@ -32,6 +32,7 @@ Answer = TypeVar("Answer")  # What a task comes to
 _Integrator = TypeVar("_Integrator", SingleIntegrator, StackedIntegrator)
 _SINGLES = 8  # Trajectories of one task where each is integrated alone
 _STACK_STATES = 15_000  # States of a group that fits the cache
+_READ_TOGETHER = 8  # Times that are read off a step together
 _LEAST_STACK = 32  # Fewest trajectories of a group: calls of NumPy dominate below
 
 
@@ -213,10 +214,13 @@ class GroupedTrajectories:
 
     def samples(self, count: int) -> Iterator[tuple[float, Array]]:
         """Ends of steps of the first group, with all states there."""
-        for time, states in self.groups[0].samples(count):
-            if time <= self.end:
-                others = [group(np.array([time]))[:, :, 0] for group in self.groups[1:]]
-                yield time, np.concatenate([states, *others], axis=1)
+        first, *others = self.groups
+        samples = itertools.takewhile(lambda sample: sample[0] <= self.end, first.samples(count))
+        while some := list(itertools.islice(samples, _READ_TOGETHER)):
+            times = np.array([time for time, _ in some])
+            at_times = [group(times) for group in others]
+            for k, (time, states) in enumerate(some):
+                yield time, np.concatenate([states, *(each[:, :, k] for each in at_times)], axis=1)
 
 
 def _divided(points: Array, size: int) -> list[Array]:

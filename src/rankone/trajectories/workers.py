@@ -9,17 +9,21 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import TypeAlias, TypeVar
+from functools import partial
+from typing import TypeAlias, TypeVar, cast
 
 from rankone.ir.system import ModuleSpecification, System
 from rankone.support.budget import OutOfTimeError
 from rankone.support.counted import Counted, LimitsElsewhere
 from rankone.support.errors import OptionError, RankoneError
 from rankone.support.executors import DEATHS, GUARD, ExecutorLike, Pool
+from rankone.support.memory_files import Filed, MemoryFile, Place, filed
 from rankone.support.parcels import Parcel, packed, unpacked
 
 Answer = TypeVar("Answer")  # What a task comes to
 Arguments: TypeAlias = "tuple[object, ...]"  # Those of a task, after the system
+_Sent: TypeAlias = "Counted[Answer] | Filed[Counted[Answer]]"  # What comes from a worker
+_LEAST_STATES, _MOST_FILES = 64, 200  # States whose trajectories are large; files open at once
 
 
 class Workers:
@@ -92,24 +96,37 @@ class Workers:
     ) -> BaseException | None:
         """Add the answers that are missing; how a worker was lost, if one was."""
         assert self.pool is not None
-        futures: dict[int, Future[Counted[Answer]]] = {}
+        futures: dict[int, Future[_Sent[Answer]]] = {}
+        files = self._files(len(calls))
         lost: BaseException | None = None
         try:
             for k, call in enumerate(calls):
                 if k not in answers:
-                    futures[k] = self.pool.submit(_run, self._specification, *call)
+                    file = files.get(k)
+                    place = None if file is None else file.place
+                    futures[k] = self.pool.submit(_run, self._specification, place, *call)
         except DEATHS as error:
             lost = error
         try:
             for k, future in futures.items():
                 try:
-                    answers[k] = _answer(future, end)
+                    answers[k] = _answer(future, end, files.get(k))
                 except DEATHS as error:
                     lost = error
         finally:
             for future in futures.values():
                 future.cancel()
+            for file in files.values():
+                file.close()
         return lost
+
+    def _files(self, count: int) -> dict[int, MemoryFile]:
+        """Files for the answers of so many calls, where these are large."""
+        assert self.pool is not None
+        if self.system.n_differential < _LEAST_STATES or count > _MOST_FILES:
+            return {}
+        files = (MemoryFile.for_workers(self.pool.wanted) for _ in range(count))
+        return {k: file for k, file in enumerate(files) if file is not None}
 
 
 @contextmanager
@@ -128,23 +145,25 @@ def open_workers(system: System, executor: ExecutorLike | None) -> Iterator[Work
 
 def _run(
     specification: Parcel | ModuleSpecification,
+    place: Place | None,
     function: Callable[..., Answer],
     arguments: Arguments,
     failures: tuple[type[Exception], ...],
     limits: LimitsElsewhere,
-) -> Counted[Answer]:
+) -> _Sent[Answer]:
     """What a worker runs."""
-    return Counted.of(limits, failures, lambda: unpacked(specification).call(function, *arguments))
+    call = partial(unpacked(specification).call, function, *arguments)
+    return filed(Counted.of(limits, failures, call), place)
 
 
-def _answer(future: Future[Counted[Answer]], end: float) -> Answer:
+def _answer(future: Future[_Sent[Answer]], end: float, file: MemoryFile | None) -> Answer:
     """The answer of a call when it is done, or its failure; its work is charged."""
     left = None if end == math.inf else max(end - time.time(), 0.0)
     concurrent.futures.wait([future], left)
     if not future.done():
         raise OutOfTimeError
     try:
-        returned = future.result()
+        sent = future.result()
     except (*DEATHS, RankoneError):
         raise
     except Exception as error:
@@ -152,4 +171,4 @@ def _answer(future: Future[Counted[Answer]], end: float) -> Answer:
             f"a worker of the executor failed: {type(error).__name__}: {error}",
             remedy="solve without executor= to see whether the worker is the reason",
         ) from error
-    return returned.settled()
+    return (cast(Counted[Answer], sent) if file is None else file.answer(sent)).settled()

@@ -6,7 +6,6 @@ where that is not enough: what is tiny may grow, or matter to what others become
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
 from typing import TypeAlias
@@ -252,19 +251,17 @@ def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
 
     Also the time at which the first of them is there.
     """
-    n, first = len(dense.state), math.inf
-    dips, least = np.zeros(n, dtype=bool), np.full(n, math.inf)
-    before, largest = np.zeros((0, *dense.state.shape)), np.zeros_like(dense.state)
-    earlier: tuple[float, ...] = ()
-    samples, most = iter(dense.samples(_DIP_SAMPLES)), times_held(dense.state.size)
-    while sampled := list(itertools.islice(samples, most)):
-        times, states = zip(*sampled, strict=True)
-        sizes, times = np.concatenate([before, np.abs(states)]), (*earlier, *times)
-        running = np.maximum(np.maximum.accumulate(sizes, axis=0), largest)
-        staying = np.maximum(sizes[:-1], sizes[1:])
-        below = (staying < NEGLIGIBLE * running[:-1]).any(axis=2)
+    n, first, earlier = len(dense.state), math.inf, math.inf
+    dips, least, highest = np.zeros(n, dtype=bool), np.full(n, math.inf), np.zeros(n)
+    before = largest = np.zeros_like(dense.state)
+    for time, states in dense.samples(_DIP_SAMPLES):
+        sizes = np.abs(states)
+        lowest = sizes.min(axis=1)
+        low = np.flatnonzero(lowest < NEGLIGIBLE * highest)  # few if any
+        staying = np.maximum(before[low], sizes[low])
+        below = (staying < NEGLIGIBLE * largest[low]).any(axis=1)
         if below.any():
-            first = min(first, times[int(np.argmax(below.any(axis=1)))])
-        dips, least = dips | below.any(axis=0), np.minimum(least, sizes.min(axis=(0, 2)))
-        before, largest, earlier = sizes[-1:], running[-1], times[-1:]
+            first, dips[low[below]] = min(first, earlier), True
+        before, earlier, largest = sizes, time, np.maximum(largest, sizes)
+        least, highest = np.minimum(least, lowest), largest.max(axis=1)
     return dips, least, first

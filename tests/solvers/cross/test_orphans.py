@@ -44,7 +44,7 @@ class Specification:
 
 
 class System:
-    specification = Specification()
+    specification, n_differential = Specification(), 64
 
 
 def endless(system, number):
