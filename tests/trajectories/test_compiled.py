@@ -15,7 +15,12 @@ from rankone.support.budget import OutOfWorkError, limited
 from rankone.trajectories.choice import SamplingChoice, integrator_for
 from rankone.trajectories.compiled import CompiledIntegrator
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.series import has_series, order_of, taylor_integrator
+from rankone.trajectories.series import (
+    has_series,
+    order_of,
+    taylor_integrator,
+    with_compiled_rates,
+)
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 from tests.honesty.cases import t
 from tests.problems import GENERAL, REFERENCE
@@ -265,27 +270,99 @@ def choice_for(name, **counts):
     return SamplingChoice(system, "auto", "auto", "stack", 3e-7, 24, **counts)
 
 
-def test_compiled_trajectories_are_taken_when_they_would_have_cost_less():
-    assert choice_for("chain").at_times(22) == "auto"
-    assert choice_for("chain", trajectories=100, work=3e6).at_times(22) == "auto"
-    choice = choice_for("chain", trajectories=3000, work=9e7)
-    assert choice.at_times(22) == "compiled"
-    choice.record("compiled", 100, 1e6)
-    assert choice.at_times(22) == "compiled"
-    choice.record("stack", 100, 3e6)
-    assert choice.at_times(22) == "stack"
-    choice.record("stack", 100, 1e9)
-    assert choice.at_times(22) == "stack"
-    asked = replace(choice_for("chain", trajectories=3000, work=9e7), option="stack")
-    assert asked.at_times(22) == "auto"
+def option_for(choice, tolerance=9e-6, m=400, times=22):
+    return choice.at_times(times, tolerance, m)
 
 
-def test_large_solves_are_compiled_and_small_ones_are_not():
+def record(choice, taken="stack", slower=1.0):
+    """As many trajectories as :func:`option_for` asks for, ``slower`` than predicted."""
+    choice.record(taken, 400, slower * choice._next)
+
+
+def test_compiled_trajectories_are_taken_where_their_savings_pay():
+    choice = choice_for("lotka_volterra")
+    assert option_for(choice) == "auto"
+    record(choice)
+    assert option_for(choice) == "auto"
+    record(choice, slower=100.0)
+    assert option_for(choice) == "compiled"
+    record(choice, "compiled")
+    assert option_for(choice) == "compiled"
+    record(choice)
+    assert option_for(choice) == "stack"
+    record(choice, slower=1e3)
+    assert option_for(choice) == "stack"
+    asked = replace(choice_for("lotka_volterra"), option="stack")
+    option_for(asked)
+    record(asked, slower=1e3)
+    assert option_for(asked) == "auto"
+
+
+def test_rates_are_compiled_where_stacks_are_large():
+    choice = choice_for("kirchhoff")
+    assert option_for(choice, m=1000) == "auto"  # nothing is known yet
+    record(choice)
+    chosen = option_for(choice, m=1000)
+    system = choice.system
+    assert integrator_for(system, chosen, accuracy=RELATIVE).stack.compiled
+    assert option_for(replace(choice_for("kirchhoff"), integrator="compiled"), m=1000) == chosen
+
+
+def test_rates_of_series_in_stacks_are_not_compiled():
+    choice = choice_for("chain")
+    for _ in range(20):
+        assert option_for(choice, m=1000) == "auto"
+        record(choice)
+
+
+RATES = {
+    "kirchhoff": lambda: ro.compile(REFERENCE["kirchhoff"]()).system,
+    "doses": lambda: ro.compile(GENERAL["doses"].problem).system,
+    "time": lambda: system_of({"x": "cos(k*t)*exp(-x)", "y": "1", "z": "0"}, START, K),
+    "parameters": lambda: system_of({"x": "k", "y": "erf(k)*y", "z": "z"}, START, K),
+}
+START = {"x": "k", "y": "1", "z": "k**2"}
+
+
+@pytest.mark.parametrize("system", RATES.values(), ids=RATES)
+def test_stacks_with_compiled_rates_are_the_same(system):
+    system = system()
+    points, edges = points_of(system, 21), edges_of(system)
+    times, made = np.linspace(*system.horizon, 17), tolerances(system, points)
+    stack = StackedIntegrator()
+    generated = stack.sample(system, points, edges, made, times)
+    fast = replace(stack, compiled=True).sample(system, points, edges, made, times)
+    assert (generated.integrator, fast.integrator) == ("stack", "compiled")
+    sizes = np.abs(generated.states).max(axis=(0, 2))[:, None]
+    sizes[sizes == 0.0] = 1.0
+    assert np.abs((fast.states - generated.states) / sizes).max() < RELATIVE
+
+
+def test_compiled_rates_take_any_shape():
+    system = RATES["time"]()
+    rates, p = with_compiled_rates(system).rhs, points_of(system, 5).T
+    u = np.random.default_rng(2).uniform(0.5, 1.5, (3, 4, 5))
+    times = np.linspace(0.0, 1.0, 4)[:, None]
+    assert (rates(times, u, p[:, None]) == system.rhs(times, u, p[:, None])).all()
+    for k, time in enumerate(times[:, 0]):
+        expected = system.rhs(time, u[:, k], p)
+        assert rates(time, u[:, k], p) == pytest.approx(expected, rel=1e-14)
+
+
+def test_compiled_rates_that_are_not_finite_end_trajectories_alike():
+    system = system_of({"x": "x**2"}, {"x": "k"}, K)
+    points = np.array([[0.3], [1.0], [0.25]])
+    times, made = np.linspace(0.0, 2.0, 9), tolerances(system, points)
+    fast = StackedIntegrator(compiled=True).sample(system, points, edges_of(system), made, times)
+    assert (
+        fast.reached
+        == StackedIntegrator().sample(system, points, edges_of(system), made, times).reached
+    )
+    assert fast.end == pytest.approx(1.0, abs=1e-3)
+
+
+def test_small_solves_are_not_compiled():
     assert ro.solve(REFERENCE["decay"](), 1e-4, method="cross").history[-1].integrator == "stack"
-    system = ro.compile(REFERENCE["chain"]()).system
-    for work, chosen in ((1e6, "auto"), (1e12, "compiled")):
-        choice = SamplingChoice(system, "auto", "auto", "stack", 1e-6, 50.0, 1000, work)
-        assert choice.at_times(100) == chosen
     solution = ro.solve(REFERENCE["chain"](), 1e-3, method="cross", integrator="compiled")
     assert solution.success
     assert solution.history[-1].integrator == "compiled"

@@ -60,12 +60,14 @@ _SCALAR_CALL = 60.0  # A call of a function of floats
 def function_cost(function: Callable[..., object], users: frozenset[str] = frozenset()) -> Cost:
     """What a generated function costs, by the operations in its code.
 
-    ``users`` are the names of functions of the user. Array code says in ``stored`` how many numbers
+    ``users`` are the names of functions of the user. What is not generated may have a ``cost`` of
+    its own. Array code says in ``stored`` how many numbers
     its matrices have. Functions of the same module count wherever
     they are named.
     """
     if not isinstance(function, FunctionType):
-        return _ENTRY
+        cost: Cost = getattr(function, "cost", _ENTRY)
+        return cost
     terms, powers, calls = _operations(function)
     stored = Cost(0.0, _STORED * getattr(function, "stored", 0))
     total = stored + _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER

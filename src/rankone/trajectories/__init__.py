@@ -10,7 +10,7 @@ Read in this order:
 ``lsoda``            the rates and Jacobians that it calls
 ``scalar``           generated functions rewritten for floats
 ``compiled``         heyoka's, by Taylor series, a batch of trajectories with steps of their own
-``series``           the rates of a generated module as what heyoka compiles
+``series``           the rates of a generated module as what heyoka compiles, for stacks too
 ``paths``            trajectories that each have steps of their own, as piecewise polynomials
 ``dense_paths``      dense trajectories made of them, and the control of their steps
 ``shares``           a stack whose trajectories each begin and end at a time of their own

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_done
+from rankone.support.costs import function_cost
 from rankone.support.errors import warn
-from rankone.trajectories.compiled import CompiledIntegrator, sampling_cost
+from rankone.trajectories import compiled
+from rankone.trajectories.compiled import CompiledIntegrator
 from rankone.trajectories.events.stretch_integrator import StretchIntegrator
 from rankone.trajectories.groups import GroupedStacks, SinglesOnWorkers
 from rankone.trajectories.integrator import (
@@ -26,10 +28,18 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.paths import Path
-from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
+from rankone.trajectories.series import (
+    charge_compilation,
+    charge_compiled_rates,
+    compiled_rates_cost,
+    has_series,
+    is_installed,
+    order_of,
+    rates_compilation_cost,
+)
 from rankone.trajectories.shares import part_by_part, paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.stacks.integrator import StackedIntegrator, sampling_cost
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.stacks.taylor import steps_ratio
 from rankone.trajectories.workers import Workers
@@ -40,6 +50,8 @@ _TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall 
 _PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
 # States of a system with sparse factors up to which stacks are watched: LSODA has dense matrices
 _MOST_SINGLE_STATES = 200
+_COMPILED_STACK = "compiled stack"  # What "compiled" may stand for in samples: compiled rates
+_DOP853_POWER = 0.125  # Steps of DOP853 grow with this power of one over the tolerance
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
 # Factors on the work of a stack from one look at it to the next, and to one at which pilots that
 # came to no end begin anew
@@ -74,10 +86,13 @@ def span_integrator_for(
     if integrator == "stack":
         return stack
     watched = WatchedStack(stack, single)
-    if integrator == "compiled" and not stiff and has_series(system):
-        charge_compilation(system, order_of(accuracy))
-        return CompiledIntegrator(watched, accuracy)
-    return watched
+    if stiff or integrator not in ("compiled", _COMPILED_STACK) or not has_series(system):
+        return watched
+    if integrator == _COMPILED_STACK:
+        charge_compiled_rates(system)
+        return replace(watched, stack=replace(stack, compiled=True))
+    charge_compilation(system, order_of(accuracy))
+    return CompiledIntegrator(watched, accuracy)
 
 
 def integrator_for(
@@ -142,9 +157,9 @@ class SamplingChoice:
 
     ``option`` is that of the solve, and ``integrator`` the one that is in force; ``taken`` made the
     last trajectories. The reference, of the relative tolerance ``accuracy``, takes DOP853 so many
-    ``steps``. Compiled trajectories are taken as soon as they would have cost less, with their
-    compilation, than the ``work`` for the ``trajectories`` so far; where they fail, they are not
-    tried again.
+    ``steps``, from which the work of stacks is ``predicted``; their ``work`` so far tells how much
+    it is in fact. Something is compiled as soon as that saves more than it costs; where it fails,
+    it is not tried again.
     """
 
     system: System
@@ -155,24 +170,54 @@ class SamplingChoice:
     steps: float
     trajectories: int = 0
     work: float = 0.0
+    predicted: float = 0.0
     may_compile: bool = True
+    _next: float = 0.0  # Predicted work of the next stack
 
-    def at_times(self, times: int) -> str:
-        """The option for further trajectories at so many times, whose stacks are not stiff."""
-        if self.may_compile and self.option == "auto" and self.integrator != "compiled":
-            cost = sampling_cost(self.system, self.accuracy, self.steps, times)
-            pays = cost(self.trajectories) < self.work
-            if pays and is_installed() and has_series(self.system):  # imports heyoka: last
-                self.integrator = "compiled"
+    def at_times(self, times: int, tolerance: float, m: int) -> str:
+        """The option for m further trajectories at so many times, whose stacks are not stiff."""
+        system = self.system
+        if system.clock is not None or system.user_functions:
+            return self.integrator
+        steps = self.steps * (self.accuracy / tolerance) ** _DOP853_POWER
+        generated, fast = (
+            sampling_cost(system, tolerance, steps, m, times, rates)
+            for rates in (function_cost(system.rhs), compiled_rates_cost(system))
+        )
+        self._next = generated
+        series = compiled.sampling_cost(system, self.accuracy, self.steps, times)
+        if self.option == "auto" and self.predicted and self.may_compile:
+            # as many as there were come again, or for each parameter as many as now
+            stacks = max(self.trajectories / m, len(system.parameters))
+            slower = self.work / self.predicted
+            self._take_cheapest(
+                {
+                    self.integrator: stacks * slower * generated,
+                    "compiled": series(stacks * m),
+                    _COMPILED_STACK: stacks * slower * fast + rates_compilation_cost(system),
+                },
+                {"compiled": stacks * m * series.each, _COMPILED_STACK: stacks * slower * fast},
+            )
+        elif self.integrator == "compiled" and has_series(system):
+            return _COMPILED_STACK if fast < m * series.each else "compiled"
         return self.integrator
+
+    def _take_cheapest(self, costs: dict[str, float], compiled_costs: dict[str, float]) -> None:
+        """Take what costs least; ``compiled_costs`` are those of what is compiled already."""
+        costs |= {k: cost for k, cost in compiled_costs.items() if k == self.integrator}
+        best = min(costs, key=lambda option: costs[option])
+        if best != self.integrator and is_installed() and has_series(self.system):
+            self.integrator = best
 
     def record(self, taken: str, trajectories: int, work: float) -> None:
         """Count trajectories that were sampled."""
-        self.taken = taken
-        self.trajectories, self.work = self.trajectories + trajectories, self.work + work
+        self.taken, self.trajectories = taken, self.trajectories + trajectories
+        if taken != "compiled":
+            self.work, self.predicted = self.work + work, self.predicted + self._next
+        failed = taken != "compiled" and self.integrator in ("compiled", _COMPILED_STACK)
         clock = self.system.clock
         self.integrator = following(self.integrator, taken, trajectories, clock)
-        if self.option == "auto" and self.integrator == "compiled" != taken:
+        if self.option == "auto" and failed:
             self.integrator, self.may_compile = taken, False
 
 

@@ -1,7 +1,8 @@
-"""The rates of a generated module as expressions of heyoka, and Taylor integrators made of them.
+"""The rates of a generated module as expressions of heyoka, and what is compiled of them.
 
-The generated ``rhs`` is run once, with heyoka's functions in place of NumPy's: no second text of
-the rates is needed. What heyoka does not have makes no expression, and other integrators serve.
+That is Taylor integrators, and the rates themselves. The generated ``rhs`` is run once, with
+heyoka's functions in place of NumPy's: no second text of the rates is needed. What heyoka does not
+have makes no expression, and other integrators serve.
 """
 
 from __future__ import annotations
@@ -9,19 +10,21 @@ from __future__ import annotations
 import builtins
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from rankone.ir.features import OfStates, VectorLike
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge_once
-from rankone.support.costs import function_cost
+from rankone.support.costs import Cost, function_cost
 from rankone.support.errors import RankoneError, optional_module
 
 _SAME_NAMES = (
@@ -40,6 +43,9 @@ _MOST_STRAIGHT = 700.0
 _COMPILATION = 6e6  # Operations of compiling an integrator, whatever it computes
 _COMPILED_TERM = 0.1e6  # The same for an operation of the rates and an order
 _COMPILED_LOOPS = 120e6  # Operations of compiling loops
+# The same of the rates alone: once, and for each operation of them; and those of calling them
+_RATES_COMPILATION = Cost(16e6, 0.03e6)
+_RATES_COST = Cost(8e3, 0.12)
 
 
 class Taylor(Protocol):
@@ -65,6 +71,41 @@ class Taylor(Protocol):
     def propagate_grid(
         self, grid: Array, *, max_steps: int, max_delta_t: float
     ) -> tuple[object, Array]: ...
+
+
+class _CompiledFunction(Protocol):
+    """A function of heyoka of many points at once, as far as it is used here."""
+
+    @property
+    def nparams(self) -> int: ...
+    @property
+    def is_time_dependent(self) -> bool: ...
+
+    def __call__(self, inputs: Array, **of_points: Array) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledRates:
+    """The rates of a system, an :data:`OfStates`, compiled for stacks: states (n, m) at one time.
+
+    Other shapes are left to the ``generated`` rates. ``cost`` is that of a call.
+    """
+
+    generated: OfStates
+    compiled: _CompiledFunction
+    cost: Cost
+
+    def __call__(self, t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        states, parameters, compiled = np.asarray(u), np.asarray(p), self.compiled
+        m = states.shape[-1]
+        if states.ndim != 2 or parameters.shape != (len(parameters), m) or np.ndim(t):
+            return self.generated(t, u, p)
+        of_points: dict[str, Array] = {}
+        if compiled.nparams:
+            of_points["pars"] = np.ascontiguousarray(parameters[: compiled.nparams])
+        if compiled.is_time_dependent:
+            of_points["time"] = np.full(m, t)
+        return compiled(np.ascontiguousarray(states), **of_points)
 
 
 @cache
@@ -105,6 +146,30 @@ def charge_compilation(system: System, order: int) -> None:
     charge_once((_code(system), *_shape(system), order), compilation_cost(system, order))
 
 
+def rates_compilation_cost(system: System) -> float:
+    """Operations of compiling the rates."""
+    return _RATES_COMPILATION(_terms(system))
+
+
+def compiled_rates_cost(system: System) -> Cost:
+    """Operations of compiled rates: of a call, and for each point."""
+    return Cost(_RATES_COST.once, _RATES_COST.each * _terms(system))
+
+
+def charge_compiled_rates(system: System) -> None:
+    """Count the compilation of the rates once in a solve, whatever was solved before."""
+    charge_once((_code(system), *_shape(system)), rates_compilation_cost(system))
+
+
+@lru_cache(_MAX_KEPT)
+def with_compiled_rates(system: System) -> System:
+    """The same system with compiled rates; it has to have :func:`series <has_series>`."""
+    code = _code(system)
+    assert code is not None
+    compiled = _compiled_rates(code, *_shape(system))
+    return replace(system, rhs=CompiledRates(system.rhs, compiled, compiled_rates_cost(system)))
+
+
 def taylor_integrator(system: System, order: int) -> Taylor:
     """An integrator of the scaled system, compiled once in a process and thread.
 
@@ -127,9 +192,14 @@ def _shape(system: System) -> tuple[int, int]:
     return system.n_differential, len(system.parameters)
 
 
+def _terms(system: System) -> float:
+    """Operations of the rates at one point, times the half nanosecond that each takes in arrays."""
+    return function_cost(system.rhs).each
+
+
 def _size(system: System, order: int) -> float:
     """Operations of the rates at one point, times the order."""
-    return function_cost(system.rhs).each * order
+    return _terms(system) * order
 
 
 @lru_cache(_MAX_KEPT)
@@ -155,6 +225,16 @@ def _compiled(code: CodeType, n: int, d: int, order: int, straight: bool) -> Tay
     return taylor
 
 
+@lru_cache(_MAX_KEPT)
+def _compiled_rates(code: CodeType, n: int, d: int) -> _CompiledFunction:
+    heyoka: ModuleType = optional_module("heyoka", "compiled rates need heyoka", "")
+    states = _states(heyoka, n)
+    rates = [heyoka.expression(0.0) + rate for rate in _rates(heyoka, code, states, d)]
+    # straight lines are vectors as they are written
+    compiled: _CompiledFunction = heyoka.cfunc(rates, states, compact_mode=False, opt_level=0)
+    return compiled
+
+
 class _Kept(threading.local):
     """The integrators of a thread: each has a state of its own, so threads do not share them."""
 
@@ -165,20 +245,30 @@ class _Kept(threading.local):
 _KEPT = _Kept()
 
 
+def _states(heyoka: ModuleType, n: int) -> list[Any]:
+    return [heyoka.expression(f"u{i}") for i in range(n)]
+
+
 def _equations(heyoka: ModuleType, code: CodeType, n: int, d: int) -> list[tuple[object, object]]:
     """Pairs of a state and its rate, both in units of the state's scale."""
-    states = [heyoka.expression(f"u{i}") for i in range(n)]
-    parameters = [heyoka.par[j] for j in range(d)]
+    states = _states(heyoka, n)
     scales = [heyoka.par[d + i] for i in range(n)]
     sizes = [scale * state for scale, state in zip(scales, states, strict=True)]
+    triples = zip(states, _rates(heyoka, code, sizes, d), scales, strict=True)
+    return [(state, rate / scale) for state, rate, scale in triples]
+
+
+def _rates(heyoka: ModuleType, code: CodeType, states: Sequence[Any], d: int) -> Iterable[Any]:
+    """Rates of states, by running their code."""
     names = {
         "np": _numpy(heyoka),
         "special": _functions(heyoka, _SPECIAL, special),
         "__builtins__": {"float": builtins.float},
     }
-    rates = FunctionType(code, names)(heyoka.time, sizes, parameters)
-    triples = zip(states, rates, scales, strict=True)
-    return [(state, rate / scale) for state, rate, scale in triples]
+    rates: Iterable[Any] = FunctionType(code, names)(
+        heyoka.time, states, [heyoka.par[j] for j in range(d)]
+    )
+    return rates
 
 
 def _functions(heyoka: ModuleType, names: dict[str, str], numeric: ModuleType) -> SimpleNamespace:

@@ -197,9 +197,13 @@ class Trajectories:
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         least = np.maximum(reference_set.reference.rounded, reference_set.reference.least)
         absolute = np.maximum(tolerance * floor, least)
+        chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
+        option = self.choice.integrator
+        if not self.stiff:
+            option = self.choice.at_times(self.grid.times.size, tolerance, len(chunks[0]))
         integrator = integrator_for(
             reference_set.system,
-            self.choice.integrator if self.stiff else self.choice.at_times(self.grid.times.size),
+            option,
             accuracy=reference_set.accuracy,
             stiff=self.stiff,
             bearable_steps=constants.EXPLICIT_STEP_LIMIT,
@@ -208,7 +212,6 @@ class Trajectories:
         observed = reference_set.observed
         rows = None if observed is None else observed.rows
         common = integrator, edges, tolerances, self.grid.times, self.units, rows
-        chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
         tasks = [(chunk, *common) for chunk in chunks]
         before = work_done()
         try:

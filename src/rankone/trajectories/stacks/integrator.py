@@ -33,6 +33,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
 )
 from rankone.trajectories.paths import NODES, Path
+from rankone.trajectories.series import with_compiled_rates
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.spectra import decays_faster
 from rankone.trajectories.stacks.explicit import StackedDOP853
@@ -81,13 +82,14 @@ class StackedIntegrator:
     although stability limits them, and less accurate in between. With ``looks_anywhere`` steps are
     checked at random places
     too, and not only at state surfaces. Systems that separate are never checked: polynomials in the
-    states are not narrow over them. ``watch`` is called with the time after each step, and may end
-    the integration by an exception.
+    states are not narrow over them. Samples take ``compiled`` rates, of a system that has them.
+    ``watch`` is called with the time after each step, and may end the integration by an exception.
     """
 
     stiff: bool = False
     bearable_steps: int = 0
     looks_anywhere: bool = False
+    compiled: bool = False
     watch: Callable[[float], None] | None = None
 
     def run(
@@ -111,16 +113,39 @@ class StackedIntegrator:
         times: Array,
     ) -> SampledTrajectories:
         """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        if self.compiled:
+            system = with_compiled_rates(system)
         stack = _Stack(system, points, edges, tolerances, self)
         record = _SampleRecord(times, stack.shape)
         state, _ = stack.integrate(record)
-        return SampledTrajectories(record.states, record.reached, record.end, state, "stack")
+        taken = "compiled" if self.compiled else "stack"
+        return SampledTrajectories(record.states, record.reached, record.end, state, taken)
 
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:
         """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
         return paths_over_shares(self.run, system, points, spans, tolerances)
+
+
+def sampling_cost(
+    system: System, tolerance: float, steps: float, m: int, times: int, rates: Cost
+) -> float:
+    """Operations of sampling m trajectories at some times, which take DOP853 so many steps.
+
+    By the ``rates`` of the system, or by its Taylor series where those cost less.
+    """
+    n = system.n_differential
+    step = _dop853_step_cost(n * m, rates(m))
+    if has_smooth_rates(system, system.horizon[0]):
+        series = TaylorTerms.of(system).cost(taylor_order(tolerance), m)
+        step = min(step, steps_ratio(tolerance) * series)
+    return steps * (step + _READ_COST.once) + times * n * m * _READ_COST.each
+
+
+def _dop853_step_cost(size: int, rates: float) -> float:
+    """Operations of a step of DOP853 of a stack of so many numbers, at those of its rates."""
+    return _DOP853_STAGES * (rates + _STAGE_COST(size)) + _STEP_COST(size)
 
 
 def has_smooth_rates(system: System, start: float) -> bool:
@@ -394,9 +419,9 @@ class _Stack:
             return None
         terms, tolerance = TaylorTerms.of(system), self.tolerances.relative
         n, m = self.shape
-        rates = function_cost(system.rhs, system.user_functions)
-        stages = _DOP853_STAGES * (rates(m) + _STAGE_COST(n * m)) + _STEP_COST(n * m)
-        if steps_ratio(tolerance) * terms.cost(taylor_order(tolerance), m) > stages:
+        rates = function_cost(system.rhs, system.user_functions)(m)
+        series = steps_ratio(tolerance) * terms.cost(taylor_order(tolerance), m)
+        if series > _dop853_step_cost(n * m, rates):
             return None
         some = p[:, :: max(m // _COMPARED, 1)]
         state = system.initial(some)
