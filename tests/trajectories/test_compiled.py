@@ -276,7 +276,7 @@ def option_for(choice, tolerance=9e-6, m=400, times=22):
 
 def record(choice, taken="stack", slower=1.0):
     """As many trajectories as :func:`option_for` asks for, ``slower`` than predicted."""
-    choice.record(taken, 400, slower * choice._next)
+    choice.record(taken, 400, slower * choice._next[0])
 
 
 def test_compiled_trajectories_are_taken_where_their_savings_pay():
@@ -300,19 +300,20 @@ def test_compiled_trajectories_are_taken_where_their_savings_pay():
 
 def test_rates_are_compiled_where_stacks_are_large():
     choice = choice_for("kirchhoff")
-    assert option_for(choice, m=1000) == "auto"  # nothing is known yet
-    record(choice)
-    chosen = option_for(choice, m=1000)
-    system = choice.system
-    assert integrator_for(system, chosen, accuracy=RELATIVE).stack.compiled
+    assert option_for(choice, m=50) == "auto"
+    record(choice, slower=0.1)
+    chosen = option_for(choice, m=4000)
+    assert integrator_for(choice.system, chosen, accuracy=RELATIVE).stack.compiled
+    record(choice, "compiled", slower=100.0)
+    assert option_for(choice, m=50) == chosen
     assert option_for(replace(choice_for("kirchhoff"), integrator="compiled"), m=1000) == chosen
 
 
-def test_rates_of_series_in_stacks_are_not_compiled():
+def test_compiled_rates_save_nothing_where_stacks_take_series():
     choice = choice_for("chain")
-    for _ in range(20):
-        assert option_for(choice, m=1000) == "auto"
-        record(choice)
+    option_for(choice, m=1000)
+    generated, fast = choice._next
+    assert generated == fast > 0.0
 
 
 RATES = {

@@ -157,9 +157,11 @@ class SamplingChoice:
 
     ``option`` is that of the solve, and ``integrator`` the one that is in force; ``taken`` made the
     last trajectories. The reference, of the relative tolerance ``accuracy``, takes DOP853 so many
-    ``steps``, from which the work of stacks is ``predicted``; their ``work`` so far tells how much
-    it is in fact. Something is compiled as soon as that saves more than it costs; where it fails,
-    it is not tried again.
+    ``steps``, from which the work of stacks is ``predicted``, and with compiled rates
+    ``predicted_fast``. Something is compiled once, as soon as it would have saved more, of the
+    ``work`` so far, than it costs. For rates the sweep that begins counts too: about as many
+    trajectories for each further parameter. Whole trajectories are more accurate than asked, so
+    nothing else follows them but where they fail.
     """
 
     system: System
@@ -171,50 +173,51 @@ class SamplingChoice:
     trajectories: int = 0
     work: float = 0.0
     predicted: float = 0.0
+    predicted_fast: float = 0.0
     may_compile: bool = True
-    _next: float = 0.0  # Predicted work of the next stack
+    _next: tuple[float, float] = (0.0, 0.0)  # Predicted work of the next stack, and that if fast
 
     def at_times(self, times: int, tolerance: float, m: int) -> str:
         """The option for m further trajectories at so many times, whose stacks are not stiff."""
-        system = self.system
-        if system.clock is not None or system.user_functions:
+        if self.system.clock is not None or self.system.user_functions:
             return self.integrator
-        steps = self.steps * (self.accuracy / tolerance) ** _DOP853_POWER
-        generated, fast = (
-            sampling_cost(system, tolerance, steps, m, times, rates)
-            for rates in (function_cost(system.rhs), compiled_rates_cost(system))
-        )
-        self._next = generated
-        series = compiled.sampling_cost(system, self.accuracy, self.steps, times)
-        if self.option == "auto" and self.predicted and self.may_compile:
-            # as many as there were come again, or for each parameter as many as now
-            stacks = max(self.trajectories / m, len(system.parameters))
-            slower = self.work / self.predicted
-            self._take_cheapest(
-                {
-                    self.integrator: stacks * slower * generated,
-                    "compiled": series(stacks * m),
-                    _COMPILED_STACK: stacks * slower * fast + rates_compilation_cost(system),
-                },
-                {"compiled": stacks * m * series.each, _COMPILED_STACK: stacks * slower * fast},
-            )
-        elif self.integrator == "compiled" and has_series(system):
-            return _COMPILED_STACK if fast < m * series.each else "compiled"
+        self._next = generated, fast = self._stacked(times, tolerance, m)
+        each = compiled.sampling_cost(self.system, self.accuracy, self.steps, times)
+        further = len(self.system.parameters) - 1
+        if self.option == "auto" and self.may_compile and not self._is_compiled:
+            slower = self.work / self.predicted if self.predicted else 0.0
+            saved = slower * (self.predicted - self.predicted_fast), further * (generated - fast)
+            savings = {
+                "compiled": self.work - each(self.trajectories),
+                _COMPILED_STACK: max(saved) - rates_compilation_cost(self.system),
+            }
+            best = max(savings, key=lambda option: savings[option])
+            if savings[best] > 0.0 and is_installed() and has_series(self.system):
+                self.integrator = best
+        elif self.integrator == "compiled" and not self.trajectories and has_series(self.system):
+            sweep = max(further, 1) * m
+            if self._stacked(times, tolerance, sweep)[1] < sweep * each.each:
+                self.integrator = _COMPILED_STACK
         return self.integrator
 
-    def _take_cheapest(self, costs: dict[str, float], compiled_costs: dict[str, float]) -> None:
-        """Take what costs least; ``compiled_costs`` are those of what is compiled already."""
-        costs |= {k: cost for k, cost in compiled_costs.items() if k == self.integrator}
-        best = min(costs, key=lambda option: costs[option])
-        if best != self.integrator and is_installed() and has_series(self.system):
-            self.integrator = best
+    @property
+    def _is_compiled(self) -> bool:
+        return self.integrator in ("compiled", _COMPILED_STACK)
+
+    def _stacked(self, times: int, tolerance: float, m: int) -> tuple[float, float]:
+        """Predicted work of a stack of m trajectories, and that with compiled rates."""
+        steps = self.steps * (self.accuracy / tolerance) ** _DOP853_POWER
+        stack = self.system, tolerance, steps, m, times
+        generated = sampling_cost(*stack, function_cost(self.system.rhs))
+        return generated, sampling_cost(*stack, compiled_rates_cost(self.system))
 
     def record(self, taken: str, trajectories: int, work: float) -> None:
         """Count trajectories that were sampled."""
         self.taken, self.trajectories = taken, self.trajectories + trajectories
-        if taken != "compiled":
-            self.work, self.predicted = self.work + work, self.predicted + self._next
-        failed = taken != "compiled" and self.integrator in ("compiled", _COMPILED_STACK)
+        self.work += work
+        self.predicted += self._next[0]
+        self.predicted_fast += self._next[1]
+        failed = taken != "compiled" and self._is_compiled
         clock = self.system.clock
         self.integrator = following(self.integrator, taken, trajectories, clock)
         if self.option == "auto" and failed:
