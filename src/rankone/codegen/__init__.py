@@ -17,6 +17,7 @@
 ``text``                layout of Python text; identifiers
 ``loading``             how the text becomes a System, in this process and in others
 ``output_translation``  outputs in terms of states, their derivatives and reductions
+``long_sums``           sums of many states in outputs, as states of their own
 ``output_expressions``  outputs given as SymPy expressions, as functions of arrays
 ======================  ============================================================================
 """
