@@ -187,8 +187,8 @@ class _Shuffle:
         """
         if not self._nonlinear():
             return
-        while (found := self._solvable()) is not None:
-            row, unknown, meaning = found
+        while (solvable := self._solvable()) is not None:
+            row, unknown, meaning = solvable
             self.rows.remove(row)
             self.algebraic.remove(unknown)
             put_in = {unknown: meaning}

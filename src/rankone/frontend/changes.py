@@ -36,7 +36,7 @@ def with_constants(written: Arguments, numbers: Changes, states: Iterable[str]) 
     """The arguments with these numbers of constants and parameters; ``states`` are for messages."""
     parameters, constants = dict(written["parameters"]), dict(written["constants"] or {})
     correlated = {*map(name_of, itertools.chain(*(written["correlation"] or {})))}
-    for symbol, number in changed_symbols(written, numbers, states):
+    for symbol, value in changed_symbols(written, numbers, states):
         if symbol in parameters and symbol.name in correlated:
             raise ProblemError(
                 f"{quote(symbol)} is correlated with another parameter: fixed, it changes the "
@@ -45,7 +45,7 @@ def with_constants(written: Arguments, numbers: Changes, states: Iterable[str]) 
                 remedy="build a problem without the correlation",
             )
         parameters.pop(symbol, None)
-        constants[symbol] = number
+        constants[symbol] = value
     return {**written, "parameters": parameters, "constants": constants}
 
 

@@ -286,11 +286,8 @@ class CheckedProblem(ProblemContent):
         if not any(residual.has(sp.DiracDelta) for residual in self.residuals):
             return
         time = self.time[0]
-        solved, origins = self.mass.solved()
-        highest = dict(zip(self.mass.leading, zip(solved, origins, strict=True), strict=True))
-        pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in symbols.states]
-        rates, numbers = [rate for rate, _ in pairs], [number for _, number in pairs]
-        deltas, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
+        rates, origins = self.mass.rates_of(symbols.states, time)
+        deltas, impulses = moving_impulses(rates, symbols.states, origins, time, self.parameters)
         if not deltas:
             return
         gone = dict.fromkeys(deltas, sp.S.Zero)

@@ -75,11 +75,11 @@ def check_consistent(
         terms = [term.xreplace(at_start) for term in sp.Add.make_args(constraint.expression)]
         for trial in range(_POINTS):
             at = evaluation(coordinates, trial)
-            numbers = [at(term) for term in terms]
-            if not all(number.is_number for number in numbers):
+            values = [at(term) for term in terms]
+            if not all(value.is_number for value in values):
                 break
-            off = sp.Add(*numbers)
-            if abs(off) > _INCONSISTENT * max(map(abs, numbers), default=0):
+            off = sp.Add(*values)
+            if abs(off) > _INCONSISTENT * max(map(abs, values), default=0):
                 raise _inconsistent(constraint, float(sp.re(off)), coordinates, at)
 
 

@@ -143,11 +143,11 @@ class ProblemContent:
             for c in self.coordinates
         ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
-        numbers = (
-            with_unit(f"{symbol.name} = {text_of(number)}", units, symbol.name)
-            for symbol, number in (self.constants or {}).items()
+        constants = (
+            with_unit(f"{symbol.name} = {text_of(value)}", units, symbol.name)
+            for symbol, value in (self.constants or {}).items()
         )
-        lines += [f"  {', '.join(numbers)}"] if self.constants else []
+        lines += [f"  {', '.join(constants)}"] if self.constants else []
         with_units = [name for name in map(name_of, self.initial) if name in units]
         if with_units:
             lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))

@@ -157,7 +157,7 @@ class Elimination:
         """The constraints hidden in a singular matrix: combinations of its rows that vanish."""
         at = evaluation([*self.coordinates.values()], 0)
         numbers = [[at(entry) for entry in row] for row in core]
-        if not all(number.is_number for row in numbers for number in row):
+        if not all(entry.is_number for row in numbers for entry in row):
             return {}
         matrix = np.array(numbers, dtype=complex)
         size = np.abs(matrix).max(axis=1, keepdims=True)

@@ -150,17 +150,17 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
     """
     if not isinstance(jumps, Mapping):
         return jumps, []
-    known: dict[object, object] = {}
+    at_times: dict[object, object] = {}
     moving: list[Event] = []
     put_in = symbols.shorthand.put_in
     for key, reset in jumps.items():
         instants = tuple(put_in(at) if isinstance(at, sp.Expr) else at for at in instants_of(key))
         fixed = tuple(at for at in instants if not getattr(at, "free_symbols", None))
-        if fixed in known:
+        if fixed in at_times:
             message = f"there are two jumps at {symbols.time[0]} = {listing(fixed)}"
             raise ProblemError(message, term=key, remedy="give all that is reset in one mapping")
         if fixed or not instants:
-            known[fixed] = reset
+            at_times[fixed] = reset
         for at in instants:
             if at in fixed:
                 continue
@@ -173,7 +173,7 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
                 )
             name = f"jump_{len(moving)}"
             moving.append(Event(symbols.time[0] - at, "rising", reset, name=name))
-    return known, moving
+    return at_times, moving
 
 
 def impulse_events(impulses: MovingImpulses, symbols: Symbols, first: int) -> list[Event]:
@@ -184,9 +184,9 @@ def impulse_events(impulses: MovingImpulses, symbols: Symbols, first: int) -> li
             symbols.time[0] - at,
             "rising",
             {states[i]: states[i] + size for i, size in sizes.items()},
-            name=f"jump_{number}",
+            name=f"jump_{position}",
         )
-        for number, (at, sizes) in enumerate(impulses.items(), first)
+        for position, (at, sizes) in enumerate(impulses.items(), first)
     ]
 
 

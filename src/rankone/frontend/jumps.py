@@ -288,13 +288,13 @@ def moving_impulses(
 
     They have to be added to rates, and what they are multiplied by may not switch with time.
     """
-    found: set[sp.DiracDelta] = set()
+    deltas: set[sp.DiracDelta] = set()
     added: MovingImpulses = {}
-    known = {time, *parameters}
+    coordinates = {time, *parameters}
     for i, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
         _, products = _impulses(rate, origin)
         for impulse, factor in products.items():
-            if impulse.free_symbols == {time} or not impulse.free_symbols <= known:
+            if impulse.free_symbols == {time} or not impulse.free_symbols <= coordinates:
                 continue
             at, size = _impulse(impulse, time, origin)
             switches = factor.atoms(*_SWITCHING, Table)
@@ -307,12 +307,12 @@ def moving_impulses(
                         term=switch,
                         remedy=_AS_JUMPS,
                     )
-            found.add(impulse)
+            deltas.add(impulse)
             sizes = added.setdefault(at, {})
             sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time, at)
     for at, sizes in added.items():
         _check_alone(sizes, str(at), functions, origins, time)
-    return found, added
+    return deltas, added
 
 
 def _impulses(rate: sp.Expr, origin: int | None) -> tuple[sp.Expr, dict[sp.DiracDelta, sp.Expr]]:

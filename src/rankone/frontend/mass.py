@@ -5,7 +5,7 @@ A problem is held as ``M(t, p, u) v + r(t, p, u) = 0``, v the highest derivative
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,6 +73,14 @@ class MassForm:
             pairs = zip(inverse.row(i), self.remainders, strict=True)
             solved.append(sp.Add(*[sp.Mul(-a, term) for a, r in pairs if a != 0 for term in r]))
         return solved, [None for _ in unknowns]
+
+    def rates_of(
+        self, states: Iterable[sp.Expr], time: sp.Symbol
+    ) -> tuple[list[sp.Expr], list[int | None]]:
+        """The rates that the equations give to states, zero for the others, and their equations."""
+        highest = dict(zip(self.leading, zip(*self.solved(), strict=True), strict=True))
+        pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in states]
+        return [rate for rate, _ in pairs], [origin for _, origin in pairs]
 
 
 def _divide(term: sp.Expr, mass: sp.Expr) -> sp.Expr:

@@ -146,11 +146,11 @@ class MatrixSystem:
         lower = [(order * n, -1, self.terms.get(order, ())) for order in range(self.order)]
         for offset, sign, addends in (*lower, (None, 1, self.force)):
             for coefficient, array in addends:
-                number = functions.setdefault(coefficient, len(functions))
+                function = functions.setdefault(coefficient, len(functions))
                 for (i, *j), entry in numbers_of(product_of(inverse, array)):
                     states = () if offset is None else (offset + j[0],)
                     share = sign * fraction_of(entry) / masses[i]
-                    terms.append((share, first + i, number, states))
+                    terms.append((share, first + i, function, states))
         states = tuple(
             rate_of(q, self.time, order) if order else q
             for order in range(self.order)

@@ -58,11 +58,11 @@ def check_symbols_as_unknowns(
     equations: Sequence[sp.Basic], declared: Iterable[sp.Expr], initial: object, time: sp.Symbol
 ) -> None:
     """Raise for a symbol in place of an unknown: SymPy takes its derivative as zero."""
-    known = {time, *declared}
+    symbols = {time, *declared}
     starts = [*initial] if isinstance(initial, Mapping) else []
     for symbol in (key for key in starts if isinstance(key, sp.Symbol)):
         involved = [i for i, e in enumerate(equations, 1) if symbol in _free_symbols(e)]
-        if involved and symbol not in known:
+        if involved and symbol not in symbols:
             raise ProblemError(
                 f"{quote(symbol)} has an initial value but is a symbol, whose derivative is zero",
                 equation=involved[0],
@@ -70,7 +70,7 @@ def check_symbols_as_unknowns(
                 remedy=f'make it a function of time: {symbol} = sympy.Function("{symbol}")({time})',
             )
     for i, equation in enumerate(equations, 1):
-        if isinstance(equation, sp.Eq) and equation.lhs.is_Symbol and equation.lhs not in known:
+        if isinstance(equation, sp.Eq) and equation.lhs.is_Symbol and equation.lhs not in symbols:
             symbol = equation.lhs
             raise ProblemError(
                 f"{quote(symbol)} is given by an equation, but is a symbol",

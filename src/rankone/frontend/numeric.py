@@ -144,7 +144,7 @@ class NumericEvents:
         self.names = [str(event.name) for event in events]
         self._directions = [_SIDES[event.direction] for event in events]
         self.terminal = [event.terminal for event in events]
-        self.known = [known_time(event, equations.time[0]) is not None for event in events]
+        self.timed = [known_time(event, equations.time[0]) is not None for event in events]
         self.withdrawn = [not event.persistent for event in events]
         self.overlapping = [event.overlapping for event in events]
         self.delays, self.priorities = (
@@ -308,10 +308,10 @@ class NumericEquations:
 
         def consistent(time: float, states: Array, parameters: Array) -> Array:
             start = guess(time, states, parameters)
-            found = constraints.consistent(time, start[:, None], parameters[:, None])[:, 0]
-            if np.isfinite(start).all() and not np.isfinite(found).all():
+            states = constraints.consistent(time, start[:, None], parameters[:, None])[:, 0]
+            if np.isfinite(start).all() and not np.isfinite(states).all():
                 raise no_consistent_values(self.parameters, parameters, reduction.guessed)
-            return found
+            return states
 
         return consistent
 
@@ -349,8 +349,8 @@ class NumericEquations:
         time = self.time[0]
 
         def moving(expression: sp.Basic) -> set[sp.Symbol]:
-            known = time in expression.free_symbols and not expression.has(AppliedUndef)
-            return {time} if known else set()
+            of_time = time in expression.free_symbols and not expression.has(AppliedUndef)
+            return {time} if of_time else set()
 
         narrow = itertools.chain(peaks(expressions, moving), steps(expressions, moving))
         middles = [(surface, (0.0,)) for node, surface in narrow if moving(node)]
@@ -376,12 +376,9 @@ class NumericEquations:
         functions = {state: unknown_of(name_of(state), time) for state in self.states}
         impulses: Impulses = {}
         if any(term.has(sp.DiracDelta) for terms in mass.remainders for term in terms):
-            solved, origins = mass.solved()
-            highest = dict(zip(mass.leading, zip(solved, origins, strict=True), strict=True))
-            pairs = [highest.get(rate_of(state, time), (sp.S.Zero, None)) for state in self.states]
-            rates = [rate.xreplace(functions) for rate, _ in pairs]
-            numbers = [number for _, number in pairs]
-            _, impulses = without_impulses(rates, list(functions.values()), numbers, self.time)
+            rates, origins = mass.rates_of(self.states, time)
+            rates = [rate.xreplace(functions) for rate in rates]
+            _, impulses = without_impulses(rates, list(functions.values()), origins, self.time)
         written = {function: state for state, function in functions.items()}
         return [
             (

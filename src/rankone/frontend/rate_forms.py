@@ -158,7 +158,7 @@ class _Key:
         """The tree of an operation."""
         nodes: list[_Node] = []
         for k, argument in enumerate(applied.arguments):
-            whole = all(number.denominator == 1 for _, number in argument)
+            whole = all(coefficient.denominator == 1 for _, coefficient in argument)
             exponent = k > 0 and applied.operation == "power"
             nodes.append(self._sum(argument, applied, as_written=exponent and whole))
         return (applied.operation, *nodes)
@@ -172,20 +172,19 @@ class _Key:
         as_written |= any(a.operation not in _ARITHMETIC for a in inner.values())
 
         def pattern(term: tuple[Product, Fraction]) -> tuple[object, ...]:
-            (function, symbols), number = term
-            return function, len(symbols), number not in (1, -1), symbols
+            (function, symbols), coefficient = term
+            return function, len(symbols), coefficient not in (1, -1), symbols
 
         node: list[object] = []
-        for (function, symbols), number in sorted(terms, key=pattern):
-            coefficient: object = number
-            if number not in (1, -1) and not as_written:
-                coefficient = None
-                self.numbers.append(number)
+        for (function, symbols), coefficient in sorted(terms, key=pattern):
+            in_slot = coefficient not in (1, -1) and not as_written
+            if in_slot:
+                self.numbers.append(coefficient)
             factors = (
                 self.of(inner[s]) if s in inner else self.symbols.setdefault(s, len(self.symbols))
                 for s in symbols
             )
-            node.append((coefficient, function, tuple(factors)))
+            node.append((None if in_slot else coefficient, function, tuple(factors)))
         return tuple(node)
 
     def _inside(self, symbol: int, outer: _Applied) -> _Applied | None:
@@ -225,9 +224,9 @@ class _Expression:
         return sp.Add(*[self._term(*term) for term in terms])
 
     def _term(self, coefficient: Fraction | None, function: int, factors: Any) -> sp.Expr:
-        number = next(self._numbers) if coefficient is None else rational(coefficient)
+        constant = next(self._numbers) if coefficient is None else rational(coefficient)
         written = [self.of(f) if isinstance(f, tuple) else self._slots[f] for f in factors]
-        return sp.Mul(number, self._functions[function], *written)
+        return sp.Mul(constant, self._functions[function], *written)
 
 
 def rational(number: Fraction) -> sp.Rational:

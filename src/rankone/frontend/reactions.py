@@ -182,10 +182,10 @@ def _orders(written: Any, matrix: Any) -> tuple[Powers, ...]:
 
 def _number_and_function(law: sp.Expr) -> tuple[Fraction, sp.Expr]:
     """A law as a rational number times a function."""
-    number, function = law.as_coeff_Mul()
-    if not number.is_Rational:
+    coefficient, function = law.as_coeff_Mul()
+    if not coefficient.is_Rational:
         return Fraction(1), law
-    return Fraction(int(number.p), int(number.q)), function
+    return Fraction(int(coefficient.p), int(coefficient.q)), function
 
 
 def _rational(number: Fraction) -> sp.Rational:

@@ -49,8 +49,8 @@ class Shorthand:
     def named(self) -> dict[sp.Symbol, NamedConstant]:
         """The constants that are run-time values."""
         return {
-            symbol: NamedConstant(symbol.name, number)
-            for symbol, number in self.constants.items()
+            symbol: NamedConstant(symbol.name, value)
+            for symbol, value in self.constants.items()
             if symbol not in self.decisive
         }
 

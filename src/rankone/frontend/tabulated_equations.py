@@ -47,8 +47,8 @@ def _rates(equations: Sequence[object], time: sp.Symbol) -> dict[sp.Expr, sp.Exp
         if not isinstance(equation, sp.Eq) or not isinstance(equation.lhs, sp.Derivative):
             return None
         unknown = equation.lhs.expr
-        known = isinstance(unknown, AppliedUndef) and equation.lhs == unknown.diff(time)
-        if not known or unknown.args != (time,) or unknown in rates:
+        first = isinstance(unknown, AppliedUndef) and equation.lhs == unknown.diff(time)
+        if not first or unknown.args != (time,) or unknown in rates:
             return None
         if not isinstance(equation.rhs, sp.Expr):
             return None
@@ -59,8 +59,8 @@ def _rates(equations: Sequence[object], time: sp.Symbol) -> dict[sp.Expr, sp.Exp
 class _Reader:
     """Takes expressions apart into sums of products."""
 
-    def __init__(self, places: Mapping[sp.Expr, int], known: set[sp.Basic]) -> None:
-        self.places, self.known = places, known
+    def __init__(self, places: Mapping[sp.Expr, int], coordinates: set[sp.Basic]) -> None:
+        self.places, self.coordinates = places, coordinates
         self.sums = TermSums(len(places))
         self._functions: dict[sp.Expr, sp.Expr] = {}
 
@@ -91,8 +91,8 @@ class _Reader:
 
     def _product(self, factors: Sequence[sp.Expr]) -> TermSum:
         """A product, with what is divided by as one divisor."""
-        known = [factor for factor in factors if not factor.has(AppliedUndef)]
-        above, below = self.terms(sp.Mul(*known)), []
+        functions = [factor for factor in factors if not factor.has(AppliedUndef)]
+        above, below = self.terms(sp.Mul(*functions)), []
         for factor in (factor for factor in factors if factor.has(AppliedUndef)):
             if factor.is_Pow and factor.exp.is_Rational and factor.exp < 0:
                 below.append(factor.base**-factor.exp)
@@ -106,7 +106,7 @@ class _Reader:
         """A function of time and parameters."""
         if expression not in self._functions:
             function = exact(expression)
-            real = not function.has(*_NOT_REAL) and function.free_symbols <= self.known
+            real = not function.has(*_NOT_REAL) and function.free_symbols <= self.coordinates
             if not real or not is_smooth(function):
                 raise NotTabulated
             self._functions[expression] = function

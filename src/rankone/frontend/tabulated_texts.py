@@ -83,7 +83,7 @@ class _Reader(ast.NodeVisitor):
     def visit_UnaryOp(self, node: ast.UnaryOp) -> TermSum:
         operand: TermSum = self.visit(node.operand)
         if isinstance(node.op, ast.USub):
-            return {product: -number for product, number in operand.items()}
+            return {product: -coefficient for product, coefficient in operand.items()}
         if isinstance(node.op, ast.UAdd):
             return operand
         raise NotTabulated

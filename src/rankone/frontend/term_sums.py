@@ -47,10 +47,10 @@ class TermSums:
 
     def function(self, expression: sp.Expr) -> TermSum:
         """A function of time and parameters, with its number in front."""
-        number, function = expression.as_coeff_Mul()
-        if not number.is_Rational:
-            number, function = sp.S.One, expression
-        return {(self._place(function), ()): Fraction(int(number.p), int(number.q))}
+        coefficient, function = expression.as_coeff_Mul()
+        if not coefficient.is_Rational:
+            coefficient, function = sp.S.One, expression
+        return {(self._place(function), ()): Fraction(int(coefficient.p), int(coefficient.q))}
 
     def expression(self, functions: TermSum) -> sp.Expr:
         """A sum without unknowns as an expression."""
@@ -72,11 +72,11 @@ class TermSums:
         if len(left) == 1:
             left, right = right, left
         total: TermSum = {}
-        for (f, symbols), number in left.items():
+        for (f, symbols), coefficient in left.items():
             for (g, others), factor in right.items():
                 both = tuple(sorted(symbols + others)) if others else symbols
                 product = self._multiplied(f, g), both
-                total[product] = total.get(product, 0) + number * factor
+                total[product] = total.get(product, 0) + coefficient * factor
         return total
 
     def quotient(self, above: TermSum, below: TermSum) -> TermSum:
@@ -92,11 +92,11 @@ class TermSums:
             return self._applied("quotient", above, below)
         if not above:
             return above
-        (((f, symbols), number),) = above.items()
+        (((f, symbols), coefficient),) = above.items()
         if len(below) == 1:
             (((g, others), divisor),) = below.items()
             common = Counter(symbols) & Counter(others)
-            above = {(f, _without(symbols, common)): number / divisor}
+            above = {(f, _without(symbols, common)): coefficient / divisor}
             above = self.product(above, self.function(1 / self.functions[g]))
             below = {(0, _without(others, common)): Fraction(1)}
             return above if (0, ()) in below else self._divided(above, below)
@@ -112,7 +112,7 @@ class TermSums:
         rest = {product: x for product, x in below.items() if product != (g, others)}
         outside = 0 if g else f, _without(symbols, Counter(others))
         fraction = self._applied("fraction", first, rest)
-        return self.product({outside: number / below[g, others]}, fraction)
+        return self.product({outside: coefficient / below[g, others]}, fraction)
 
     def _divided(self, above: TermSum, below: TermSum) -> TermSum:
         """One product times a reciprocal."""
@@ -120,18 +120,18 @@ class TermSums:
 
     def power(self, base: TermSum, exponent: TermSum) -> TermSum:
         """A power of unknowns; the exponent has none."""
-        number = self.expression(exponent)
-        if number.is_number and not (number.is_Rational and abs(number) <= _HIGHEST_POWER):
+        degree = self.expression(exponent)
+        if degree.is_number and not (degree.is_Rational and abs(degree) <= _HIGHEST_POWER):
             raise NotTabulated
-        if number.is_Integer and number < 0:
-            positive: TermSum = {(0, ()): Fraction(int(-number))}
+        if degree.is_Integer and degree < 0:
+            positive: TermSum = {(0, ()): Fraction(int(-degree))}
             return self.quotient({(0, ()): Fraction(1)}, self.power(base, positive))
-        if number.is_Integer and len(base) == 1:
+        if degree.is_Integer and len(base) == 1:
             result: TermSum = {(0, ()): Fraction(1)}
-            for _ in range(int(number)):
+            for _ in range(int(degree)):
                 result = self.product(base, result)
             return result
-        if number == sp.Rational(1, 2):
+        if degree == sp.Rational(1, 2):
             return self._applied("sqrt", base)
         return self._applied("power", base, exponent)
 
@@ -170,13 +170,13 @@ class TermSums:
     def _with_fractions(self, total: TermSum) -> TermSum:
         """A sum with ``0.7**2.5`` and ``sqrt(2)`` as fractions, which stand in slots as numbers."""
         changed: TermSum = {}
-        for (f, symbols), number in total.items():
+        for (f, symbols), coefficient in total.items():
             function = self.functions[f]
             if f and function.is_number:
                 if f not in self._fractions:
                     self._fractions[f] = Fraction(str(sp.N(function, _DIGITS)))
-                f, number = 0, number * self._fractions[f]
-            changed[f, symbols] = changed.get((f, symbols), 0) + number
+                f, coefficient = 0, coefficient * self._fractions[f]
+            changed[f, symbols] = changed.get((f, symbols), 0) + coefficient
         return changed
 
     def _without_cancellation(self, total: TermSum) -> TermSum:
@@ -184,18 +184,18 @@ class TermSums:
 
         See :func:`rankone.expressions.stable.stable`, which then writes it without cancellation.
         """
-        for (f, symbols), number in list(total.items()):
+        for (f, symbols), coefficient in list(total.items()):
             for symbol in symbols:
                 if symbol < self.states:
                     continue
                 factor = _without(symbols, Counter([symbol]))
-                sign = total.get((f, factor), Fraction(0)) / number
+                sign = total.get((f, factor), Fraction(0)) / coefficient
                 if sign in (1, -1) and (f, symbols) in total:
                     del total[f, symbols], total[f, factor]
                     pair = {(0, ()): sign, (0, (symbol,)): Fraction(1)}
                     (((_, (both,)), _),) = self._applied("total", pair).items()
                     product = f, tuple(sorted((*factor, both)))
-                    total[product] = total.get(product, 0) + number
+                    total[product] = total.get(product, 0) + coefficient
                     break
         return without_zeros(total)
 
@@ -204,8 +204,8 @@ class TermSums:
         if not f or not g:
             return f or g
         if (f, g) not in self._products:
-            number, function = (self.functions[f] * self.functions[g]).as_coeff_Mul()
-            if number != 1:
+            coefficient, function = (self.functions[f] * self.functions[g]).as_coeff_Mul()
+            if coefficient != 1:
                 raise NotTabulated
             self._products[f, g] = self._place(function)
         return self._products[f, g]
@@ -220,14 +220,14 @@ class TermSums:
 
 def added(left: TermSum, right: TermSum, sign: int = 1) -> TermSum:
     """The first sum with the second added to it."""
-    for product, number in right.items():
-        left[product] = left.get(product, 0) + sign * number
+    for product, coefficient in right.items():
+        left[product] = left.get(product, 0) + sign * coefficient
     return left
 
 
 def without_zeros(total: TermSum) -> TermSum:
     """A sum without the products that cancel."""
-    return {product: number for product, number in total.items() if number}
+    return {product: coefficient for product, coefficient in total.items() if coefficient}
 
 
 def _without(symbols: Iterable[int], fewer: Counter[int]) -> tuple[int, ...]:
@@ -245,21 +245,21 @@ def _table(
     """The table with symbols numbered one by one, and without functions that only forms have."""
     n = len(states)
     further = sorted([*(v.symbol for v in values), *(s for s in targets if s >= n)])
-    number = {i: i for i in range(n)} | {symbol: n + k for k, symbol in enumerate(further)}
+    place = {i: i for i in range(n)} | {symbol: n + k for k, symbol in enumerate(further)}
     kept = [*range(len(functions))]
     if forms:
         kept = sorted({0} | {f for total in targets.values() for f, _ in total})
     row = {f: k for k, f in enumerate(kept)}
 
     def numbered(symbols: Iterable[int]) -> tuple[int, ...]:
-        return tuple(number[s] for s in symbols)
+        return tuple(place[s] for s in symbols)
 
     terms: list[Entry] = [
-        (coefficient, number[target], row[f], numbered(symbols))
+        (coefficient, place[target], row[f], numbered(symbols))
         for target, total in targets.items()
         for (f, symbols), coefficient in total.items()
     ]
-    renumbered = (Value(number[v.symbol], v.form, numbered(v.symbols), v.numbers) for v in values)
+    renumbered = (Value(place[v.symbol], v.form, numbered(v.symbols), v.numbers) for v in values)
     chosen = tuple(functions[f] for f in kept)
     return TermTable(
         tuple(states), chosen, tuple(terms), forms=tuple(forms), values=tuple(renumbered)

@@ -209,7 +209,7 @@ def _number(written: object) -> sp.Rational | None:
     if isinstance(written, bool) or not hasattr(written, "__float__"):
         return None
     try:
-        number = float(written)
+        value = float(written)
     except (TypeError, ValueError, OverflowError):
         return None
-    return _rational(number) if abs(number) < float("inf") else None
+    return _rational(value) if abs(value) < float("inf") else None

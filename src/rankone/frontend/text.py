@@ -81,8 +81,8 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         "units": normalised("units", units) if has_names(units) else units,
         "events": events_of_text(written["events"], names, states),
         "constants": {
-            symbols[name]: formula(number, {}, f"constant {quote(name)}", None, _DEFINE)
-            for name, number in constants.items()
+            symbols[name]: formula(value, {}, f"constant {quote(name)}", None, _DEFINE)
+            for name, value in constants.items()
         },
         "definitions": {
             symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
