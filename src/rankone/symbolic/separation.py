@@ -100,11 +100,11 @@ def _named_in_time(terms: MonomialSum) -> MonomialSum:
     """
     moved = []
     for monomial, coefficient in terms.items():
-        number, constants = coefficient.as_coeff_Mul()
+        scalar, constants = coefficient.as_coeff_Mul()
         if coefficient.atoms(NamedConstant):
             first, *others = monomial.factors
             factors = (constants * first, *others)
-            monomial, coefficient = Monomial(factors, monomial.powers), number
+            monomial, coefficient = Monomial(factors, monomial.powers), scalar
         moved.append((monomial, coefficient))
     return MonomialSum.of(moved)
 

@@ -198,8 +198,8 @@ class _StretchWriter:
         while True:
             sides: dict[sp.Basic, sp.Basic] = {}
             for node in {node for rate in rates for node in rate.atoms(*_SWITCHES)}:
-                given = node.free_symbols <= set(variables) and not node.has(AppliedUndef)
-                if given and self.time in node.free_symbols and not namespace_of([node]):
+                explicit = node.free_symbols <= set(variables) and not node.has(AppliedUndef)
+                if explicit and self.time in node.free_symbols and not namespace_of([node]):
                     side = _side(node, variables, places)
                     sides |= {} if side is None else {node: side}
             if not sides:

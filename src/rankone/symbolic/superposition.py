@@ -42,8 +42,8 @@ def additive_parameters(system: FirstOrderSystem) -> tuple[str, ...]:
     def adds_up(p: sp.Symbol) -> bool:
         """Rates with the parameter come first: they decide soon, of many states too."""
         rates = sorted(system.examined_rates, key=lambda rate: p not in rate.free_symbols)
-        parts = (split(rate) for rate in rates)
-        return all(_free_of(slopes, p) and _proportional([rest], p) for slopes, rest in parts)
+        splits = (split(rate) for rate in rates)
+        return all(_free_of(slopes, p) and _proportional([rest], p) for slopes, rest in splits)
 
     amounts = [p for p in amounts if adds_up(p)]
     if amounts and not all(_free_of(split(r)[0], clock.symbol) for r in system.examined_rates):

@@ -160,12 +160,12 @@ def _steep_steps(rates: Sequence[sp.Expr], moving: Variables) -> Iterator[tuple[
 
 def sharpness(function: sp.Basic) -> float:
     """How far the numbers in a function are from one, in digits: far where it is narrow."""
-    return digits(float(abs(number)) for number in function.atoms(sp.Number) if number.is_finite)
+    return digits(float(abs(x)) for x in function.atoms(sp.Number) if x.is_finite)
 
 
 def digits(numbers: Iterable[float]) -> float:
     """How far numbers are from one, at most; zeros do not count."""
-    return max((abs(math.log10(number)) for number in numbers if number > 0.0), default=0.0)
+    return max((abs(math.log10(x)) for x in numbers if x > 0.0), default=0.0)
 
 
 def parameter_surfaces(

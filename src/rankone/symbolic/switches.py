@@ -144,8 +144,8 @@ class _Replacement:
         """The effective side of a surface."""
         if not surface.has(AppliedUndef):
             return sp.sign(surface)
-        for known, sign in ((surface, 1), (-surface, -1)):
-            if switch := self._by_surface.get(known):
+        for oriented, sign in ((surface, 1), (-surface, -1)):
+            if switch := self._by_surface.get(oriented):
                 switch.jumps |= jumps
                 return sign * switch.side
         name, event_name = self._new_name("side"), self._new_name("switch")

@@ -52,11 +52,11 @@ def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
         if separate is None or any(s >= n for s in states):
             general.append(entry)
             continue
-        for number, product in separate:
+        for weight, product in separate:
             key = rate, product, states
-            residual[key] = residual.get(key, 0) - coefficient * number
+            residual[key] = residual.get(key, 0) - coefficient * weight
     pairs = ((i, pair) for i, start in enumerate(starts) for pair in _numbered(start, products))
-    initial: _Sums = {(i, product, ()): number for i, (number, product) in pairs}
+    initial: _Sums = {(i, product, ()): weight for i, (weight, product) in pairs}
     if not all(map(_is_ordinary, {*residual.values(), *initial.values()})):
         return None
     distinct = _distinct(products)
@@ -88,8 +88,8 @@ def _listed(entries: list[Entry], table: TermTable, weak: WeakForm) -> Sequence[
 
 def _is_known(table: TermTable, weak: WeakForm) -> bool:
     """Whether all functions of one coordinate are finite, those inside of forms too."""
-    known = known_functions(weak.coordinates, [*table.expressions, *weak.initial])
-    pairs = enumerate(zip(weak.coordinates, known, strict=True))
+    by_coordinate = known_functions(weak.coordinates, [*table.expressions, *weak.initial])
+    pairs = enumerate(zip(weak.coordinates, by_coordinate, strict=True))
     return not any(located_defect(f, c, j) is not None for j, (c, fs) in pairs for f in fs)
 
 
@@ -136,7 +136,7 @@ def _numbered(
     terms: Iterable[tuple[Fraction | float, _Product]], products: dict[_Product, int]
 ) -> list[tuple[Fraction | float, int]]:
     """Numbers times products of factors, these by their numbers; new ones are added."""
-    return [(number, products.setdefault(p, len(products))) for number, p in terms]
+    return [(weight, products.setdefault(p, len(products))) for weight, p in terms]
 
 
 def _distinct(products: Iterable[_Product]) -> list[list[sp.Expr]]:
@@ -150,9 +150,9 @@ def _distinct(products: Iterable[_Product]) -> list[list[sp.Expr]]:
 def _terms(sums: _Sums, places: Sequence[tuple[int, ...]]) -> list[Term]:
     """The terms of sums; ``places`` has for each product the factors."""
     return [
-        Term(equation, Fraction(number) if isinstance(number, int) else number, places[p], states)
-        for (equation, p, states), number in sums.items()
-        if number
+        Term(equation, Fraction(weight) if isinstance(weight, int) else weight, places[p], states)
+        for (equation, p, states), weight in sums.items()
+        if weight
     ]
 
 
