@@ -151,33 +151,33 @@ class FormWriter(PointwiseWriter):
         super().__init__(system.coordinates, system.states)
         self.system, self.table, self.n = system, terms, len(system.states)
         self.levels = _levels(terms, self.n)
-        self.steps, self.number = self._ordered()
+        self.steps, self.place = self._ordered()
 
     def _ordered(self) -> tuple[list[_Step], dict[int, int]]:
-        """The steps, and the number of each symbol in their order."""
+        """The steps, and the place of each symbol in their order."""
         forms = {value.symbol: value.form for value in self.table.values}
 
         def key(symbol: int) -> tuple[int, int, int]:
             return self.levels[symbol], forms.get(symbol, -1), symbol
 
         further = sorted((s for s in self.levels if s >= self.n), key=key)
-        number = {i: i for i in range(self.n)} | {s: self.n + k for k, s in enumerate(further)}
+        place = {i: i for i in range(self.n)} | {s: self.n + k for k, s in enumerate(further)}
         steps = []
         for (_, form), symbols in groupby(further, key=lambda s: key(s)[:2]):
-            first, *others = (number[s] for s in symbols)
+            first, *others = (place[s] for s in symbols)
             steps.append(_Step(first, first + 1 + len(others), None if form < 0 else form))
-        return steps, number
+        return steps, place
 
     def tables(self) -> list[str]:
         """Source lines of the terms, and of what stands in the slots of each step."""
         terms: list[Row] = [
-            (c, self.number[target], (function,), tuple(sorted(self.number[s] for s in symbols)))
+            (c, self.place[target], (function,), tuple(sorted(self.place[s] for s in symbols)))
             for c, target, function, symbols in self.table.terms
         ]
         comment = "# coefficient, state or sum, function of time and parameters, what is multiplied"
-        lines = [f"N_SYMBOLS = {len(self.number)}  # states, sums inside of forms, values of forms"]
+        lines = [f"N_SYMBOLS = {len(self.place)}  # states, sums inside of forms, values of forms"]
         lines += [*long_tables({"TERMS": (comment, terms)}), "", "", *_SLOTS.splitlines(), "", ""]
-        by_symbol = {self.number[value.symbol]: value for value in self.table.values}
+        by_symbol = {self.place[value.symbol]: value for value in self.table.values}
         for k, step in enumerate(self.steps):
             if step.form is not None:
                 rows = [self._slots(by_symbol[s]) for s in range(step.first, step.last)]
@@ -191,7 +191,7 @@ class FormWriter(PointwiseWriter):
         return lines
 
     def _slots(self, value: Value) -> str:
-        symbols = (str(self.number[s]) for s in value.symbols)
+        symbols = (str(self.place[s]) for s in value.symbols)
         return " ".join([*symbols, *(literal(float(x)) for x in value.numbers)])
 
     def functions(self) -> list[list[str]]:

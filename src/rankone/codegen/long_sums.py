@@ -40,9 +40,9 @@ def _weights(
     weights: dict[sp.Symbol, float] = {}
     others: list[sp.Expr] = []
     for term in terms.args:
-        number, rest = term.as_coeff_Mul()
+        weight, rest = term.as_coeff_Mul()
         if rest in states:
-            weights[rest] = float(number)
+            weights[rest] = float(weight)
         else:
             others.append(term)
     return weights, others

@@ -222,12 +222,12 @@ class OutputTranslator:
                 state = sp.Function(symbol.name)(sp.Symbol(self.metadata.time))
                 plain = plain.xreplace({symbol: self._source(name, state)})
                 continue
-            known = [*self.metadata.states, *names]
+            quantities = [*self.metadata.states, *names]
             raise OptionError(
                 f"the output {quote(name)} has {quote(symbol)}"
                 f"{self.metadata.hint(symbol.name, *names)}",
                 term=symbol,
-                remedy=f"the solution knows {listing(known, symbol.name)}",
+                remedy=f"the solution knows {listing(quantities, symbol.name)}",
             )
         not_real = plain.is_number and plain.is_extended_real is False  # slow for long sums
         if not_real or plain.has(sp.I, sp.nan, sp.zoo, sp.oo):
