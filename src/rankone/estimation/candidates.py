@@ -225,15 +225,15 @@ def _points(
     """Values (P, p) of the parameters that are estimated, and their names."""
     held = trial.fixed
     names = (*trial.parameters, *trial.extras) if after is None else after.parameters
-    given = {name_of(key): np.atleast_1d(np.asarray(x, float)) for key, x in (at or {}).items()}
-    for name in given:
+    values = {name_of(key): np.atleast_1d(np.asarray(x, float)) for key, x in (at or {}).items()}
+    for name in values:
         if name not in (*names, *held):
             raise OptionError(
                 f"at: there is no parameter {quote(name)}{did_you_mean(name, names)}",
                 term=name,
                 remedy=f"known are {listing(names)}",
             )
-    missing = [name for name in names if name not in given]
+    missing = [name for name in names if name not in values]
     if missing:
         raise OptionError(
             f"at has no value of {listing(missing)}",
@@ -243,12 +243,12 @@ def _points(
         )
     if not names:
         raise OptionError("all parameters are fixed", remedy="leave one of them free")
-    columns = np.broadcast_arrays(*(given[name] for name in names))
+    columns = np.broadcast_arrays(*(values[name] for name in names))
     points = np.stack(columns, axis=1)
     for name in names:
         if name in trial.solution.parameters:
             position = trial.solution.metadata.parameters.index(name) + 1
-            trial.solution._coordinates.checked(position, given[name])
+            trial.solution._coordinates.checked(position, values[name])
     return points, names
 
 

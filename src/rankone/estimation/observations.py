@@ -341,8 +341,8 @@ def _expressed(
             remedy='leave noise out, or choose "log-normal" or "student"',
         )
     formula = formula_of(given, solution.metadata.time)
-    known = {*solution.states, *solution.parameters, solution.metadata.time, observable}
-    levels = tuple(name for name in formula.names if name not in known)
+    names = {*solution.states, *solution.parameters, solution.metadata.time, observable}
+    levels = tuple(name for name in formula.names if name not in names)
     distribution = str(kind) if kind in ("log-normal", "student") else "normal"
     return Noise(distribution, row, formula, levels, levels)
 
@@ -355,11 +355,11 @@ def check_levels(
     Those that are ``declared`` by bounds or a value do not, nor those with the usual names.
     """
     for observable, noise in zip(observations.names, observations.noises, strict=True):
-        known = {*solution.states, *solution.parameters, solution.metadata.time, observable}
+        names = {*solution.states, *solution.parameters, solution.metadata.time, observable}
         for name in noise.levels:
             if name in declared or name in usual_levels(observable):
                 continue
-            near = did_you_mean(name, known, MISSPELT)
+            near = did_you_mean(name, names, MISSPELT)
             if near:
                 raise OptionError(
                     f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",

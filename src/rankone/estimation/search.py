@@ -258,8 +258,8 @@ def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     declared = [str(getattr(key, "name", key)) for each in asked for key in (each or ())]
     ranges = ranges_of(trials, declared)
     absent = [name for name in every if name not in used]
-    for option, given in (("fixed", options.fixed), ("bounds", options.bounds)):
-        for key in given or ():
+    for option, choices in (("fixed", options.fixed), ("bounds", options.bounds)):
+        for key in choices or ():
             if str(key) in absent:
                 raise OptionError(
                     f"{option}: the experiments fix {quote(key)} themselves", term=key

@@ -171,8 +171,8 @@ def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) ->
 
 
 def label_of(entry: object) -> str:
-    number = isinstance(entry, float) and float(entry).is_integer()
-    return str(int(entry)) if number else str(entry)  # type: ignore[call-overload]
+    whole = isinstance(entry, float) and float(entry).is_integer()
+    return str(int(entry)) if whole else str(entry)  # type: ignore[call-overload]
 
 
 def time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
@@ -213,9 +213,9 @@ def measured_columns(
             remedy=f"name columns as one of {listing(solution.states)}, or say what they are with "
             "observe={column: expression}",
         )
-    known = {*names, *GROUPS, *solution.states, *solution.parameters, time}
+    vocabulary = {*names, *GROUPS, *solution.states, *solution.parameters, time}
     for name in columns:
-        if name in known or _is_sigma(name, names):
+        if name in vocabulary or _is_sigma(name, names):
             continue
         near = solution.metadata.hint(name, *solution.parameters, *GROUPS)
         if near:
