@@ -235,8 +235,8 @@ def _bins(one: Measured, bins: int | Sequence[float] | None) -> NDArray[np.intp]
     if bins is None and distinct.size <= _MOST_BINS:
         borders = 0.5 * (distinct[1:] + distinct[:-1])
     elif bins is None or isinstance(bins, int):
-        number = checked_number("bins", _MOST_BINS if bins is None else bins, 1, times.size)
-        borders = np.unique(np.quantile(times, np.arange(1, number) / number))
+        most = checked_number("bins", _MOST_BINS if bins is None else bins, 1, times.size)
+        borders = np.unique(np.quantile(times, np.arange(1, most) / most))
     else:
         borders = np.sort(np.asarray(bins, dtype=float))
     owner = np.where(one.present, np.searchsorted(borders, one.times, side="right"), -1)

@@ -176,11 +176,11 @@ def _of_data(point: _Point) -> _OfData:
 
 def _displacements(point: _Point) -> Array:
     """A small share (K, n, E) of what each coordinate is uncertain by."""
-    known = np.diagonal(point.individuals.at.information, 0, -1, -2).copy()
+    precision = np.diagonal(point.individuals.at.information, 0, -1, -2).copy()
     variances = (point.factor**2).sum(axis=-1)
-    known[..., point.random] += 1.0 / variances
+    precision[..., point.random] += 1.0 / variances
     width = point.search.upper - point.search.lower
-    return np.asarray(_STEP / np.sqrt(np.maximum(known, width**-2.0)))
+    return np.asarray(_STEP / np.sqrt(np.maximum(precision, width**-2.0)))
 
 
 def _effects(point: _Point, data: _OfData, correction: Array) -> Array:

@@ -60,7 +60,7 @@ def layout_of(
 def _random(given: object, names: tuple[str, ...]) -> dict[str, object]:
     """The distribution of each random parameter by name; a list alone means log-normal ones."""
     if isinstance(given, list | tuple):
-        given = dict.fromkeys(given, LOG_NORMAL.name)
+        return _random(dict.fromkeys(given, LOG_NORMAL.name), names)
     asked: dict[str, object] = by_name("random", given, names)  # type: ignore[arg-type]
     if not asked:
         raise OptionError(

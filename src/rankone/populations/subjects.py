@@ -234,13 +234,13 @@ def _measured(
 
 def _check_names(solution: SolutionCore, name: str, formula: Formula, noise: Noise) -> None:
     """Raise an OptionError for parameters of an observable that the solution does not have."""
-    known = {*solution.states, *solution.parameters, solution.metadata.time, name, *noise.levels}
+    names = {*solution.states, *solution.parameters, solution.metadata.time, name, *noise.levels}
     needed = [*formula.names, *(noise.formula.names if noise.formula is not None else ())]
     for each in needed:
-        if each not in known:
+        if each not in names:
             raise OptionError(
                 f"{quote(formula.text)}: {quote(each)} is neither an unknown nor a parameter"
-                f"{did_you_mean(each, known)}",
+                f"{did_you_mean(each, names)}",
                 term=each,
                 remedy="make it a parameter of the problem",
             )
