@@ -99,7 +99,7 @@ def _renamed(model: Model, names: Mapping[str, str]) -> Model:
         initial=written(model.initial),
         definitions=written(model.definitions),
         constraints=written(model.constraints),
-        numbers={symbols.get(symbol, symbol): number for symbol, number in model.numbers.items()},
+        numbers={symbols.get(symbol, symbol): value for symbol, value in model.numbers.items()},
     )
 
 
@@ -124,8 +124,8 @@ def _rested(
                 term=name,
                 remedy="leave the parameter out of the box",
             )
-        number = free.number(before[name])
-        conditions[sp.Symbol(name)] = sp.Symbol(number) if isinstance(number, str) else number
+        value = free.number(before[name])
+        conditions[sp.Symbol(name)] = sp.Symbol(value) if isinstance(value, str) else value
     jumps = {
         unknown: sp.Symbol(names.get(start, start))
         for unknown in problem.unknowns
@@ -148,11 +148,11 @@ def joined(settings: Settings, experiments: Sequence[Experiment], free: Free) ->
         return None
     at = [settings.at[each.condition.name] for each in experiments]
     for name in sorted(settings.records.model.used):
-        numbers = {free.number(each[name]) for each in at}
-        if len(numbers) > 1:
-            if any(isinstance(number, str) for number in numbers):
+        values = {free.number(each[name]) for each in at}
+        if len(values) > 1:
+            if any(isinstance(value, str) for value in values):
                 return None
-            ends = [float(number) for number in numbers]
+            ends = [float(value) for value in values]
             inputs[name] = min(ends), max(ends)
     if len(experiments) <= _WORTH_A_PARAMETER ** len(inputs):
         return None

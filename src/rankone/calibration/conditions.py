@@ -78,11 +78,11 @@ class Settings:
                 numbers[records.starts[column]] = self._resolved(condition, column, assigned, own)
         kept = self._kept(condition)
         for name in records.model.used:
-            number = numbers[name]
+            value = numbers[name]
             if name in kept:
                 numbers[name] = 0.0
                 continue
-            if isinstance(number, float) and math.isnan(number):
+            if isinstance(value, float) and math.isnan(value):
                 raise ProblemError(
                     f"condition {quote(condition.name)} has no value for {quote(name)}, and "
                     "neither the table of parameters nor the model has a number for it",

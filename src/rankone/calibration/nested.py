@@ -70,9 +70,9 @@ class Nested:
                 continue
             touching = [each for each in sets if set(own) & set(each[0])]
             names = [name for each in touching for name in each[0]]
-            numbers = [number for each in touching for number in each[1]]
+            positions = [position for each in touching for position in each[1]]
             sets = [each for each in sets if each not in touching]
-            sets.append(([*dict.fromkeys([*names, *own])], [*numbers, k]))
+            sets.append(([*dict.fromkeys([*names, *own])], [*positions, k]))
         return sets
 
     def _parameters_of(self, series: Series) -> set[str]:

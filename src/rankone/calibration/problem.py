@@ -277,14 +277,14 @@ class CalibrationProblem:
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
         point = {name: p.nominal for name, p in self.parameters.items()}
-        given: Mapping[Any, Any] = {} if values is None else values
-        if not isinstance(given, Mapping):
+        changes: Mapping[Any, Any] = {} if values is None else values
+        if not isinstance(changes, Mapping):
             raise OptionError(
                 f"values are {shown(values)}, not a mapping",
                 term=values,
                 remedy='write {"k1": 0.1}',
             )
-        for name, value in given.items():
+        for name, value in changes.items():
             if name not in point:
                 raise OptionError(
                     f"there is no parameter {quote(name)}{did_you_mean(str(name), point)}",
@@ -295,8 +295,8 @@ class CalibrationProblem:
                     f"{quote(name)} is {shown(value)}, not a finite number", term=value
                 )
             point[name] = float(value)
-        for name, number in point.items():
-            if math.isnan(number):
+        for name, value in point.items():
+            if math.isnan(value):
                 raise OptionError(
                     f"{quote(name)} has no nominal value", term=name, remedy="give its value"
                 )

@@ -138,5 +138,5 @@ class Simulation:
 
     def _reset(self, condition: Condition) -> NDArray[np.bool_]:
         """The states (n,) that a condition sets after a steady state."""
-        assigned = {name for name, number in condition.assigned.items() if number is not None}
+        assigned = {name for name, value in condition.assigned.items() if value is not None}
         return np.array([name in assigned for name in self.dynamics.system.states])

@@ -65,10 +65,10 @@ def box_of(
     box: dict[str, Interval] = {}
     for name in names:
         if name not in active:
-            known = f"{quote(name)} is in no rate and no initial value"
+            unused = f"{quote(name)} is in no rate and no initial value"
             unknown = f"there is no parameter {quote(name)}{did_you_mean(str(name), active)}"
             raise OptionError(
-                f"box: {known if name in parameters else unknown}",
+                f"box: {unused if name in parameters else unknown}",
                 term=name,
                 remedy=f"choose from {listing(active)}",
             )
@@ -125,9 +125,8 @@ def solved(
 ) -> CalibrationSolutions:
     """Solutions of all experiments."""
     together = joined(settings, records.experiments, free)
-    given = together or free
     experiments = {
-        each.name: measured(records, settings, k, given)
+        each.name: measured(records, settings, k, together or free)
         for k, each in enumerate(records.experiments)
     }
     solutions: dict[str, Solution] = {}
