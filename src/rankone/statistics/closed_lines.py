@@ -25,8 +25,8 @@ Labels = Callable[[NDArray[np.intp], Array], NDArray[np.intp]]
 
 FIRST_LINES = 16
 """Lines before the first refinement."""
-_PARTS = 4  # Parts of a line at least, so that Gauss's rule resolves what is smooth
-_PARTS_OF_ONE = (8, 13)  # The same where there is one line alone, first and refined
+_SEGMENTS = 4  # Of a line at least, so that Gauss's rule resolves what is smooth
+_SEGMENTS_OF_ONE = (8, 13)  # The same where there is one line alone, first and refined
 _SAMPLES = np.linspace(0.0, 1.0, 13)  # Places on a segment at which labels are compared
 _HALVINGS = 20  # Of the interval between two of them
 _MOST_BREAKS = 4  # Most changes of labels in it
@@ -58,14 +58,14 @@ class Lines:
     lengths: Array
 
     @classmethod
-    def between(cls, first: int, last: int, dimensions: int, parts: int = _PARTS) -> Lines:
-        """Those through the points of a lattice from one number on up to another.
+    def between(cls, first: int, last: int, dimensions: int, segments: int = _SEGMENTS) -> Lines:
+        """The lines through the points of a lattice numbered from ``first`` up to ``last``.
 
-        They are divided at the faces of the cube, and into parts.
+        Each is cut at the faces of the cube, and at the ends of so many ``segments`` of one length.
         """
         steps = 1 + np.arange(dimensions) % _MOST_STEPS
         through = _lattice(first, last, dimensions)
-        places = [np.full(last - first, k / parts) for k in range(1, parts + 1)]
+        places = [np.full(last - first, k / segments) for k in range(1, segments + 1)]
         for y, step in zip(through, steps, strict=True):
             places += [(m - y) / step for m in range(1, step + 1)]
         breaks = np.sort(np.array(places), axis=0)
@@ -141,8 +141,8 @@ def _on_each(count: int, shares: Array) -> tuple[NDArray[np.intp], Array]:
 def refinements(dimensions: int, most: int) -> Iterator[Lines]:
     """Lines whose averages are averaged one after the other: as many as before, up to ``most``."""
     if dimensions < 2:
-        for parts in _PARTS_OF_ONE:  # there is no other line
-            yield Lines.between(0, 1, dimensions, parts)
+        for segments in _SEGMENTS_OF_ONE:  # there is no other line
+            yield Lines.between(0, 1, dimensions, segments)
         return
     count = FIRST_LINES
     yield Lines.between(0, count, dimensions)

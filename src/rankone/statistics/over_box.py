@@ -401,7 +401,7 @@ class StatisticsOverBox(SolutionCore):
         """The distributions and correlations given, completed by the problem."""
         names, box = self.metadata.parameters, self.metadata.box
         if correlation is None:
-            correlation = {(a, b): number for a, b, number in self.metadata.correlations}
+            correlation = {(a, b): coefficient for a, b, coefficient in self.metadata.correlations}
         copula = copula_of(names, correlation)
         measures = measures_of(names, box, under, self._problem_distributions)
         return JointDistribution(measures, copula)

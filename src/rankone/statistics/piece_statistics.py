@@ -114,8 +114,8 @@ class PieceStatistics(TimelineStatistics):
         for piece in self._pieces:
             here = np.flatnonzero(np.isin(cells, self._tiling.cells_of(piece.position)[j]))
             if here.size:
-                given = piece.statistics.main_effect(times, j, points[here])
-                table[:, here] += piece.share_without(j) * given
+                effect = piece.statistics.main_effect(times, j, points[here])
+                table[:, here] += piece.share_without(j) * effect
         return table
 
     def first(self, times: Array) -> Array:
@@ -280,15 +280,15 @@ def _rule(measure: Measure, one: Basis1D, other: Basis1D) -> tuple[Array, Array]
     share = measure.share(lower, upper)
     if not share:
         return np.array([lower]), np.zeros(1)
-    parts = [basis.restricted(lower, upper) for basis in (one, other)]
+    bases = [basis.restricted(lower, upper) for basis in (one, other)]
     apart = round_off(lower, upper)
-    breaks = np.unique([edge for part in parts for edge in part.breaks])
+    breaks = np.unique([edge for basis in bases for edge in basis.breaks])
     breaks = breaks[np.diff(breaks, prepend=-np.inf) > apart]
     degree = max(one.degree, other.degree)
     if one.scale != other.scale:  # neither is a polynomial in the coordinate of the other
         degree = one.degree + other.degree + _MORE_NODES
     finest = replace(
-        parts[0], degree=degree, breaks=tuple(breaks.tolist()), elements=breaks.size + 1
+        bases[0], degree=degree, breaks=tuple(breaks.tolist()), elements=breaks.size + 1
     )
     points, weights = measure.cut(lower, upper).quadrature(finest)
     return points, share * weights

@@ -102,7 +102,7 @@ class TimelineStatistics(Statistics):
         """Means given one parameter, (states, points, times)."""
         table = np.empty((len(self.rows), points.size, times.size))
         spread = np.sqrt(self.variance(times)).max(axis=1, initial=0.0)
-        given = self.parameters.points_given
+        on_hyperplane = self.parameters.points_given
 
         def mean(states: Array, weights: Array) -> tuple[Array, Array]:
             return states @ weights, spread
@@ -111,7 +111,7 @@ class TimelineStatistics(Statistics):
         for k, place in enumerate(points.tolist()):
 
             def on_face(shares: Array, place: float = place) -> list[Array]:
-                return [given(j, place, shares)]
+                return [on_hyperplane(j, place, shares)]
 
             table[:, k], share = self._averages(times, others, on_face, mean, EFFECTS)
             _warn_of_ends(share)
