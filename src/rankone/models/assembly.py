@@ -194,11 +194,11 @@ class Assembly:
         for table in (rules.assigned, rules.starts):
             if name in table:
                 return self.at_start(table[name])
-        given = self._givens[name]
+        start = self._givens[name]
         if not isinstance(quantity, Species) or quantity.starts_as_amount == quantity.only_amounts:
-            return given
+            return start
         size = self.at_start(sp.Symbol(quantity.compartment))
-        return given / size if quantity.starts_as_amount else given * size
+        return start / size if quantity.starts_as_amount else start * size
 
     def at_start(self, expression: sp.Expr) -> sp.Expr:
         """The value of an expression at the start, in terms of numbers and the start."""

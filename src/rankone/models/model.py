@@ -79,8 +79,8 @@ class Model:
         before their own: ``R1_k``.
         """
         return {
-            symbol.name: math.nan if number is None else float(number)
-            for symbol, number in self.numbers.items()
+            symbol.name: math.nan if value is None else float(value)
+            for symbol, value in self.numbers.items()
         }
 
     @cached_property
@@ -252,19 +252,19 @@ class Model:
         triggers = [self._full(each.trigger).xreplace(decided) for each in self.happenings]
         at_start = [truth(each) for each in triggers for truth in (point.value, point.after)]
         symbols = set().union(*(truth.free_symbols for truth in at_start))
-        numbers = {s: number for s, number in self.numbers.items() if s in symbols - set(box)}
-        return {symbol: number for symbol, number in numbers.items() if number is not None}
+        numbers = {s: value for s, value in self.numbers.items() if s in symbols - set(box)}
+        return {symbol: value for symbol, value in numbers.items() if value is not None}
 
     def _shorthand(
         self, written: Mapping[sp.Symbol, sp.Expr], box: Mapping[sp.Symbol, Any]
     ) -> tuple[dict[sp.Symbol, sp.Expr], dict[sp.Symbol, sp.Rational]]:
         """The definitions and constants of a problem, without those that lack a number."""
         constants = {
-            symbol: number
-            for symbol, number in self.numbers.items()
-            if number is not None and symbol not in box and symbol not in written
+            symbol: value
+            for symbol, value in self.numbers.items()
+            if value is not None and symbol not in box and symbol not in written
         }
-        missing = {s for s, number in self.numbers.items() if number is None and s not in box}
+        missing = {s for s, value in self.numbers.items() if value is None and s not in box}
         definitions = {
             symbol: expression.xreplace(written)
             for symbol, expression in self.definitions.items()
@@ -274,7 +274,7 @@ class Model:
 
     def _check_numbers(self, expressions: Iterable[sp.Expr], box: Collection[sp.Symbol]) -> None:
         """Raise if an expression has a parameter without a number that is not free."""
-        missing = {s for s, number in self.numbers.items() if number is None and s not in box}
+        missing = {s for s, value in self.numbers.items() if value is None and s not in box}
         for expression in expressions:
             for symbol in sorted(expression.free_symbols & missing, key=str):
                 raise ProblemError(

@@ -129,6 +129,6 @@ def _references(model: Any) -> Iterator[Quantity]:
         for _, reference in references_of(reaction):
             if reference.isSetId():
                 label = reference_label(reaction, reference)
-                number = reference.getStoichiometry()
-                start = _number(reference.isSetStoichiometry(), number, label)
+                stoichiometry = reference.getStoichiometry()
+                start = _number(reference.isSetStoichiometry(), stoichiometry, label)
                 yield Quantity(reference.getId(), "stoichiometry", start, reference.getConstant())
