@@ -107,15 +107,15 @@ def _outputs(fit: Fit) -> Iterator[_Output]:
             if not times.size:
                 continue
             sigma = fit.deviations[k][here]
-            known = bool(np.isfinite(sigma).all() and (sigma > 0.0).all())
+            scaled = bool(np.isfinite(sigma).all() and (sigma > 0.0).all())
             fine = fine_times(solution, float(times.max()), CURVE_TIMES)
             curve = fit.curve(name, fine, k)
-            residuals = fit.standardised[k][here] if known else data - fit.curve(name, times, k)[0]
+            residuals = fit.standardised[k][here] if scaled else data - fit.curve(name, times, k)[0]
             yield _Output(
                 f"{name}, {trial.name}" if several else name,
                 times,
                 data,
-                sigma if known else None,
+                sigma if scaled else None,
                 np.array([fine, *curve]),
                 residuals,
             )

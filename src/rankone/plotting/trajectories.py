@@ -95,10 +95,10 @@ def plot_trajectories(
     time = solution.metadata.time
     if time in arrays and t is not None:
         raise OptionError(f"`{time}` is given twice", term=time, remedy="give it once")
-    given = arrays.pop(time, t)
-    times = times_of(solution, given, CURVE_TIMES)
+    chosen = arrays.pop(time, t)
+    times = times_of(solution, chosen, CURVE_TIMES)
     family = _family(solution, arrays)
-    if given is None and solution.outcome.timeline is not None:
+    if chosen is None and solution.outcome.timeline is not None:
         borders = solution._borders((arrays,), {})[0].ravel()
         inside = borders[(borders > times[0]) & (borders <= times[-1])]
         # states may jump there: both sides of each
