@@ -384,7 +384,7 @@ def _representable(points: tuple[float, ...], values: tuple[float, ...], kind: s
 
 def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
     """An array bound to a name, several numbers in a line."""
-    digits = [repr(number).replace("e+", "e") for number in numbers]
+    digits = [repr(value).replace("e+", "e") for value in numbers]
     line = f"{name} = np.array([{', '.join(digits)}])"
     if len(line) <= _LONGEST_LINE:
         return [line]
