@@ -54,9 +54,9 @@ class Tasks(Generic[Answer]):
                     concurrent.futures.wait(self._running, return_when=first)
                     self._collect()
         finally:
-            for future, number in self._running.items():
+            for future, index in self._running.items():
                 if not future.cancel() and future.done() and future.exception() is None:
-                    self._done(number, future.result())
+                    self._done(index, future.result())
 
     def _submit(self) -> None:
         """Submit as many calls as there are processes; a suspect alone."""
@@ -64,31 +64,31 @@ class Tasks(Generic[Answer]):
         while self._waiting or self._suspects:
             if len(self._running) >= (1 if self._suspects else most):
                 return
-            number = (self._suspects or self._waiting).popleft()
-            call = self._begin(number)
+            index = (self._suspects or self._waiting).popleft()
+            call = self._begin(index)
             if call is None:
                 continue
             try:
-                self._running[self._pool.submit(call[0], *call[1])] = number
+                self._running[self._pool.submit(call[0], *call[1])] = index
             except DEATHS as error:
-                self._lost([number], error)
+                self._lost([index], error)
 
     def _collect(self) -> None:
         """Hand over the answers that have come."""
         lost: list[int] = []
         death: BaseException | None = None
         for future in [future for future in self._running if future.done()]:
-            number = self._running.pop(future)
+            index = self._running.pop(future)
             try:
                 answer = future.result()
             except Exception as error:
                 if not isinstance(error, DEATHS) and type(error).__name__ != _KILLED:
                     raise _failed(error) from error
-                lost.append(number)
+                lost.append(index)
                 death = error
                 continue
             self._finished += 1
-            self._done(number, answer)
+            self._done(index, answer)
         if death is not None:
             self._lost(lost, death)
 
@@ -110,12 +110,12 @@ class Tasks(Generic[Answer]):
                 f"workers died {_MOST_DEATHS} times, and none finished anything: {death}",
                 remedy=_REMEDY,
             ) from death
-        for number in lost:
-            if self._deaths[number] < _MOST_DEATHS:
-                self._suspects.append(number)
+        for index in lost:
+            if self._deaths[index] < _MOST_DEATHS:
+                self._suspects.append(index)
                 continue
             message = f"a worker died {_MOST_DEATHS} times: {death}"
-            self._done(number, RankoneError(message, remedy=_REMEDY))
+            self._done(index, RankoneError(message, remedy=_REMEDY))
 
 
 class Shared(Generic[Content]):
@@ -136,16 +136,16 @@ class Shared(Generic[Content]):
             return [_on_one_thread(function, self._content, task) for task in tasks]
         answers: dict[int, Answer] = {}
 
-        def done(number: int, answer: Answer | RankoneError) -> None:
+        def done(index: int, answer: Answer | RankoneError) -> None:
             if isinstance(answer, RankoneError):
                 raise answer
-            answers[number] = answer
+            answers[index] = answer
 
-        def begin(number: int) -> tuple[Callable[..., Answer], tuple[object, ...]]:
-            return _on_one_thread, (function, self._sent, tasks[number])
+        def begin(index: int) -> tuple[Callable[..., Answer], tuple[object, ...]]:
+            return _on_one_thread, (function, self._sent, tasks[index])
 
         Tasks(self._pool, begin, done).run(range(len(tasks)))
-        return [answers[number] for number in range(len(tasks))]
+        return [answers[index] for index in range(len(tasks))]
 
 
 def _on_one_thread(
