@@ -45,7 +45,7 @@ def rates(problem):
     """Right-hand sides and initial values with numbers for constants."""
     system = ro.first_order(problem)
     expressions = sp.Tuple(*system.rhs, *system.initial)
-    return expressions.xreplace({a: a.number for a in expressions.atoms(NamedConstant)})
+    return expressions.xreplace({a: a.value for a in expressions.atoms(NamedConstant)})
 
 
 def test_they_are_put_in():

@@ -30,22 +30,22 @@ class NamedConstant(sp.NumberSymbol):  # type: ignore[misc]
     (2*m, 6.0, set())
     """
 
-    __slots__ = ("name", "number")
+    __slots__ = ("name", "value")
     is_real = True
 
     name: str
-    number: sp.Expr
+    value: sp.Expr
 
-    def __new__(cls, name: str, number: sp.Expr) -> NamedConstant:
+    def __new__(cls, name: str, value: sp.Expr) -> NamedConstant:
         constant: NamedConstant = sp.AtomicExpr.__new__(cls)
-        constant.name, constant.number = name, number
+        constant.name, constant.value = name, value
         return constant
 
     def __getnewargs__(self) -> tuple[str, sp.Expr]:
-        return self.name, self.number
+        return self.name, self.value
 
     def _hashable_content(self) -> tuple[str, sp.Expr]:
-        return self.name, self.number
+        return self.name, self.value
 
     def __eq__(self, other: object) -> bool:
         same = isinstance(other, NamedConstant)
@@ -58,7 +58,7 @@ class NamedConstant(sp.NumberSymbol):  # type: ignore[misc]
         return int(super().__hash__())
 
     def _as_mpf_val(self, prec: int) -> Any:
-        return self.number._eval_evalf(prec)._as_mpf_val(prec)
+        return self.value._eval_evalf(prec)._as_mpf_val(prec)
 
     def approximation_interval(self, number_cls: type) -> None:
         """SymPy has intervals of numbers that it cannot compute."""
@@ -70,7 +70,7 @@ class NamedConstant(sp.NumberSymbol):  # type: ignore[misc]
         return str(sp.latex(sp.Symbol(self.name)))
 
     def _decimal(self, printer: object) -> str:
-        return repr(float(self.number))
+        return repr(float(self.value))
 
     _numpycode = _pythoncode = _lambdacode = _mpmathcode = _decimal
 

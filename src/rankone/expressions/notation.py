@@ -72,7 +72,7 @@ def exact(expression: sp.Expr) -> sp.Expr:
     if expression.is_Rational:
         return expression
     check_size(expression)
-    floats = sorted(number for number in numbers if number.is_Float)
+    floats = sorted(x for x in numbers if x.is_Float)
     if any(map(_is_extreme, floats)):
         expression = expression.replace(lambda e: e.is_Mul and _is_extreme(e.args[0]), _joined)
         floats = sorted(expression.atoms(sp.Float))
