@@ -215,8 +215,8 @@ def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
     from rankone.support.errors import OptionError
 
     file, box, t_final = arguments.file, box_of(arguments.box), arguments.t_final
-    given = bool(box) or t_final is not None
-    if is_model_file(file) and given:
+    for_models = bool(box) or t_final is not None
+    if is_model_file(file) and for_models:
         return with_numbers(model_problem(file, box, t_final), arguments.set)
     if is_model_file(file) and arguments.set:
         raise OptionError(
@@ -226,7 +226,7 @@ def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
     if is_model_file(file):
         print(read_sbml(file))
         return None
-    if given:
+    if for_models:
         raise OptionError(
             f"--box and --t-final are for models; `{file}` has its own", remedy="leave them out"
         )

@@ -90,8 +90,8 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
         print(json.dumps(_summary(solution) | ({"values": states} if states else {})))
     else:
         print(solution.message)
-        for name, number in states.items():
-            print(f"{name} = {number!r}")
+        for name, value in states.items():
+            print(f"{name} = {value!r}")
     return 0 if solution.success else 1
 
 
@@ -142,8 +142,8 @@ def box_of(texts: Sequence[str] | None, option: str = "--box") -> dict[str, list
     """Ranges of parameters as ``--box`` has them: ``0.5:1.5``, or ``1e-3:10:log``."""
 
     def interval(text: str) -> list[float | str]:
-        parts = text.split(":")
-        return [*map(float, parts[:2]), *parts[2:]]
+        fields = text.split(":")
+        return [*map(float, fields[:2]), *fields[2:]]
 
     return pairs_of(option, texts, interval, _RANGE_FORM)
 

@@ -388,7 +388,7 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         raise ValueError("what is additive is something else than a parameter")
     if not all(math.isfinite(at) for _, at in metadata.fixed):
         raise ValueError("a fixed coordinate is not finite")
-    if not all(math.isfinite(number) for _, number in metadata.constants):
+    if not all(math.isfinite(value) for _, value in metadata.constants):
         raise ValueError("a constant is not finite")
     if not all(name in metadata.states and 0.0 <= size < math.inf for name, size in metadata.atol):
         raise ValueError("an absolute tolerance is not finite, or of something else than a state")
