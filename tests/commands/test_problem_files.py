@@ -92,6 +92,13 @@ def test_bad_toml(text: str, message: str, tmp_path: Path) -> None:
         load_problem(written(tmp_path, "bad.toml", text))
 
 
+def test_toml_jumps_at_a_formula_and_a_number(tmp_path: Path) -> None:
+    tables = '[[jumps]]\ntime = "0.5*y0 + 0.5"\nx = "x + 1"\n[[jumps]]\ntime = 5\nx = "x + 1"\n'
+    problem = load_problem(written(tmp_path, "jumps.toml", f"{TOML_LAYOUT}\n{tables}"))
+    assert [*problem.jumps] == [2.0, 4.0, 5.0]
+    assert len(problem.events) == 1
+
+
 def test_python(tmp_path: Path) -> None:
     guarded = f"{SCRIPT}\nif __name__ == '__main__':\n    raise AssertionError\n"
     problem = load_problem(written(tmp_path, "decay.py", guarded))

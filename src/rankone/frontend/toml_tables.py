@@ -80,6 +80,28 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
 
     A ProblemError says which table or key is not as it should be.
     """
+    _check_keys(content, file)
+    return {
+        "rhs": {n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
+        "initial": _start(content, _formulas(content, "initial")),
+        "constants": _formulas(content, "constants"),
+        "definitions": _formulas(content, "definitions"),
+        "atol": dict(_table(content, "atol")),
+        "parameters": {
+            name: ends if isinstance(ends, str) else _scaled(name, ends)
+            for name, ends in _table(content, "parameters").items()
+        },
+        "time": _horizon(content["time"]),
+        "jumps": _jumps(content.get("jumps", [])),
+        "units": dict(_table(content, "units")),
+        "events": _events(content.get("events", [])),
+        "correlation": _correlation(content.get("correlation", [])),
+        **{key: content[key] for key in _AS_THEY_ARE if key in content},
+    }
+
+
+def _check_keys(content: Mapping[str, Any], file: str) -> None:
+    """Raise if a file has an unknown key, or lacks one."""
     keys = (*_REQUIRED, *_OPTIONAL)
     for key in content:
         if key not in keys:
@@ -101,23 +123,6 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
         raise ProblemError(
             f"`{file}` lacks {listing(missing)}{''.join(misplaced)}", term=missing, remedy=SHOWN
         )
-    return {
-        "rhs": {n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
-        "initial": _start(content, _formulas(content, "initial")),
-        "constants": _formulas(content, "constants"),
-        "definitions": _formulas(content, "definitions"),
-        "atol": dict(_table(content, "atol")),
-        "parameters": {
-            name: ends if isinstance(ends, str) else _scaled(name, ends)
-            for name, ends in _table(content, "parameters").items()
-        },
-        "time": _horizon(content["time"]),
-        "jumps": _jumps(content.get("jumps", [])),
-        "units": dict(_table(content, "units")),
-        "events": _events(content.get("events", [])),
-        "correlation": _correlation(content.get("correlation", [])),
-        **{key: content[key] for key in _AS_THEY_ARE if key in content},
-    }
 
 
 def _start(content: Mapping[str, Any], initial: dict[str, str | float]) -> Mapping[str, Any]:
@@ -192,7 +197,7 @@ def _jumps(tables: object) -> dict[tuple[float, ...] | str, dict[str, str | floa
                 term=table,
                 remedy="write time = 8, or times = [8, 16], once",
             )
-        earlier = [time for times_of_table in jumps for time in times_of_table]
+        earlier = [time for key in jumps if isinstance(key, tuple) for time in key]
         if len({*earlier, *at}) < len(earlier) + len(at):
             raise ProblemError(
                 f"[[jumps]] has a time twice, among {listing(map(str, at))}",
