@@ -51,16 +51,11 @@ def check_parameters(
 ) -> tuple[Box, dict[str, str]]:
     """Return the box of ``parameters={symbol: (lower, upper)}`` as floats, and distributions.
 
-    Distributions are texts by the names of their parameters, those of intervals with a scale, as
-    ``(lower, upper, "log")``, included. The interval of a distribution is its
-    support; where that is unbounded, it reaches from the quantile ``tail`` to ``1 - tail``.
+    Distributions are texts by the names of their parameters; an interval with a scale, as
+    ``(lower, upper, "log")``, is one too. The interval of a distribution is its support; where that
+    is unbounded, it reaches from the quantile ``tail`` to ``1 - tail``.
     """
-    if isinstance(tail, bool) or not isinstance(tail, numbers.Real) or not 0.0 < float(tail) < 0.5:
-        raise ProblemError(
-            f"tail is {shown(tail)}, not a probability between 0 and 0.5",
-            term=tail,
-            remedy="give the probability to cut off unbounded distributions, for example 1e-6",
-        )
+    probability = _probability(tail)
     if not isinstance(parameters, Mapping):
         raise ProblemError(
             f"parameters are {quote(parameters)}, not a mapping",
@@ -70,36 +65,60 @@ def check_parameters(
     box: Box = {}
     distributions: dict[str, str] = {}
     for symbol, bounds in parameters.items():
-        if not isinstance(symbol, sp.Symbol):
-            raise ProblemError(
-                f"parameter {symbol!r} is not a SymPy symbol",
-                term=symbol,
-                remedy="use the symbols that appear in the equations as keys",
-            )
-        if symbol.name == time.name:
-            raise ProblemError(
-                f"{quote(symbol)} is both the time and a parameter",
-                term=symbol,
-                remedy="rename one of them",
-            )
-        bounds, word = split(bounds)
-        if hasattr(bounds, "ppf") or isinstance(bounds, str):
-            try:
-                text = as_text(from_text(bounds) if isinstance(bounds, str) else bounds)
-                bounds = interval_of(from_text(text), float(tail))
-            except OptionError as error:
-                message = f"the distribution of parameter {quote(symbol)}: {error.message}"
-                raise ProblemError(message, term=symbol, remedy=error.remedy) from None
-            distributions[symbol.name] = text
-        box[symbol] = _interval(symbol, bounds)
-        if word is not None:
-            try:
-                measure = measure_text(check_scale(symbol.name, box[symbol], word), box[symbol])
-            except OptionError as error:
-                raise ProblemError(error.message, term=symbol, remedy=error.remedy) from None
-            if measure is not None:
-                distributions[symbol.name] = measure
+        _check_symbol(symbol, time)
+        box[symbol], distribution = _interval_and_distribution(symbol, bounds, probability)
+        if distribution is not None:
+            distributions[symbol.name] = distribution
     return box, distributions
+
+
+def _probability(tail: object) -> float:
+    if isinstance(tail, bool) or not isinstance(tail, numbers.Real) or not 0.0 < float(tail) < 0.5:
+        raise ProblemError(
+            f"tail is {shown(tail)}, not a probability between 0 and 0.5",
+            term=tail,
+            remedy="give the probability to cut off unbounded distributions, for example 1e-6",
+        )
+    return float(tail)
+
+
+def _check_symbol(symbol: object, time: sp.Symbol) -> None:
+    """Raise if a parameter is not a symbol, or is the time."""
+    if not isinstance(symbol, sp.Symbol):
+        raise ProblemError(
+            f"parameter {symbol!r} is not a SymPy symbol",
+            term=symbol,
+            remedy="use the symbols that appear in the equations as keys",
+        )
+    if symbol.name == time.name:
+        raise ProblemError(
+            f"{quote(symbol)} is both the time and a parameter",
+            term=symbol,
+            remedy="rename one of them",
+        )
+
+
+def _interval_and_distribution(
+    symbol: sp.Symbol, bounds: Any, tail: float
+) -> tuple[tuple[float, float], str | None]:
+    """The interval of a parameter, and its distribution as a text; None if that is uniform."""
+    bounds, scale = split(bounds)
+    distribution = None
+    if hasattr(bounds, "ppf") or isinstance(bounds, str):
+        try:
+            distribution = as_text(from_text(bounds) if isinstance(bounds, str) else bounds)
+            bounds = interval_of(from_text(distribution), tail)
+        except OptionError as error:
+            message = f"the distribution of parameter {quote(symbol)}: {error.message}"
+            raise ProblemError(message, term=symbol, remedy=error.remedy) from None
+    interval = _interval(symbol, bounds)
+    if scale is not None:
+        try:
+            measure = measure_text(check_scale(symbol.name, interval, scale), interval)
+        except OptionError as error:
+            raise ProblemError(error.message, term=symbol, remedy=error.remedy) from None
+        distribution = distribution if measure is None else measure
+    return interval, distribution
 
 
 def check_correlation(correlation: Any, box: Box) -> dict[tuple[str, str], float]:

@@ -109,10 +109,14 @@ class CheckedProblem(ProblemContent):
             self._keep(rest=rest)
             used |= sp.Tuple(*rest.residuals, *rest.initial.values()).free_symbols
         warn_of_unused(symbols.parameters, used)
-        if has_constraints(residuals, symbols.unknowns, time[0]):
+        self._determine_rates(symbols, moving)
+
+    def _determine_rates(self, symbols: Symbols, moving: int) -> None:
+        """Set the mass matrix, and what else tells the rates; ``moving`` jumps are events."""
+        if has_constraints(self.residuals, symbols.unknowns, symbols.time[0]):
             self._reduce(symbols.states)
             return
-        self._keep(mass=check_mass(residuals, symbols.unknowns, self.coordinates))
+        self._keep(mass=check_mass(self.residuals, symbols.unknowns, self.coordinates))
         self._take_out_impulses(symbols, moving)
         self._take_out_rates()
 

@@ -69,12 +69,8 @@ class Elimination:
             for r in waiting:
                 if c in entries[r]:
                     share = _without_nesting(entries[r].pop(c) / entries[p][c])
-                    for k in columns:
-                        if k in entries[p]:
-                            entries[r][k] = entries[r].get(k, sp.S.Zero) - share * entries[p][k]
+                    entries[r] = self._reduced(entries[r], entries[p], share, columns)
                     rests[r] = rests[r] - share * rests[p]
-                    entries[r] = {k: e for k, e in entries[r].items() if not self.vanishes(e)}
-                    entries[r] = {k: _without_nesting(e) for k, e in entries[r].items()}
         constraints = {r: rests[r] for r in waiting if not set(entries[r]) & set(columns)}
         core = [[entries[r].get(k, sp.S.Zero) for k in columns] for r in waiting]
         if not constraints and core:
@@ -91,6 +87,14 @@ class Elimination:
             others = [entries[p][k] * solved[k] for k in entries[p] if k != c and k in solved]
             solved[c] = sp.Add(*(-term / entries[p][c] for term in (rests[p], *others)))
         return Eliminated(tuple(solved[c] for c in range(n)), {}, alone)
+
+    def _reduced(self, row: Row, pivot: Row, share: sp.Expr, columns: Sequence[int]) -> Row:
+        """A row minus a share of the pivot's, without entries that vanish."""
+        reduced = dict(row)
+        for k in columns:
+            if k in pivot:
+                reduced[k] = reduced.get(k, sp.S.Zero) - share * pivot[k]
+        return {k: _without_nesting(e) for k, e in reduced.items() if not self.vanishes(e)}
 
     def _pivot(
         self, entries: Sequence[Row], waiting: Sequence[int], columns: Sequence[int]

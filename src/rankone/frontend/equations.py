@@ -67,30 +67,7 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
     def error(message: str, term: object, remedy: str) -> ProblemError:
         return ProblemError(message, equation=index, term=term, remedy=remedy)
 
-    if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
-        raise error(
-            f"{quote(equation)} is a truth value, not an equation",
-            equation,
-            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and "
-            "SymPy turns an equation of two equal sides, of two numbers, of a matrix and a "
-            "number, or of matrices of different shapes into a truth value",
-        )
-    if isinstance(equation, list | tuple | sp.Tuple):
-        raise error(
-            f"it is a list of {count(len(equation), 'equation')}",
-            equation,
-            "write all equations in one list: [*first, *second]",
-        )
-    if isinstance(equation, sp.Eq):
-        residual = equation.lhs - equation.rhs
-    elif isinstance(equation, sp.Expr):
-        residual = equation
-    else:
-        raise error(
-            f"{quote(equation)} is a {type(equation).__name__}, not a scalar equation",
-            equation,
-            "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
-        )
+    residual = _difference(equation, error)
     for term in _in_order(residual.atoms(*_UNSUPPORTED)):
         raise error(*unsupported(term, time))
     residual = _carry_out_derivatives(shorthand.put_in(residual), time, error)
@@ -106,6 +83,33 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
         return exact(residual)
     except ProblemError as out_of_range:
         raise error(out_of_range.message, out_of_range.term, str(out_of_range.remedy)) from None
+
+
+def _difference(equation: Any, error: Callable[..., ProblemError]) -> sp.Expr:
+    """Left minus right side of an equation as it is written."""
+    if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
+        raise error(
+            f"{quote(equation)} is a truth value, not an equation",
+            equation,
+            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and "
+            "SymPy turns an equation of two equal sides, of two numbers, of a matrix and a "
+            "number, or of matrices of different shapes into a truth value",
+        )
+    if isinstance(equation, list | tuple | sp.Tuple):
+        raise error(
+            f"it is a list of {count(len(equation), 'equation')}",
+            equation,
+            "write all equations in one list: [*first, *second]",
+        )
+    if isinstance(equation, sp.Eq):
+        return equation.lhs - equation.rhs
+    if isinstance(equation, sp.Expr):
+        return equation
+    raise error(
+        f"{quote(equation)} is a {type(equation).__name__}, not a scalar equation",
+        equation,
+        "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
+    )
 
 
 def _carry_out_derivatives(

@@ -202,7 +202,34 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
         check_name(event.name)
     name = event_name(event.name, position)
     subject = f"event {quote(name)}"
-    direction, terminal = event.direction, event.terminal
+    _check_direction(event, subject)
+    when = _when(event, subject, symbols)
+    then = _then(event, subject, symbols)
+    delay, priority = (
+        None
+        if value is None
+        else closed(check_of_states(value, f"`{field}` of {subject}", symbols, remedy))
+        for field, value, remedy in (
+            ("delay", event.delay, _DELAY_REMEDY),
+            ("priority", event.priority, _PRIORITY_REMEDY),
+        )
+    )
+    if delay is not None and delay.is_negative:
+        raise ProblemError(
+            f"the delay of {subject} is {quote(delay)}", term=event.delay, remedy=_DELAY_REMEDY
+        )
+    if delay is not None and then is None and not event.terminal:
+        raise ProblemError(
+            f"{subject} has a delay, and resets nothing",
+            term=event,
+            remedy="give `then` or `terminal`, or leave out the delay to mark the crossing",
+        )
+    return replace(event, when=closed(when), then=then, name=name, delay=delay, priority=priority)
+
+
+def _check_direction(event: Event, subject: str) -> None:
+    """Raise if an event has no such direction, or flags that are not true or false."""
+    direction = event.direction
     if not isinstance(direction, str) or direction not in _DIRECTIONS:
         raise ProblemError(
             f"the direction of {subject} is {shown(direction)}"
@@ -222,6 +249,10 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=event,
             remedy="give the direction of the crossing that starts it; the other one withdraws it",
         )
+
+
+def _when(event: Event, subject: str, symbols: Symbols) -> sp.Expr:
+    """What crosses zero at an event."""
     when = check_of_states(event.when, f"`when` of {subject}", symbols.with_rates, _WHEN_REMEDY)
     if not when.has(AppliedUndef) and symbols.time[0] not in when.free_symbols:
         raise ProblemError(
@@ -229,28 +260,7 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=event.when,
             remedy=_WHEN_REMEDY,
         )
-    then = _then(event, subject, symbols)
-    delay, priority = (
-        None
-        if value is None
-        else closed(check_of_states(value, f"`{field}` of {subject}", symbols, remedy))
-        for field, value, remedy in (
-            ("delay", event.delay, _DELAY_REMEDY),
-            ("priority", event.priority, _PRIORITY_REMEDY),
-        )
-    )
-    if delay is not None:
-        if delay.is_negative:
-            raise ProblemError(
-                f"the delay of {subject} is {quote(delay)}", term=event.delay, remedy=_DELAY_REMEDY
-            )
-        if then is None and not terminal:
-            raise ProblemError(
-                f"{subject} has a delay, and resets nothing",
-                term=event,
-                remedy="give `then` or `terminal`, or leave out the delay to mark the crossing",
-            )
-    return replace(event, when=closed(when), then=then, name=name, delay=delay, priority=priority)
+    return when
 
 
 def _then(event: Event, subject: str, symbols: Symbols) -> dict[sp.Expr, sp.Expr] | None:
