@@ -228,6 +228,19 @@ class FirstOrderSystem(Stage):
             )
 
 
+def _states(problem: Problem) -> tuple[State, ...]:
+    """The states of a problem, in the order of their initial values."""
+    return tuple(
+        State(
+            name_of(e),
+            e,
+            Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN,
+            (problem.atol or {}).get(name_of(e), 0.0),
+        )
+        for e in problem.initial
+    )
+
+
 def first_order(problem: Problem) -> FirstOrderSystem:
     """Reduce a problem to first order and solve it for the derivatives.
 
@@ -238,23 +251,13 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     """
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
-    time = problem.time[0]
-    expressions = list(problem.initial)
-    states = tuple(
-        State(
-            name_of(e),
-            e,
-            Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN,
-            (problem.atol or {}).get(name_of(e), 0.0),
-        )
-        for e in expressions
-    )
+    time, states = problem.time[0], _states(problem)
     functions = {s.expression: unknown_of(s.name, time) for s in states}
     if problem.table is not None:
         return _of_table(problem, states, functions)
     rates, equations = _solved_rates(problem, functions)
     origin = dict(zip(problem.unknowns, equations, strict=True))
-    origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions]
+    origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in problem.initial]
     states_of_time = list(functions.values())
     rhs, impulses = without_impulses(rates, states_of_time, origins, problem.time)
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)

@@ -18,7 +18,7 @@ import sympy as sp
 from rankone.expressions.admissible import located_defect
 from rankone.expressions.named_constants import NamedConstant
 from rankone.frontend.problem import Problem
-from rankone.ir.forms import Factor, GeneralTerm, SeparatedForm, Term
+from rankone.ir.forms import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.support.errors import ProblemError, check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import listing, quote
@@ -190,26 +190,29 @@ class _Separation:
                 term=written,
                 remedy="change the box",
             ) from None
+        fault, way_out = self._fault(reason, among)
+        return GeneralTerm(
+            state, written, initial, f"{message}{fault}", f"{AS_IT_IS} {way_out}", equation
+        )
+
+    def _fault(self, reason: Indivisible, among: Sequence[Coordinate]) -> tuple[str, str]:
+        """What keeps a term of some coordinates from splitting, and a remedy."""
         if reason.reason == "not polynomial":
             states = [e for s, e in self.written.items() if s in reason.expression.free_symbols]
-            message += f"is not polynomial in {listing(states)}"
-            way_out = FURTHER_UNKNOWN
-        elif reason.reason == "out of range":
-            message += "has a number that floating point does not hold when it is multiplied out"
-            way_out = "change the units"
-        elif reason.reason == "too many terms":
-            message += "has too many terms when it is multiplied out"
-            way_out = "take the sum in it as a further unknown with an equation of its own"
-        else:
-            message += f"couples {listing(c.symbol for c in among)} and does not factor"
-            way_out = "write it as a sum of products of functions of one coordinate each, or " + (
-                "take it as a further unknown with an equation of its own, such as z' = -k*z, "
-                "z(0) = 1 for exp(-k*t)"
-                if self.coordinates[0] in among
-                else "take the combination as a parameter of its own"
-            )
-        remedy = f"{AS_IT_IS} {way_out}"
-        return GeneralTerm(state, written, initial, message, remedy, equation)
+            return f"is not polynomial in {listing(states)}", FURTHER_UNKNOWN
+        if reason.reason == "out of range":
+            fault = "has a number that floating point does not hold when it is multiplied out"
+            return fault, "change the units"
+        if reason.reason == "too many terms":
+            fault = "has too many terms when it is multiplied out"
+            return fault, "take the sum in it as a further unknown with an equation of its own"
+        way_out = "write it as a sum of products of functions of one coordinate each, or " + (
+            "take it as a further unknown with an equation of its own, such as z' = -k*z, "
+            "z(0) = 1 for exp(-k*t)"
+            if self.coordinates[0] in among
+            else "take the combination as a parameter of its own"
+        )
+        return f"couples {listing(c.symbol for c in among)} and does not factor", way_out
 
     def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:
         """For each dimension its distinct factors: one, then the others in SymPy's order."""

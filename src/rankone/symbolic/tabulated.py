@@ -23,6 +23,8 @@ _Key = tuple[int, int, tuple[int, ...]]
 _Sums = dict[_Key, Fraction | float]
 _Product = tuple[sp.Expr, ...]
 """A factor of each coordinate."""
+_Numbered = list[tuple[Fraction | float, int]]
+"""Weights, and the numbers of the products that they multiply."""
 
 
 def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
@@ -41,20 +43,7 @@ def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
     one = (sp.S.One,) * len(weak.coordinates)
     products: dict[_Product, int] = {one: 0}
     numbered = [None if f is None else _numbered(f, products) for f in functions]
-    residual: _Sums = {}
-    n = len(weak.states)
-    general: list[Entry] = []
-    for entry in table.terms:
-        coefficient, rate, function, states = entry
-        separate = numbered[function]
-        if rate >= n:  # of a sum inside a law
-            continue
-        if separate is None or any(s >= n for s in states):
-            general.append(entry)
-            continue
-        for weight, product in separate:
-            key = rate, product, states
-            residual[key] = residual.get(key, 0) - coefficient * weight
+    residual, general = _residual(table, numbered, len(weak.states))
     pairs = ((i, pair) for i, start in enumerate(starts) for pair in _numbered(start, products))
     initial: _Sums = {(i, product, ()): weight for i, (weight, product) in pairs}
     if not all(map(_is_ordinary, {*residual.values(), *initial.values()})):
@@ -77,6 +66,26 @@ def tabulated_form(table: TermTable, weak: WeakForm) -> SeparatedForm | None:
         initial=_ordered(_terms(initial, places)),
         general=_listed(general, table, weak),
     )
+
+
+def _residual(
+    table: TermTable, functions: Sequence[_Numbered | None], states: int
+) -> tuple[_Sums, list[Entry]]:
+    """The residual over separated ``functions``, and the terms that do not separate."""
+    residual: _Sums = {}
+    general: list[Entry] = []
+    for entry in table.terms:
+        coefficient, rate, function, factors = entry
+        separate = functions[function]
+        if rate >= states:  # of a sum inside a law
+            continue
+        if separate is None or any(s >= states for s in factors):
+            general.append(entry)
+            continue
+        for weight, product in separate:
+            key = rate, product, factors
+            residual[key] = residual.get(key, 0) - coefficient * weight
+    return residual, general
 
 
 def _listed(entries: list[Entry], table: TermTable, weak: WeakForm) -> Sequence[GeneralTerm]:
@@ -134,7 +143,7 @@ def _is_ordinary(number: Fraction | float) -> bool:
 
 def _numbered(
     terms: Iterable[tuple[Fraction | float, _Product]], products: dict[_Product, int]
-) -> list[tuple[Fraction | float, int]]:
+) -> _Numbered:
     """Numbers times products of factors, these by their numbers; new ones are added."""
     return [(weight, products.setdefault(p, len(products))) for weight, p in terms]
 

@@ -97,6 +97,17 @@ def check_known(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> 
                 )
 
 
+def _starting_points(parameters: Sequence[Coordinate]) -> Array:
+    """The centre of the box, random points and corners, (d, N)."""
+    generator = np.random.default_rng(_START_SEED)
+    at_corners = corners(len(parameters), _MOST_CORNERS, generator)
+    inside = generator.random((_RANDOM_STARTS, len(parameters)))
+    unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
+    lower = np.array([c.lower for c in parameters])
+    upper = np.array([c.upper for c in parameters])
+    return np.asarray((lower + (upper - lower) * unit).T)
+
+
 def check_start(
     first_order: FirstOrderSystem, system: System, coordinates: Sequence[Coordinate]
 ) -> None:
@@ -105,13 +116,7 @@ def check_start(
     Trajectories start at the centre of the box, its corners and random points.
     """
     clock, *parameters = coordinates
-    generator = np.random.default_rng(_START_SEED)
-    at_corners = corners(len(parameters), _MOST_CORNERS, generator)
-    inside = generator.random((_RANDOM_STARTS, len(parameters)))
-    unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
-    lower = np.array([c.lower for c in parameters])
-    upper = np.array([c.upper for c in parameters])
-    p = np.asarray((lower + (upper - lower) * unit).T)
+    p = _starting_points(parameters)
     with np.errstate(all="ignore"):
         u = system.initial(p)
         f = system.rhs(clock.lower, u, p)
