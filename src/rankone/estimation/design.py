@@ -231,14 +231,7 @@ def design(
     level = checked_level(level)
     wanted = _interest(interest, blocks.names)
     rows = tuple(blocks.names.index(name) for name in wanted)
-    needed = math.ceil((len(blocks.names) - np.linalg.matrix_rank(blocks.base[0])) / blocks.data)
-    if times < needed:
-        raise OptionError(
-            f"{count(times, 'time')} cannot identify {count(len(blocks.names), 'parameter')}, "
-            f"{listing(blocks.names)}",
-            term=times,
-            remedy=f"measure at {needed} times or more, or fix parameters",
-        )
+    _check_enough(times, blocks)
     score = Criterion(criterion, rows)
     indices, agreeing = _chosen(blocks, times, score)
     whole = blocks.base + blocks.each[:, indices].sum(axis=1)
@@ -270,6 +263,18 @@ def design(
         _blocks=blocks,
         _score=score,
     )
+
+
+def _check_enough(times: int, blocks: Candidates) -> None:
+    """Raise an OptionError if so few times cannot identify all parameters."""
+    needed = math.ceil((len(blocks.names) - np.linalg.matrix_rank(blocks.base[0])) / blocks.data)
+    if times < needed:
+        raise OptionError(
+            f"{count(times, 'time')} cannot identify {count(len(blocks.names), 'parameter')}, "
+            f"{listing(blocks.names)}",
+            term=times,
+            remedy=f"measure at {needed} times or more, or fix parameters",
+        )
 
 
 def _noise(blocks: Candidates, times: int, after: Fit | None) -> tuple[bool, bool, float]:

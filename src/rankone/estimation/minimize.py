@@ -268,28 +268,12 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
     states, x = goal.states(best.z)[0], free.named(best.z)
     success = best.ended and not best.missed
     is_global = success and (every_basin or agreeing > 1)
-    message = best.message
-    if best.missed:
-        limit = min(merit.limits, key=lambda limit: float(limit.margins(best.z).min()))
-        amount = -float(limit.margins(best.z).min()) * limit.scale
-        message = (
-            "no parameters were found that fulfil the constraints: "
-            f"{quote(limit.states.names[0])} misses its limits by {amount:.4g}"
-        )
-    elif best.ended:
-        extremum = "minimum" if goal.sign > 0 else "maximum"
-        ends = [f"{quote(name)} at its {end} bound" for name, end in free.at_bounds(best.z).items()]
-        message = (
-            f"{agreeing} of {count(len(minima), 'search', 'searches')} ended at this {extremum}"
-            + (f", with {' and '.join(ends)}" if ends else "")
-            + (_GLOBAL if is_global else _LOCAL)
-        )
-        message = with_remedy(message, None if is_global else _LOCAL_REMEDY)
+    ended = f"{agreeing} of {count(len(minima), 'search', 'searches')} ended"
     return Optimum(
         x=x,
         fun=goal.at(states, best.z),
         success=success,
-        message=message,
+        message=_message(merit, best, ended, is_global),
         values=goal.named(states),
         parameters=free.complete(x),
         evaluations=goal.evaluations,
@@ -297,6 +281,28 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
         agreeing=agreeing,
         is_global=is_global,
     )
+
+
+def _message(merit: _Merit, best: _Minimum, ended: str, is_global: bool) -> str:
+    """What to say of the best minimum; ``ended`` says how many searches ended there."""
+    if best.missed:
+        limit = min(merit.limits, key=lambda limit: float(limit.margins(best.z).min()))
+        amount = -float(limit.margins(best.z).min()) * limit.scale
+        return (
+            "no parameters were found that fulfil the constraints: "
+            f"{quote(limit.states.names[0])} misses its limits by {amount:.4g}"
+        )
+    if not best.ended:
+        return best.message
+    extremum = "minimum" if merit.goal.sign > 0 else "maximum"
+    at_bounds = merit.goal.states.free.at_bounds(best.z)
+    ends = [f"{quote(name)} at its {end} bound" for name, end in at_bounds.items()]
+    message = (
+        f"{ended} at this {extremum}"
+        + (f", with {' and '.join(ends)}" if ends else "")
+        + (_GLOBAL if is_global else _LOCAL)
+    )
+    return with_remedy(message, None if is_global else _LOCAL_REMEDY)
 
 
 # --- where searches begin ------------------------------------------------------------------------

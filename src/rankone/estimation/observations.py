@@ -88,14 +88,7 @@ def observed(
 
     Parameters and errors are those of :meth:`~rankone.Solution.fit`.
     """
-    if missing not in ("error", "drop"):
-        raise OptionError(f"missing={missing!r} is unknown", remedy='choose "error" or "drop"')
-    if weights is not None and not (sigma is None and noise is None):
-        option = "noise" if sigma is None else "sigma"
-        raise OptionError(
-            f"{option} and weights are both given",
-            remedy="give sigma if the noise is known, weights if only its ratios are",
-        )
+    _check_options(sigma, noise, weights, missing)
     formulas = observables(solution, observe, data)
     names = tuple(formulas)
     columns, table_shape = _rows_of(data, names, solution.metadata.time)
@@ -128,6 +121,18 @@ def observed(
     )
     _check_logarithms(observations)
     return observations
+
+
+def _check_options(sigma: Sigma, noise: object, weights: Measurements | None, missing: str) -> None:
+    """Raise if options of a fit are unknown, or contradict each other."""
+    if missing not in ("error", "drop"):
+        raise OptionError(f"missing={missing!r} is unknown", remedy='choose "error" or "drop"')
+    if weights is not None and not (sigma is None and noise is None):
+        option = "noise" if sigma is None else "sigma"
+        raise OptionError(
+            f"{option} and weights are both given",
+            remedy="give sigma if the noise is known, weights if only its ratios are",
+        )
 
 
 def state_name(solution: SolutionCore, key: object) -> str:
