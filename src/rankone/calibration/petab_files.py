@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -172,29 +172,7 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
     conditions = _conditions(problem.condition_df)
     ids = {*problem.parameter_df.index, *(i for c in conditions.values() for i in c.assigned)}
     model, starts = read_with_starts(_model_file(path), sorted(ids))
-    if model.happenings:
-        names = listing([each.name for each in model.happenings])
-        raise ProblemError(
-            f"the model has {count(len(model.happenings), 'event')}, {names}, which calibration "
-            "problems may not have yet",
-            term=model.happenings[0].name,
-            remedy="write what happens at times that are known as `piecewise` of the time",
-        )
-    for column in dict.fromkeys(i for c in conditions.values() for i in c.assigned):
-        if column not in starts:
-            raise ProblemError(
-                f"the condition table sets {quote(column)}, which is no parameter, species or "
-                "compartment with a value of its own in the model",
-                term=column,
-                remedy="remove the column, or the rule that determines it",
-            )
-    for name in problem.parameter_df.index:
-        if name not in starts and name in {symbol.name for symbol in model.definitions}:
-            raise ProblemError(
-                f"the parameter table has {quote(name)}, which a rule of the model determines",
-                term=name,
-                remedy="remove one of them",
-            )
+    _check_model(model, starts, [*problem.parameter_df.index], conditions.values())
     experiments = _experiments(problem.measurement_df, conditions)
     _check_sizes(problem.model.sbml_model, experiments.values())
     observables = {
@@ -208,6 +186,39 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
         experiments=tuple(experiments.values()),
         series=tuple(_series(problem.measurement_df, observables, [*experiments])),
     )
+
+
+def _check_model(
+    model: Model,
+    starts: Mapping[str, str],
+    parameters: Sequence[str],
+    conditions: Collection[Condition],
+) -> None:
+    """Raise a ProblemError if the model has events, or determines what tables set."""
+    if model.happenings:
+        names = listing([each.name for each in model.happenings])
+        raise ProblemError(
+            f"the model has {count(len(model.happenings), 'event')}, {names}, which calibration "
+            "problems may not have yet",
+            term=model.happenings[0].name,
+            remedy="write what happens at times that are known as `piecewise` of the time",
+        )
+    for column in dict.fromkeys(i for c in conditions for i in c.assigned):
+        if column not in starts:
+            raise ProblemError(
+                f"the condition table sets {quote(column)}, which is no parameter, species or "
+                "compartment with a value of its own in the model",
+                term=column,
+                remedy="remove the column, or the rule that determines it",
+            )
+    definitions = {symbol.name for symbol in model.definitions}
+    for name in parameters:
+        if name not in starts and name in definitions:
+            raise ProblemError(
+                f"the parameter table has {quote(name)}, which a rule of the model determines",
+                term=name,
+                remedy="remove one of them",
+            )
 
 
 def _model_file(path: str | PathLike[str]) -> Path:
@@ -367,37 +378,47 @@ def _series(
         if not rows:
             continue
         some = table.iloc[rows]
-        for row, at, measured in zip(rows, some["time"], some["measurement"], strict=True):
-            if not float(at) >= 0.0:
-                raise ProblemError(
-                    f"the measurement table, row {row + 1}: the time {at} is not from 0 on", term=at
-                )
-            if not math.isfinite(float(measured)):
-                raise ProblemError(
-                    f"the measurement table, row {row + 1}: the measurement is {measured}",
-                    term=measured,
-                    remedy="leave the row out",
-                )
-        placeholders: dict[str, list[Assigned]] = {}
-        for word in ("observable", "noise"):
-            cells = [row.get(f"{word}Parameters") for _, row in some.iterrows()]
-            for cell in cells:
-                texts = [] if _is_empty(cell) else str(cell).split(";")
-                for i, text in enumerate(texts, 1):
-                    column = placeholders.setdefault(f"{word}Parameter{i}_{name}", [])
-                    column.append(_assigned(text))
-        for placeholder, column in placeholders.items():
-            if len(column) != len(rows):
-                raise ProblemError(
-                    f"the measurement table gives {quote(placeholder)} in {len(column)} of "
-                    f"{len(rows)} rows",
-                    term=placeholder,
-                )
+        _check_measurements(rows, some)
         yield Series(
             observable,
             rows,
             np.array([experiments.index(keys[k]) for k in rows]),
             np.array(some["time"], dtype=float),
             np.array(some["measurement"], dtype=float),
-            placeholders,
+            _placeholders(name, some),
         )
+
+
+def _check_measurements(rows: Sequence[int], some: Any) -> None:
+    """Raise a ProblemError if a time or a measurement is not a number that may be."""
+    for row, at, measured in zip(rows, some["time"], some["measurement"], strict=True):
+        if not float(at) >= 0.0:
+            raise ProblemError(
+                f"the measurement table, row {row + 1}: the time {at} is not from 0 on", term=at
+            )
+        if not math.isfinite(float(measured)):
+            raise ProblemError(
+                f"the measurement table, row {row + 1}: the measurement is {measured}",
+                term=measured,
+                remedy="leave the row out",
+            )
+
+
+def _placeholders(name: str, some: Any) -> dict[str, list[Assigned]]:
+    """What rows put in the place of ``observableParameter1_name`` and the like, a value each."""
+    placeholders: dict[str, list[Assigned]] = {}
+    for word in ("observable", "noise"):
+        for _, row in some.iterrows():
+            cell = row.get(f"{word}Parameters")
+            texts = [] if _is_empty(cell) else str(cell).split(";")
+            for i, text in enumerate(texts, 1):
+                column = placeholders.setdefault(f"{word}Parameter{i}_{name}", [])
+                column.append(_assigned(text))
+    for placeholder, column in placeholders.items():
+        if len(column) != len(some):
+            raise ProblemError(
+                f"the measurement table gives {quote(placeholder)} in {len(column)} of "
+                f"{len(some)} rows",
+                term=placeholder,
+            )
+    return placeholders

@@ -143,25 +143,27 @@ def _covariate(
     with np.errstate(all="ignore"):
         rows = np.broadcast_to(formula(at), len(columns[SUBJECT]))
     owners = np.array([label_of(entry) for entry in columns[SUBJECT]])
-    x = np.empty(len(subjects.names))
-    for i, subject in enumerate(subjects.names):
-        own = rows[owners == subject]
-        own = own[~np.isnan(own)]
-        if not own.size or not np.isfinite(own).all():
-            raise OptionError(
-                f"covariates: {quote(given)} has no value for the subject {quote(subject)}",
-                term=given,
-                remedy="fill its cells, or leave the subject out",
-            )
-        if np.ptp(own) > 1e-9 * np.abs(own).max():
-            raise OptionError(
-                f"covariates: {quote(given)} changes within the subject {quote(subject)}",
-                term=given,
-                remedy="give one number a subject; what changes in time belongs in the problem",
-            )
-        x[i] = own[0]
+    x = np.array([_of_subject(each, rows[owners == each], given) for each in subjects.names])
     _check_varied(given, x)
     return x
+
+
+def _of_subject(subject: str, rows: Array, given: object) -> float:
+    """The one value that the rows of a subject have; some may be empty."""
+    own = rows[~np.isnan(rows)]
+    if not own.size or not np.isfinite(own).all():
+        raise OptionError(
+            f"covariates: {quote(given)} has no value for the subject {quote(subject)}",
+            term=given,
+            remedy="fill its cells, or leave the subject out",
+        )
+    if np.ptp(own) > 1e-9 * np.abs(own).max():
+        raise OptionError(
+            f"covariates: {quote(given)} changes within the subject {quote(subject)}",
+            term=given,
+            remedy="give one number a subject; what changes in time belongs in the problem",
+        )
+    return float(own[0])
 
 
 def _check_varied(given: object, x: Array) -> None:
