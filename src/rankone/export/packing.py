@@ -161,6 +161,29 @@ class PackedModel:
         return sum(core.tensor.size for core in self.distinct[0])
 
 
+def _one_timeline(solution: SolutionCore, allow_failed: bool) -> Timeline | None:
+    """The timeline of a solution; an ExportError if that cannot be exported as one model."""
+    if solution.outcome.pieces:
+        raise ExportError(
+            "a solution that was joined of pieces cannot be exported as one model",
+            remedy="export the pieces: `for k, piece in enumerate(solution.pieces)`",
+        )
+    if not solution.outcome.slabs:
+        raise ExportError(f"there is nothing to export: {solution.message}")
+    if not solution.success and not allow_failed:
+        raise ExportError(
+            f"the solution is not a success: {solution.message}",
+            remedy="solve again, or pass allow_failed=True to export it as it is",
+        )
+    timeline = solution.outcome.timeline
+    if isinstance(timeline, BranchedTimeline):
+        raise ExportError(
+            "models do not take solutions in which the order of events changes inside the box",
+            remedy="solve on a box in which one order holds (print solution.timeline)",
+        )
+    return timeline
+
+
 def pack(
     solution: SolutionCore,
     *,
@@ -176,24 +199,7 @@ def pack(
     """
     check_states(states)
     rtol = checked_rtol(rtol)
-    if solution.outcome.pieces:
-        raise ExportError(
-            "a solution that was joined of pieces cannot be exported as one model",
-            remedy="export the pieces: `for k, piece in enumerate(solution.pieces)`",
-        )
-    if not solution.outcome.slabs:
-        raise ExportError(f"there is nothing to export: {solution.message}")
-    if not solution.success and not allow_failed:
-        raise ExportError(
-            f"the solution is not a success: {solution.message}",
-            remedy="solve again, or pass allow_failed=True to export it as it is",
-        )
-    metadata, timeline = solution.metadata, solution.outcome.timeline
-    if isinstance(timeline, BranchedTimeline):
-        raise ExportError(
-            "models do not take solutions in which the order of events changes inside the box",
-            remedy="solve on a box in which one order holds (print solution.timeline)",
-        )
+    metadata, timeline = solution.metadata, _one_timeline(solution, allow_failed)
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))

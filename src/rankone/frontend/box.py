@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import numbers
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import sympy as sp
@@ -237,6 +237,23 @@ def check_tolerances(atol: object, states: Iterable[sp.Expr], time: sp.Symbol) -
     return {name: size for name, size in tolerances.items() if size}
 
 
+def _name_among(names: Sequence[str], key: object, time: sp.Symbol) -> str:
+    """The name of a quantity that has a unit; a ProblemError if there is no such one."""
+    try:
+        name = name_of(key, time.name)
+    except EvaluationError as error:
+        message = f"units: {error.message}"
+        raise ProblemError(message, term=key, remedy=error.remedy) from None
+    if name not in names:
+        raise ProblemError(
+            f"units has {quote(name)}, which is neither time nor a parameter nor an unknown"
+            f"{did_you_mean(name, names)}",
+            term=key,
+            remedy=f"known are {listing(names)}",
+        )
+    return name
+
+
 def check_units(
     units: object, time: sp.Symbol, named: Iterable[sp.Expr], states: Iterable[sp.Expr]
 ) -> dict[str, str]:
@@ -255,18 +272,7 @@ def check_units(
     names = [time.name, *map(name_of, named), *map(name_of, states)]
     unit_of: dict[str, str] = {}
     for key, unit in (units or {}).items():
-        try:
-            name = name_of(key, time.name)
-        except EvaluationError as error:
-            message = f"units: {error.message}"
-            raise ProblemError(message, term=key, remedy=error.remedy) from None
-        if name not in names:
-            raise ProblemError(
-                f"units has {quote(name)}, which is neither time nor a parameter nor an unknown"
-                f"{did_you_mean(name, names)}",
-                term=key,
-                remedy=f"known are {listing(names)}",
-            )
+        name = _name_among(names, key, time)
         if name in unit_of:
             raise ProblemError(
                 f"the unit of {quote(name)} is given twice", term=key, remedy="give it once"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import numpy as np
 import scipy
@@ -138,18 +139,7 @@ class Integration:
         first = self._rates(self._time, self._state)
         if not np.isfinite([*self._state, *first]).all():
             raise self._blow_up()
-        with_events = len(self._occurrences) > 0
-        longest = (self._end - self._start) / _FEWEST_STEPS if with_events else np.inf
-        solver = scipy.integrate.LSODA(
-            self._rates,
-            self._time,
-            self._state,
-            end,
-            rtol=self.rtol,
-            atol=self._tolerances(end),
-            max_step=longest,
-            first_step=self._first_step and min(self._first_step, end - self._time),
-        )
+        solver, with_events = self._solver(end), len(self._occurrences) > 0
         start, stalls = self._time, 0
         while solver.status == "running" and self._goes_on():
             failure = solver.step()
@@ -170,6 +160,20 @@ class Integration:
                 return
             self._keep(solver.t, path)
             self._time, self._state = solver.t, solver.y
+
+    def _solver(self, end: float) -> Any:
+        """LSODA from the present state on; its steps are short where there are events."""
+        longest = (self._end - self._start) / _FEWEST_STEPS if self._occurrences else np.inf
+        return scipy.integrate.LSODA(
+            self._rates,
+            self._time,
+            self._state,
+            end,
+            rtol=self.rtol,
+            atol=self._tolerances(end),
+            max_step=longest,
+            first_step=self._first_step and min(self._first_step, end - self._time),
+        )
 
     def _jumps_within(self, path: Callable[[Array], Array], end: float) -> bool:
         """Whether rates jump with the states within a step, which is then not taken.

@@ -248,25 +248,9 @@ def without_impulses(
         smooth, products = _impulses(rate, origin)
         for impulse, factor in products.items():
             when, size = _impulse(impulse, time[0], origin)
-            if when.free_symbols:
-                listed = listing(sorted(map(str, when.free_symbols)))
-                raise _wrong_time(
-                    impulse, f"is at a time that depends on {listed}", time[0], origin
-                )
-            at = float(when)
-            if not math.isfinite(at):
-                raise _wrong_time(impulse, "is at no finite time", time[0], origin)
+            at = _known_instant(impulse, when, time, origin)
             if at < time[1]:
-                warn(
-                    f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing",
-                    remedy="remove it",
-                )
                 continue
-            if _is_late(at, time):
-                warn(
-                    f"{quote(impulse)} is not before the end of time, {time[2]:g}",
-                    remedy=_LATE_REMEDY,
-                )
             _check_steady(factor, impulse, at, time[0], origin)
             sizes = added.setdefault(at, {})
             sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time[0], at)
@@ -275,6 +259,24 @@ def without_impulses(
         _check_alone(sizes, f"{at:g}", functions, origins, time[0])
     _check_apart(added, time)
     return tuple(smooth_rates), added
+
+
+def _known_instant(impulse: sp.Expr, when: sp.Expr, time: Time, origin: int | None) -> float:
+    """When an impulse is; a warning if that is outside of the horizon."""
+    if when.free_symbols:
+        listed = listing(sorted(map(str, when.free_symbols)))
+        raise _wrong_time(impulse, f"is at a time that depends on {listed}", time[0], origin)
+    at = float(when)
+    if not math.isfinite(at):
+        raise _wrong_time(impulse, "is at no finite time", time[0], origin)
+    if at < time[1]:
+        warn(
+            f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing",
+            remedy="remove it",
+        )
+    elif _is_late(at, time):
+        warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}", remedy=_LATE_REMEDY)
+    return at
 
 
 def moving_impulses(

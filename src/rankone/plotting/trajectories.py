@@ -99,10 +99,7 @@ def plot_trajectories(
     times = times_of(solution, chosen, CURVE_TIMES)
     family = _family(solution, arrays)
     if chosen is None and solution.outcome.timeline is not None:
-        borders = solution._borders((arrays,), {})[0].ravel()
-        inside = borders[(borders > times[0]) & (borders <= times[-1])]
-        # states may jump there: both sides of each
-        times = np.unique(np.concatenate([times, np.nextafter(inside, times[0]), inside]))
+        times = _with_borders(solution, arrays, times)
     columns = {name: np.asarray(array)[..., None] for name, array in arrays.items()}
     shape = np.broadcast_shapes(*(column.shape for column in columns.values()), (1,))[:-1]
     tables = (solution[name](times, columns) for name in names)
@@ -122,6 +119,13 @@ def plot_trajectories(
         events = _event_times(solution, arrays)
         _draw_events(axes, events[(events >= times[0]) & (events <= times[-1])])
     return axes
+
+
+def _with_borders(solution: Solution, values: Mapping[str, Any], times: Array) -> Array:
+    """Times, and both sides of each border of a timeline, where states may jump."""
+    borders = solution._borders((values,), {})[0].ravel()
+    inside = borders[(borders > times[0]) & (borders <= times[-1])]
+    return np.unique(np.concatenate([times, np.nextafter(inside, times[0]), inside]))
 
 
 def _event_times(solution: Solution, values: Mapping[str, Any]) -> Array:
