@@ -94,21 +94,10 @@ def output_formulas(
     sources of their own. An OptionError if ``outputs`` is not such a mapping, or an expression has
     something that the solution does not hold.
     """
-    if isinstance(outputs, str):
-        outputs = {outputs: outputs}
-    elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
-        outputs = {name: name for name in outputs} or outputs
-    if not isinstance(outputs, Mapping) or not outputs:
-        raise OptionError(
-            f"{shown(outputs)} is not a mapping from names to expressions",
-            term=outputs,
-            remedy='give for example {"energy": x**2 / 2}, or the name of a definition',
-        )
-    for name in outputs:
-        _check_name(name, metadata)
     translator = OutputTranslator(metadata, horizon, timeline)
     expressions = {
-        name: _expression(name, term, metadata, timeline) for name, term in outputs.items()
+        name: _expression(name, term, metadata, timeline)
+        for name, term in _by_name(outputs, metadata).items()
     }
     formulas = [translator.translated(name, term) for name, term in expressions.items()]
     texts = [f"{name} = {plain_text(term)}" for name, term in expressions.items()]
@@ -164,6 +153,23 @@ def output_formulas(
     )
     _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
     return OutputFormulas(quantities, tuple(evaluated), metadata, states, bool(of_parameters))
+
+
+def _by_name(outputs: object, metadata: SolutionMetadata) -> Mapping[str, object]:
+    """Outputs by name; texts alone are the names of definitions."""
+    if isinstance(outputs, str):
+        outputs = {outputs: outputs}
+    elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
+        outputs = {name: name for name in outputs} or outputs
+    if not isinstance(outputs, Mapping) or not outputs:
+        raise OptionError(
+            f"{shown(outputs)} is not a mapping from names to expressions",
+            term=outputs,
+            remedy='give for example {"energy": x**2 / 2}, or the name of a definition',
+        )
+    for name in outputs:
+        _check_name(name, metadata)
+    return outputs
 
 
 def _check(

@@ -64,19 +64,9 @@ class OutputTranslator:
 
     def _reduction(self, name: str, applied: sp.Expr) -> sp.Dummy:
         """The symbol of a reduction, which is added to the list."""
-        start: float | Border
-        end: float | Border
-        start, end = self.horizon
-        kind, direction = KINDS.get(applied.func, Kind.INTEGRAL), 0
-        if isinstance(applied, sp.Integral):
-            kind, inner, start, end = self._integral(name, applied)
-        elif isinstance(applied, at_event):
-            inner, event, occurrence, side = applied.args
-            start = self._border(name, applied, event, occurrence, side)
-        elif isinstance(applied, event_time):
-            inner = sp.Symbol(self.metadata.time)
-            start = self._border(name, applied, *applied.args)
-        elif isinstance(applied, first_crossing):
+        kind, inner, start, end = self._operand(name, applied)
+        direction = 0
+        if isinstance(applied, first_crossing):
             inner, direction = applied.parts
             if not direction.is_number or float(direction) not in (-1.0, 0.0, 1.0):
                 raise OptionError(
@@ -84,8 +74,6 @@ class OutputTranslator:
                     term=applied,
                     remedy="give 'rising', 'falling' or 'both'",
                 )
-        else:
-            (inner,) = applied.args
         if inner.has(*_REDUCTIONS):
             raise OptionError(
                 f"the output {quote(name)} has {quote(applied)}, one function of time inside "
@@ -147,6 +135,22 @@ class OutputTranslator:
         if border.after and border.place == self.timeline.stretches:
             raise error("the solution ends there", side, "give 'before'")
         return border
+
+    def _operand(
+        self, name: str, applied: sp.Expr
+    ) -> tuple[Kind, sp.Expr, float | Border, float | Border]:
+        """Kind, operand and limits of a reduction: those of the horizon if it names none."""
+        start, end = self.horizon
+        kind = KINDS.get(applied.func, Kind.INTEGRAL)
+        if isinstance(applied, sp.Integral):
+            return self._integral(name, applied)
+        if isinstance(applied, at_event):
+            inner, event, occurrence, side = applied.args
+            return kind, inner, self._border(name, applied, event, occurrence, side), end
+        if isinstance(applied, event_time):
+            at = self._border(name, applied, *applied.args)
+            return kind, sp.Symbol(self.metadata.time), at, end
+        return kind, applied.args[0], start, end
 
     def _integral(
         self, name: str, integral: sp.Integral

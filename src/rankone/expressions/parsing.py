@@ -314,9 +314,13 @@ class _Translator(ast.NodeVisitor):
                 f"unknown function {quote(name)}{did_you_mean(name, [*functions, *self.names])}",
                 f"the functions known are {', '.join(sorted(functions))}",
             )
-        if len(node.args) > _MOST_ARGUMENTS:
-            raise self.error(f"{quote(name)} has {len(node.args)} arguments")
-        arguments = [self.visit(argument) for argument in node.args]
+        return self._function(name, node.args)
+
+    def _function(self, name: str, nodes: list[ast.expr]) -> sp.Expr:
+        """A function of mathematics at what some nodes stand for."""
+        if len(nodes) > _MOST_ARGUMENTS:
+            raise self.error(f"{quote(name)} has {len(nodes)} arguments")
+        arguments = [self.visit(node) for node in nodes]
         if name in _OF_TWO and len(arguments) != 2:
             raise self.error(f"{quote(name)} takes two arguments, not {len(arguments)},")
         if name == "pow":
