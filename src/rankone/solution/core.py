@@ -48,6 +48,8 @@ _MESSAGE_DIGITS = 100.0  # A message gives the end of an interval to a hundredth
 
 Evaluator = TrainEvaluator | TimelineEvaluator | BranchEvaluator | PieceEvaluator
 """What evaluates a solution."""
+_OnBox = Callable[[Mapping[int, tuple[float, float]], float], "SolutionCore"]
+"""Solves with other intervals of some parameters, and a fraction of the budget."""
 
 
 class SolutionCore:
@@ -416,13 +418,10 @@ def _memory() -> Iterator[None]:
         raise no_memory(error) from None
 
 
-def raise_blow_up(
-    solution: SolutionCore,
-    on_box: Callable[[Mapping[int, tuple[float, float]], float], SolutionCore],
-) -> None:
+def raise_blow_up(solution: SolutionCore, on_box: _OnBox) -> None:
     """Raise a BlowUpError with the solution if a trajectory ends before the horizon.
 
-    ``on_box`` solves with other intervals of some parameters, and a fraction of the budget.
+    ``on_box`` is for the part of the box that is safe.
     """
     outcome = solution.outcome
     if not outcome.status.ends_early or outcome.blow_up is None:
@@ -443,15 +442,7 @@ def raise_blow_up(
         remedy += ", or narrow the box"
 
     def solve_smaller_box() -> SolutionCore | None:
-        boxes = [interval.shortened(share) for interval in safe for share in _KEPT_SHARES]
-        for box in sorted(boxes, key=lambda each: -each.share)[:_MOST_SMALLER_BOXES]:
-            try:
-                smaller = on_box({box.parameter: (box.lower, box.upper)}, 1.0 / _MOST_SMALLER_BOXES)
-            except ConvergenceError:
-                continue
-            if smaller.status in (Status.CONVERGED, Status.UNCHECKED):
-                return smaller
-        return None
+        return _on_smaller_box(safe, on_box)
 
     raise BlowUpError(
         f"{subject} {_ENDS[outcome.status]}: near t = {when:.4g}"
@@ -467,6 +458,19 @@ def raise_blow_up(
         part=solve_smaller_box if safe else None,
         remedy=f"{remedy}; {attached}",
     )
+
+
+def _on_smaller_box(safe: Sequence[SafeInterval], on_box: _OnBox) -> SolutionCore | None:
+    """The solution on the largest box that is safe over the whole horizon; None if none is."""
+    boxes = [interval.shortened(share) for interval in safe for share in _KEPT_SHARES]
+    for box in sorted(boxes, key=lambda each: -each.share)[:_MOST_SMALLER_BOXES]:
+        try:
+            smaller = on_box({box.parameter: (box.lower, box.upper)}, 1.0 / _MOST_SMALLER_BOXES)
+        except ConvergenceError:
+            continue
+        if smaller.status in (Status.CONVERGED, Status.UNCHECKED):
+            return smaller
+    return None
 
 
 def _count(rows: Rows) -> int:
