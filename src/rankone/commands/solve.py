@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rankone.commands.common import (
     FAILURE,
@@ -28,6 +29,8 @@ from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
 if TYPE_CHECKING:
     from rankone.frontend.problem import Problem
+    from rankone.interface.compiled import CompiledProblem
+    from rankone.interface.solution import Solution
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
@@ -145,27 +148,16 @@ def _markers(words: list[str]) -> str | list[str] | None:
 
 
 def _solve(arguments: argparse.Namespace) -> int:
-    import rankone
     from rankone.export.program import box_of, options_of, pairs_of
     from rankone.models.document import is_model_file
     from rankone.storage import target
-    from rankone.support.budget import preparing
-    from rankone.support.errors import ConvergenceError
 
     box, options = box_of(arguments.box), options_of(arguments.options, ARGUMENTS)
     if arguments.save is not None:  # find out before the solve, not after it
         target(arguments.save, arguments.overwrite)
 
     of_model = is_model_file(arguments.file)  # its box and horizon are those of the problem
-    pieces = in_pieces(arguments)
-    with preparing(arguments.max_seconds):
-        problem = (
-            with_numbers(model_problem(arguments.file, box, arguments.t_final), arguments.set)
-            if of_model
-            else problem_of(arguments.file, arguments.set)
-        )
-        ranges = {} if of_model else box
-        compiled = rankone.compile(problem.vary(ranges) if pieces and ranges else problem)
+    compiled = _compiled(arguments, box, of_model)
     options |= {
         "rtol": arguments.rtol,
         "method": arguments.method,
@@ -180,19 +172,7 @@ def _solve(arguments: argparse.Namespace) -> int:
         "integrator": arguments.integrator,
         "markers": _markers(arguments.markers),
     }
-    bar = sys.stderr.isatty() and not arguments.quiet
-    try:
-        if pieces:
-            solution = solve_pieces(compiled, arguments, options, bar)
-        else:
-            if arguments.executor is not None:
-                options["executor"] = arguments.executor
-            solution = compiled.solve(parameters=ranges, progress=bar, **options)
-    except ConvergenceError as error:
-        if error.solution is None:
-            raise
-        complain(f"error: {error}")
-        solution = error.solution
+    solution = _solution(compiled, arguments, {} if of_model else box, options)
     if arguments.save is not None:
         solution.save(arguments.save, overwrite=arguments.overwrite)
     if arguments.json:
@@ -205,6 +185,45 @@ def _solve(arguments: argparse.Namespace) -> int:
             print(f"  saved     {arguments.save}")
     sys.stdout.flush()
     return SUCCESS if solution.success else FAILURE
+
+
+def _compiled(
+    arguments: argparse.Namespace, box: Mapping[str, Any], of_model: bool
+) -> CompiledProblem:
+    """The compiled problem, which varies the box if it is of a model or is solved in pieces."""
+    import rankone
+    from rankone.support.budget import preparing
+
+    with preparing(arguments.max_seconds):
+        if of_model:
+            problem = model_problem(arguments.file, box, arguments.t_final)
+            return rankone.compile(with_numbers(problem, arguments.set))
+        problem = problem_of(arguments.file, arguments.set)
+        return rankone.compile(problem.vary(box) if in_pieces(arguments) and box else problem)
+
+
+def _solution(
+    compiled: CompiledProblem,
+    arguments: argparse.Namespace,
+    box: Mapping[str, Any],
+    options: dict[str, Any],
+) -> Solution:
+    """The solution; one that has not converged is reported on stderr."""
+    from rankone.support.errors import ConvergenceError
+
+    bar = sys.stderr.isatty() and not arguments.quiet
+    try:
+        if in_pieces(arguments):
+            return solve_pieces(compiled, arguments, options, bar)
+        if arguments.executor is not None:
+            options["executor"] = arguments.executor
+        return compiled.solve(parameters=box, progress=bar, **options)
+    except ConvergenceError as error:
+        if error.solution is None:
+            raise
+        complain(f"error: {error}")
+        solution: Solution = error.solution
+        return solution
 
 
 def _shown_problem(arguments: argparse.Namespace) -> Problem | None:
