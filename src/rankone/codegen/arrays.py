@@ -99,9 +99,9 @@ def _table(text):
     for line in text.split("\\n"):
         coefficient, state, *lists = line.split()
         above, *below = coefficient.split("/")
-        number = int(above) / int(*below) if below else float(above)
+        value = int(above) / int(*below) if below else float(above)
         lists = (() if x == "-" else tuple(map(int, x.split(","))) for x in lists)
-        rows.append((number, int(state), *lists))
+        rows.append((value, int(state), *lists))
     return tuple(rows)
 '''
 Row = tuple[Fraction | float | Formula, int, *tuple[tuple[int, ...], ...]]

@@ -50,10 +50,10 @@ def _chained(terms):
     for coefficient, target, *of in terms:
         by_target.setdefault(target, []).append((coefficient, *of))
 
-    def entries(parts):
-        """By target and state the products of parts (coefficient, target, factors, of, by)."""
+    def entries(partials):
+        """By target and state the products of partials (coefficient, target, factors, of, by)."""
         listed = {}
-        for coefficient, target, factors, of, by in parts:
+        for coefficient, target, factors, of, by in partials:
             for state, slope in before[by].items() if by >= N_DIFFERENTIAL else [(by, None)]:
                 product = of if slope is None else (*of, slope)
                 listed.setdefault((target, state), []).append((coefficient, factors, product))
@@ -67,16 +67,16 @@ def _chained(terms):
 
     for first, last, form in STEPS:
         if form is None:
-            parts = slopes_of(range(first, last))
+            partials = slopes_of(range(first, last))
         else:
             slots = form[2]
             own = size + np.arange(slots.size).reshape(slots.shape)
             steps.append((size, size + slots.size, form, None))
             size += slots.size
             places = zip(np.tile(range(first, last), len(slots)), own.flat, slots.flat)
-            parts = [(1.0, row, (0,), (int(slope),), int(by)) for row, slope, by in places]
+            partials = [(1.0, row, (0,), (int(slope),), int(by)) for row, slope, by in places]
         further, rows = [], 0
-        for (target, state), products in entries(parts).items():
+        for (target, state), products in entries(partials).items():
             (coefficient, factors, product), *others = products
             if coefficient == 1.0 and factors == (0,) and len(product) == 1 and not others:
                 before[target][state] = product[0]
