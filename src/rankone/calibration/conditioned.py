@@ -42,7 +42,7 @@ class Free:
         return assigned
 
     def held(self, assigned: Assigned) -> float:
-        """The number alone, that of a free parameter too."""
+        """The number alone, also for a free parameter."""
         return self.values[assigned] if isinstance(assigned, str) else assigned
 
 

@@ -307,7 +307,7 @@ def _conditions(table: Any) -> dict[str, Condition]:
 
 
 def _experiment_keys(table: Any) -> list[tuple[str, str]]:
-    """For each measurement its conditions; the first is empty where there is none before."""
+    """The conditions of each measurement, before and during it; the first may be empty."""
     before = ["" if _is_empty(row.get("preequilibrationConditionId")) else
               str(row["preequilibrationConditionId"]) for _, row in table.iterrows()]  # fmt: skip
     return [*zip(before, map(str, table["simulationConditionId"]), strict=True)]

@@ -90,6 +90,6 @@ class Records:
 
     @property
     def last_time(self) -> float:
-        """The last finite time of a measurement; 0 if there is none."""
+        """The last finite time of a measurement; 0 without any."""
         times = np.concatenate([series.times for series in self.series])
         return float(np.max(times[np.isfinite(times)], initial=0.0))

@@ -29,7 +29,7 @@ from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.well_posed import NamedExpression
 
 ARRAY_STATES = 64
-"""States from which on Jacobians are the entries of a pattern, and separated rates array code."""
+"""From this many states on, Jacobians are entries of a pattern and separated rates array code."""
 
 
 class SeparatedWriter(PointwiseWriter):

@@ -92,7 +92,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 
 
 def _axis(text: str) -> list[float]:
-    """The points of an axis; a ValueError if the text is none."""
+    """The points of an axis; a ValueError if the text does not read as one."""
     import numpy as np
 
     if ":" not in text:

@@ -50,7 +50,7 @@ class Estimates:
 
     @property
     def solution(self) -> SolutionCore:
-        """The solution; that of the first experiment if there are several."""
+        """The solution; with several experiments, the first one's."""
         return self.trials[0].solution
 
     @property

@@ -58,7 +58,7 @@ class Formula:
         return _evaluated(self.body, at)
 
     def degree(self, names: Collection[str]) -> float:
-        """The degree as a polynomial of some names together; infinite if it is none."""
+        """The degree as a polynomial of some names together; infinite for other functions."""
         return _degree(self.body, names)
 
 

@@ -221,7 +221,7 @@ def _along(
 
 @dataclass(frozen=True)
 class Identification:
-    """What the data identify of n parameters, of which q directions are lost.
+    """What the data identify of n parameters; q directions are lost.
 
     ``flat`` are the positions of parameters that are not identified. ``root`` (n, n - q) is a root
     of the covariance in z over the identified directions, for unit sigma; ``null`` (n, q) are
@@ -243,7 +243,7 @@ class Identification:
 
 
 def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> float:
-    """The number of data less that of directions fitted to them, at a minimum with Jacobian (r, n).
+    """The data minus the directions fitted to them, at a minimum with Jacobian (r, n).
 
     What priors say of a direction is not fitted: it counts by the leverages of the data, as in
     Spiegelhalter et al., "Bayesian measures of model complexity and fit" (2002), for linear models.

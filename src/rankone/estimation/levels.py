@@ -32,7 +32,7 @@ class LevelUncertainty:
     covariance: Array
 
     def enlarged(self, root: Array) -> Array:
-        """A root (n, r) of the covariance of all parameters, with that of the weights in it."""
+        """A root (n, r) of the covariance of all parameters; the weights add theirs."""
         inside = root.T @ self.information @ root
         more = np.einsum("kl,klab->ab", self.covariance, root.T @ self.squares @ root)
         less = np.einsum("kl,kab,lbc->ac", self.covariance, inside, inside)

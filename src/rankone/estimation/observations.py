@@ -23,7 +23,7 @@ Sigma = Measurements | str | Mapping[Any, Any] | None
 """Standard deviations: numbers, or expressions as text or symbols; perhaps by observable."""
 
 MISSPELT = 0.75
-"""Similarity of a new name to that of a state or a parameter above which it is taken for it."""
+"""A new name more similar than this to a state or a parameter counts as a misspelling of it."""
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def largest(expression: sp.Expr, coordinate: Coordinate) -> float:
 
 
 def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
-    """Return a point at which a function vanishes on the interval, None if there is none."""
+    """Return a point at which a function vanishes on the interval; None if it does not."""
     if coordinate.symbol not in expression.free_symbols:
         return None
     function, points = numeric(expression, coordinate), _samples(coordinate)

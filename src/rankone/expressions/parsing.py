@@ -389,7 +389,7 @@ class _Translator(ast.NodeVisitor):
 
 
 def _logarithm(base: sp.Rational, exponent: sp.Rational) -> float:
-    """The logarithm of the size of a power, of which SymPy takes the exact value slowly."""
+    """The logarithm of the size of a power, whose exact value takes SymPy long."""
     if base == 0:
         return -math.inf if exponent > 0 else math.inf if exponent < 0 else 0.0
     return float(exponent) * (math.log(abs(int(base.p))) - math.log(int(base.q)))

@@ -89,7 +89,7 @@ class Reduction:
 
 @dataclass
 class _Row:
-    """An equation, and the constraints of which it is the derivative."""
+    """An equation, and the constraints whose derivative it is."""
 
     residual: sp.Expr
     equation: int | None

@@ -194,7 +194,7 @@ def check_assumptions(symbol: sp.Symbol, low: float, high: float, subject: str) 
 
 
 def real_number(value: Any, subject: str, remedy: str) -> float:
-    """Return a finite float; if it is none, raise a ProblemError that says what is wrong."""
+    """Return a value as a finite float; a ProblemError says what else it is."""
     try:
         if isinstance(value, str | bool):
             raise TypeError

@@ -61,7 +61,7 @@ def with_parameters(written: Arguments, intervals: Changes, states: Iterable[str
 def changed_symbols(
     written: Arguments, changes: Changes, states: Iterable[str]
 ) -> Iterator[tuple[sp.Symbol, Any]]:
-    """The changes by the symbols of the problem; an error if a name is none, or comes twice."""
+    """The changes by symbol; an error if the problem lacks a name, or one comes twice."""
     symbols = (*written["parameters"], *(written["constants"] or {}))
     declared = {symbol.name: symbol for symbol in symbols}
     elsewhere = dict.fromkeys(_defined(written), ("definition", "change what it is made of"))

@@ -95,7 +95,7 @@ class RateLaws:
         return self._place(_Applied(operation, written, size if fits else 1, fits))
 
     def _place(self, applied: _Applied) -> int:
-        """The symbol of an operation, a new one if there is none."""
+        """The symbol of an operation; a new one if it has none yet."""
         key = applied.operation, applied.arguments
         place = self._symbols.setdefault(key, self.first + len(self._applied))
         if place == self.first + len(self._applied):

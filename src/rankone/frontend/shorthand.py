@@ -146,7 +146,7 @@ def _check_constants(constants: object, time: sp.Symbol) -> dict[sp.Symbol, sp.E
 
 
 def constant_value(symbol: sp.Symbol, value: Any) -> sp.Expr:
-    """The number of a constant, exact; a ProblemError if it is none."""
+    """The exact number of a constant; a ProblemError if it has another value."""
     subject = f"the constant {quote(symbol)}"
     if isinstance(value, sp.Expr) and value.free_symbols:
         raise ProblemError(

@@ -25,7 +25,7 @@ _NOT_REAL = (sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
 def tabulated_equations(equations: object, time: sp.Symbol, box: Box) -> object:
-    """Equations with a table of their terms; as they are given where there is none."""
+    """Equations with a table of their terms, or as they were given if no table holds them."""
     if not isinstance(equations, tuple) or len(equations) < FEWEST_TABULATED:
         return equations
     rates = _rates(equations, time)

@@ -67,7 +67,7 @@ def measure_text(word: str, interval: Interval) -> str | None:
 
 
 def written_scale(text: str | None) -> str | None:
-    """The word of which a text is the measure; None for other distributions, and for none."""
+    """The word for the measure that a text names; None for another distribution or no text."""
     words = (word for word, form in _WRITTEN.items() if text and form.fullmatch(text))
     return next(words, None)
 

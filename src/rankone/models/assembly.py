@@ -64,7 +64,7 @@ class Assembly:
 
     @property
     def start_numbers(self) -> dict[str, sp.Symbol]:
-        """The symbols of the numbers at which ids start; there is none where a formula decides."""
+        """The symbols of the numbers at which ids start, except where a formula decides."""
         return self._givens
 
     def happenings(self) -> tuple[Happening, ...]:

@@ -28,7 +28,7 @@ def sbml_library() -> Any:
 
 
 def is_model_file(path: Path) -> bool:
-    """Whether the suffix is that of a model: SBML or Antimony."""
+    """Whether the suffix says that a file is a model: SBML or Antimony."""
     return path.suffix in (*SBML_SUFFIXES, *ANTIMONY_SUFFIXES)
 
 

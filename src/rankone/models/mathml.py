@@ -117,7 +117,7 @@ class Formula:
         return names[name]
 
     def _rate(self, node: Any) -> sp.Expr:
-        """The rate of change of a quantity; that of a local parameter is zero."""
+        """The rate of change of a quantity; local parameters do not change."""
         name = node.getChild(0).getName()
         quantity = self.local.get(name, sp.Symbol(name))
         rate = self.vocabulary.rates.get(str(quantity))

@@ -44,7 +44,7 @@ _PREFIXES = {
 
 
 def units_of(model: Any, time: str) -> dict[str, str]:
-    """Units of quantities by id, and that of time by its name, as far as the model gives them."""
+    """Units of quantities by id, and of time by its name, as far as the model gives them."""
     quantities = [
         *members(model.getListOfSpecies()),
         *members(model.getListOfParameters()),

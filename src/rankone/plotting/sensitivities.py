@@ -235,7 +235,7 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
 
 
 def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array) -> None:
-    """Shares of the variance above each other, that of interactions on top."""
+    """Shares of the variance above each other, with interactions on top."""
     from matplotlib.patches import Patch
 
     interactions = np.clip(1.0 - shares.sum(axis=0), 0.0, None)

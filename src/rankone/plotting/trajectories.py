@@ -40,7 +40,7 @@ _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 @dataclass(frozen=True)
 class _Family:
-    """Points (names, curves) of the parameters that vary, each of which is a curve."""
+    """Points (names, curves) of the parameters that vary, one for each curve."""
 
     names: tuple[str, ...]
     points: Array

@@ -42,7 +42,7 @@ class Start(NamedTuple):
 
     @classmethod
     def at(cls, eta: Array) -> Start:
-        """Random effects of which nothing more is known."""
+        """A start at some random effects, without a correction."""
         return cls(eta, np.zeros((*eta.shape, eta.shape[-1])))
 
 

@@ -142,7 +142,7 @@ def fit_population(
 
 
 def _columns(table: Any, subject: str) -> dict[str, Any]:
-    """The columns of a table, with that of subjects under its usual name."""
+    """The columns of a table; the column of subjects gets its usual name."""
     columns = columns_of(table)
     if subject not in columns:
         raise OptionError(

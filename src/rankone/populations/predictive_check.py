@@ -229,7 +229,7 @@ def simulated_subjects(
 
 
 def _bins(one: Measured, bins: int | Sequence[float] | None) -> NDArray[np.intp]:
-    """The bin (n, m) of each datum, -1 where there is none."""
+    """The bin (n, m) of each datum; -1 where data are missing."""
     times = one.times[one.present]
     distinct = np.unique(times)
     if bins is None and distinct.size <= _MOST_BINS:

@@ -24,7 +24,7 @@ _STREAM = "evaluate block after block: solution.blocks(...)"
 
 
 def bytes_of(points: int, coordinates: int, numbers: int) -> float:
-    """Bytes that an evaluation of so many points takes, ``numbers`` values of each included."""
+    """Bytes that an evaluation of this many points takes, with ``numbers`` values of each."""
     return 8.0 * _COPIES * (coordinates + numbers + 1) * points + _BUFFERS
 
 

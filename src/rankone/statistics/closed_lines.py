@@ -96,7 +96,7 @@ class Lines:
         return Pieces(owners, begins, ends)
 
     def rule(self, pieces: Pieces, nodes: int) -> tuple[Array, Array]:
-        """Gauss's points (D, M) and weights (M,) on pieces: so many nodes on each."""
+        """Gauss's points (D, M) and weights (M,) on pieces, with ``nodes`` on each."""
         places, weights = np.polynomial.legendre.leggauss(nodes)
         lengths = pieces.ends - pieces.begins
         shares = pieces.begins + 0.5 * (1.0 + places)[:, None] * lengths

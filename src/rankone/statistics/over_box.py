@@ -387,7 +387,7 @@ class StatisticsOverBox(SolutionCore):
         return self._coordinates.checked(0, self.time[0] if t is None else t)
 
     def _scale(self, name: str) -> Scale:
-        """The scale of a coordinate: that of its distribution in the problem."""
+        """The scale of a coordinate, which its distribution in the problem has."""
         text = dict(self.metadata.distributions).get(name)
         return IDENTITY if text is None else SCALES[scale_of(text, self.parameters[name][0])]
 

@@ -93,7 +93,7 @@ class Account:
         self.once: set[Hashable] = set()
 
     def release(self, count: float) -> None:
-        """Hold so many bytes less."""
+        """Give back this many bytes."""
         self.held -= count
 
 

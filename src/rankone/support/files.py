@@ -24,7 +24,7 @@ _OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the comman
 
 
 def as_path(path: Any, error: type[RankoneError]) -> Path:
-    """The path, or an error if it is none."""
+    """An argument as a path; an error if it is something else."""
     try:
         return Path(path)
     except TypeError:

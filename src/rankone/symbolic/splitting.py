@@ -27,7 +27,7 @@ class Monomial(NamedTuple):
     """A product of one function for each coordinate and a monomial in the states."""
 
     factors: tuple[sp.Expr, ...]
-    """For each dimension a function of its coordinate; one where there is none."""
+    """For each dimension a function of its coordinate; 1 if the product has none."""
     powers: Powers
 
 
@@ -53,7 +53,7 @@ class MonomialSum(dict[Monomial, sp.Expr]):
     def times(
         self, factor: MonomialSum, product: Callable[[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]
     ) -> MonomialSum:
-        """Multiply out; ``product`` gives that of two functions as (number, function)."""
+        """Multiply out; ``product`` multiplies two functions and returns (number, function)."""
         terms = []
         for a, a_coefficient in self.items():
             for b, b_coefficient in factor.items():

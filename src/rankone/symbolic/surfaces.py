@@ -152,7 +152,7 @@ def state_surfaces(
 
 
 def _steep_steps(rates: Sequence[sp.Expr], moving: Variables) -> Iterator[tuple[sp.Expr, sp.Expr]]:
-    """Steps over the states; logistic ones, of which neurons have many wide ones, if steep."""
+    """Steps over the states; logistic ones only if they are steep: neurons have many wide ones."""
     for function, surface in steps(rates, moving):
         if not function.is_Pow or sharpness(function) >= _STEEP_DIGITS:
             yield function, surface
