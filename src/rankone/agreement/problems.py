@@ -95,7 +95,7 @@ class ComparedPoints:
 
 
 def disagreeing_rate(lifted: System, system: System) -> int | None:
-    """The first state whose rate the lifted system has wrong; None where there is none.
+    """The first state whose rate the lifted system has wrong; None if all are right.
 
     A lifted system is multiplied out, and its numbers may overflow where those of the original
     system do not.

@@ -154,7 +154,7 @@ def _go_on(shared: Shared[Expandable], ways: list[Descent]) -> None:
 def _hop(
     problem: Expandable, ways: list[Descent], generator: np.random.Generator, most: int
 ) -> None:
-    """Take the best way to other places until so many of them in a row led nowhere.
+    """Take the best way to other places until ``most`` of them in a row led nowhere.
 
     A place has some coordinates of the best end, others of another end, and a few at random, as in
     evolution: what fits part of the data is passed on. The ends are those of the ways, and of hops.

@@ -78,7 +78,7 @@ _LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more
 # Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time
 _LARGEST_ROOT = 12
 _DEEPEST_NESTING = 24  # Functions inside one another; SymPy takes exponentially long for more
-_LONG_FORMULA = 1000  # Characters from which on a formula is parsed in pieces
+_LONG_FORMULA = 1000  # Formulas of this many characters and more are parsed in pieces
 _TERMS_PER_PIECE = 50  # Terms of one piece: Python's parser recurses as deep as a sum is long
 _SAFE_INNER_TERMS = 500  # Terms inside parentheses that Python's parser takes in any case
 _LARGEST_GAMMA_ARGUMENT = 172  # Beyond it the gamma function exceeds all floating-point numbers

@@ -238,7 +238,7 @@ def check_tolerances(atol: object, states: Iterable[sp.Expr], time: sp.Symbol) -
 
 
 def _name_among(names: Sequence[str], key: object, time: sp.Symbol) -> str:
-    """The name of a quantity that has a unit; a ProblemError if there is no such one."""
+    """The name of a quantity with a unit; a ProblemError if it is not among ``names``."""
     try:
         name = name_of(key, time.name)
     except EvaluationError as error:

@@ -20,7 +20,7 @@ from rankone.support.wording import count, did_you_mean, listing, name_defect, q
 
 _MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
-_KEPT = 20_000  # Residuals of which it is kept what they name
+_KEPT = 20_000  # Residuals whose functions of time are kept
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 

@@ -25,7 +25,7 @@ from rankone.frontend.term_table import Entry, TermTable
 
 _HIGHEST_POWER = 8  # Of an unknown; higher ones of numbers of any size are for the general way
 _DIGITS = 20  # Decimal digits of numbers that are no fractions: a few more than floats hold
-_LONG = 4  # Terms of an argument from which on what cancels in it is looked for here
+_LONG = 4  # Arguments of this many terms and more are searched for what cancels
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)
 

@@ -203,7 +203,7 @@ class Outcome:
         return self.slabs
 
     def keeping(self, rows: tuple[int, ...], states: int) -> Outcome:
-        """The same of some of so many states alone, by position; guards and the clock stay."""
+        """The same for ``rows`` alone, of all ``states``; guards and the clock stay."""
         if self.observed:
             return self
         measured, timeline, switching = self.measured, self.timeline, self.switching

@@ -150,7 +150,7 @@ def _by_subject(
 
 
 def _check_repeated(place: str, more: float, interval: float) -> None:
-    """Raise an OptionError unless a dose is repeated so many times at a positive interval."""
+    """Raise an OptionError unless repeats of a dose are a whole number, with time between them."""
     whole = float(more).is_integer() and 0.0 <= more <= _MOST_DOSES
     if not whole or (more > 0.0 and not interval > 0.0):
         raise OptionError(

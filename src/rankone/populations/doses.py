@@ -35,7 +35,7 @@ class Response(NamedTuple):
 
 @dataclass(frozen=True)
 class Doses:
-    """Doses of n records: times, amounts in that of the solution, and rows of the table (n, K).
+    """Doses of n records: times, multiples of the solution's dose, and table rows, all (n, K).
 
     The solution goes from ``start`` to ``end``. Records with fewer doses have some of amount zero.
     """
@@ -48,7 +48,7 @@ class Doses:
 
     @classmethod
     def at_start(cls, solution: SolutionCore, count: int) -> Doses:
-        """One dose for each record, that of the solution, at its start."""
+        """One dose for each record: the solution's own, at its start."""
         start, end = solution.time
         shape = count, 1
         return cls(start, end, np.full(shape, start), np.ones(shape), np.full(shape, -1))

@@ -163,7 +163,7 @@ class PopulationEstimates:
         return {**stds, **dict.fromkeys(self.idle, math.nan)}
 
     def interval(self, level: float | None = None) -> dict[str, tuple[float, float]]:
-        """Intervals of :attr:`x` with a probability, that of the fit if left out.
+        """Intervals of :attr:`x` with a probability; left out, it is that of the fit.
 
         Those of means are Student's, in the coordinates in which subjects are normal; those of
         standard deviations are chi-squared ones, with a correction for the means that were fitted

@@ -183,7 +183,7 @@ def _most(errors: Iterable[float | None]) -> float | None:
 
 
 def _names(words: Iterable[str]) -> str:
-    """Different words in one: that of the most pieces first."""
+    """Different words in one text, the most frequent first."""
     return " and ".join(word for word, _ in Counter(words).most_common())
 
 

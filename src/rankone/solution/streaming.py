@@ -116,12 +116,12 @@ def _block(array: Array, index: Index) -> Array:
 
 
 def _indices(shape: tuple[int, ...], points: int, order: Sequence[int]) -> Iterator[Index]:
-    """Indices of parts of a shape, of so many points at most each; axes are cut in an order."""
+    """Indices of parts of a shape, of at most ``points`` each; axes are cut in the given order."""
     sizes = [shape[axis] for axis in order]
     if not shape or 0 in shape:
         yield from () if shape else ((),)
         return
-    cut = 0  # the first axis of which a part fits with all that follow
+    cut = 0  # the first axis that fits in part, with all after it whole
     while cut < len(sizes) and math.prod(sizes[cut + 1 :]) > points:
         cut += 1
     step = max(points // math.prod(sizes[cut + 1 :]), 1)

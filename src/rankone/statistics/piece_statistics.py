@@ -206,7 +206,7 @@ class _Train:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A piece with its probability: ``shares`` has that of the interval of each parameter.
+    """A piece with its probability: ``shares`` has one factor for the interval of each parameter.
 
     ``runs`` has for each slab the position of its train among ``trains``.
     """

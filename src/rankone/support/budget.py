@@ -195,7 +195,7 @@ def memory_left() -> float:
 
 
 def reserve(count: float) -> None:
-    """Raise an OutOfMemoryError if so many bytes, which come next, are more than may be held."""
+    """Raise an OutOfMemoryError if this many further bytes are more than may be held."""
     account = _ACCOUNT.get()
     if account is not None and account.held + count > account.memory:
         raise OutOfMemoryError(account.held + count, account.memory)
