@@ -366,8 +366,8 @@ def _events(
     heights = f"What crosses zero at events, at u ({n}, ...): ({k}, ...)."
     after = f"States right after it from u ({n}, ...) before, at p (d, ...): ({n}, ...)."
     names = [state.name for state in writer.states]
-    known = [i for i, e in enumerate(events) if e.at is not None]
-    times = f"Times of events of parameters p (d, ...): ({len(known)}, ...)."
+    scheduled = [i for i, e in enumerate(events) if e.at is not None]
+    times = f"Times of events of parameters p (d, ...): ({len(scheduled)}, ...)."
     affine = [(i, a) for i, e in enumerate(events) if (a := e.coefficients(parameters)) is not None]
     affine_times = table("AFFINE_EVENT_TIMES", nested(affine)) if affine else []
     delayed = [i for i, e in enumerate(events) if e.delay is not None]
@@ -381,7 +381,7 @@ def _events(
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
             *([f"N_SIDES = {sides}"] if sides else []),
-            *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
+            *([f"KNOWN_EVENTS = {tuple(scheduled)}"] if scheduled else []),
             *affine_times,
             *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
             *([f"RANKED_EVENTS = {tuple(ranked)}"] if ranked else []),

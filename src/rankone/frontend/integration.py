@@ -301,7 +301,7 @@ class Integration:
         """The events at known times that happen at the start, or at the end: they cross nothing."""
         events = self.equations.events
         heights = events.when(time, self._state, self.point)
-        now = [k for k, timed in enumerate(events.timed) if timed and heights[k] == 0.0]
+        now = [k for k, at_times in enumerate(events.scheduled) if at_times and heights[k] == 0.0]
         return [k for k in now if not self._occurrences[k]]
 
     def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:

@@ -144,7 +144,7 @@ class NumericEvents:
         self.names = [str(event.name) for event in events]
         self._directions = [_SIDES[event.direction] for event in events]
         self.terminal = [event.terminal for event in events]
-        self.timed = [known_time(event, equations.time[0]) is not None for event in events]
+        self.scheduled = [known_time(event, equations.time[0]) is not None for event in events]
         self.withdrawn = [not event.persistent for event in events]
         self.overlapping = [event.overlapping for event in events]
         self.delays, self.priorities = (

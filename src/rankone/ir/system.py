@@ -415,7 +415,7 @@ def _rest(names: Mapping[str, object]) -> Rest | None:
 def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     """The events of a generated module."""
     listed = cast("Sequence[tuple[str, int, bool, bool]]", names.get("EVENTS", ()))
-    timed, delayed, ranked, withdrawn, single = (
+    scheduled, delayed, ranked, withdrawn, single = (
         cast("Sequence[int]", names.get(f"{kind}_EVENTS", ()))
         for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN", "SINGLE")
     )
@@ -433,7 +433,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     def event(k: int, name: str, direction: int, terminal: bool, resets: bool) -> SystemEvent:
         def at(p: Array) -> Array:
             times = cast(OfParameters, names["known_event_times"])
-            return np.broadcast_to(times(p)[timed.index(k)], p.shape[1:])
+            return np.broadcast_to(times(p)[scheduled.index(k)], p.shape[1:])
 
         return SystemEvent(
             row("event_heights", k),
@@ -441,7 +441,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
             cast("OfStates | None", names[f"after_event_{k}"] if resets else None),
             terminal,
             name,
-            at if k in timed else None,
+            at if k in scheduled else None,
             switch=k >= first_side,
             delay=row("event_delays", delayed.index(k)) if k in delayed else None,
             priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
