@@ -23,6 +23,7 @@ def run(name: str, size: int, draw: Callable[[int], Figure]) -> None:
     parser.add_argument("--to", type=Path, help="folder of the figure; by default a new one")
     arguments = parser.parse_args()
     folder = arguments.to or Path(tempfile.mkdtemp(prefix="rankone-"))
+    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.png"
     figure = draw(arguments.size)
     figure.savefig(path, dpi=DPI)

@@ -8,15 +8,16 @@ diagonals. Damping is in proportion to stiffness. The wind pushes the nodes of t
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.sparse
 import sympy as sp
-from common import run
-from matplotlib.figure import Figure
 
 import rankone as ro
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RTOL, SIZE, END, WIDTH = 1e-4, 20, 40.0, 4
 t, COLUMNS, DIAGONALS, DAMPING, WIND = sp.symbols("t k d c f")
@@ -72,6 +73,8 @@ def problem(height: int) -> ro.Problem:
 
 def draw(height: int) -> Figure:
     """The tower at the end for soft and stiff diagonals, and the bands of its top."""
+    import matplotlib.pyplot as plt  # the problem alone needs no figures
+
     solution = ro.solve(problem(height), rtol=RTOL)
     print(solution)
     figure, (left, right) = plt.subplots(
@@ -94,4 +97,6 @@ def draw(height: int) -> Figure:
 
 
 if __name__ == "__main__":
+    from common import run
+
     run("truss", SIZE, draw)

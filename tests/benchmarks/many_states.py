@@ -91,7 +91,6 @@ def heat(n: int) -> ro.Problem:
 
 def truss(height: int) -> ro.Problem:
     """The damped tower of the examples: a plane truss of 4 x ``height`` bays."""
-    sys.path.append(str(FIELDS))
     made: ro.Problem = runpy.run_path(str(FIELDS / "truss.py"))["problem"](height)
     return made
 
@@ -282,6 +281,9 @@ def main() -> None:
     if arguments.row:
         print(row(arguments.row, arguments.method), flush=True)
         return
+    for given in arguments.names:
+        if not any(name.startswith(given) for name in CASES):
+            parser.error(f"no row begins with {given!r}; rows: {', '.join(CASES)}")
     titles = (
         "states",
         "system",

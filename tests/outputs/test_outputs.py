@@ -197,7 +197,7 @@ def test_an_output_that_is_not_resolved_says_so():
         ("xx", "unknown name `xx`"),
         ({"q": "x*"}, "not a formula"),
         ({"q": "xx"}, "unknown name `xx`"),
-        ({"q": sp.Symbol("xx")}, "the solution knows"),
+        ({"q": sp.Symbol("xx")}, "names are"),
         ({"q": sp.Function("z")(t)}, "`z"),
         ({"q": sp.Function("x")(k)}, "not a name, a symbol or a function of `t`"),
         ({"x0": x}, "name of a coordinate"),
@@ -297,7 +297,7 @@ s = sp.Symbol("s")
         (sp.Integral(sp.exp(s - t) * S(s), (s, 0, t)), "both `s` and `t`"),
         (sp.Integral(x, (x0, 8, 9)), "`x0` is a parameter"),
         (sp.Integral(x, (t, 0, sp.I)), "are not numbers"),
-        (sp.Dummy("x0") * x, "the solution knows"),
+        (sp.Dummy("x0") * x, "names are"),
         ("max(x)", r"of one argument.*maximum\("),
     ],
 )

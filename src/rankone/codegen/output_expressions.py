@@ -336,7 +336,7 @@ def _parsed(
         "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
     }
     named = [*metadata.states, *metadata.coordinates, *dict(metadata.definitions)]
-    listed = f"the solution knows {listing(named)}"
+    listed = f"names are {listing(named)}"
     try:
         return parse_expression(
             output,

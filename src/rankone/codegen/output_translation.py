@@ -231,7 +231,7 @@ class OutputTranslator:
                 f"the output {quote(name)} has {quote(symbol)}"
                 f"{self.metadata.hint(symbol.name, *names)}",
                 term=symbol,
-                remedy=f"the solution knows {listing(quantities, symbol.name)}",
+                remedy=f"names are {listing(quantities, symbol.name)}",
             )
         not_real = plain.is_number and plain.is_extended_real is False  # slow for long sums
         if not_real or plain.has(sp.I, sp.nan, sp.zoo, sp.oo):

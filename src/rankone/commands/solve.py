@@ -24,7 +24,7 @@ from rankone.commands.common import (
     with_numbers,
 )
 from rankone.commands.pieces import add_pieces, in_pieces, solve_pieces
-from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
+from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ _STAGES = {
     "quadratic": ("quadratic system", "quadratic"),
     "source": ("generated module", "source"),
 }
-_MEMORY_HELP = "limit of memory, such as 2GB; what would not fit is refused"
 _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
 _BOX_HELP = (
     "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in the logarithm; "
@@ -94,7 +93,7 @@ def register(commands: Commands) -> None:
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
-    add("--max-memory", metavar="SIZE", help=_MEMORY_HELP)
+    add("--max-memory", metavar="SIZE", help=MEMORY_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
     add("--outputs", metavar="NAME=EXPR", nargs="+", action="extend", help=_OUTPUTS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)

@@ -24,7 +24,7 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.selection import solve_with
 from rankone.storage.npz import read, target
 from rankone.support.arrays import Array
-from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
+from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.support.files import npz, write_files
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
@@ -67,9 +67,11 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
     """
     parser = _parser(about)
     arguments = parser.parse_args()
-    for_solves = ("rtol", "box", "t_final", "effort", "max_seconds", "integrator", "options")
+    limits = ("effort", "max_seconds", "max_memory")
+    for_solves = ("rtol", "box", "t_final", *limits, "integrator", "options")
     if arguments.load is not None and any(vars(arguments)[n] is not None for n in for_solves):
-        refused = "--rtol, --box, --t-final, --effort, --max-seconds, --integrator or --options"
+        refused = "--rtol, --box, --t-final, --effort, --max-seconds, --max-memory, "
+        refused += "--integrator or --options"
         parser.error(f"--load takes a solution as it is: no {refused}")
     if arguments.grid is not None and arguments.save is None:
         parser.error("--grid needs --save")
@@ -107,6 +109,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
     add("--effort", metavar="E", type=effort_of, help=EFFORT_HELP)
     add("--max-seconds", type=float, metavar="S", help=SECONDS_HELP)
+    add("--max-memory", metavar="SIZE", help=MEMORY_HELP)
     add("--integrator", choices=INTEGRATORS, help=INTEGRATOR_HELP)
     add("--options", nargs="+", action="extend", metavar=_PAIR_FORM, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR_FORM, help="evaluate at one point")
@@ -128,6 +131,7 @@ def _solved(solve: Callable[..., SolutionCore], arguments: argparse.Namespace) -
             t_final=arguments.t_final,
             effort="normal" if arguments.effort is None else arguments.effort,
             max_seconds=arguments.max_seconds,
+            max_memory=arguments.max_memory,
             integrator=arguments.integrator or "auto",
             **options_of(arguments.options, SOLVE_ARGUMENTS),
         )

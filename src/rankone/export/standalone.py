@@ -140,6 +140,7 @@ def solve(
     cover: str | None = None,
     effort: str | float = "normal",
     max_seconds: float | None = None,
+    max_memory: str | float | None = None,
     unknowns: Sequence[str] | None = None,
     integrator: str = "auto",
     markers: str | None = "auto",
@@ -161,6 +162,8 @@ def solve(
     effort, max_seconds : {{"low", "normal", "high"}} or float, float, optional
         Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or another
         factor; and a time limit on the clock. The best solution so far is returned.
+    max_memory : float or str, optional
+        Bytes that arrays may take at once, or a text such as "2GB".
     unknowns : sequence of str, optional
         The unknowns to solve for, whose error has to be within the tolerance; by default all.
     integrator : {{"auto", "stack", "single", "compiled"}}
@@ -168,7 +171,7 @@ def solve(
     markers : {{"auto", None}}
         Whether crossings of states and of switches may end stretches of time.
     **options
-        Fields of `{options}`.
+        Fields of `{options}`; executor= needs rankone.
 
     Raises
     ------
@@ -180,9 +183,9 @@ def solve(
     # SYSTEM, ENGINE and METADATA are made at the end of this file, from what stands below
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
     domain = {{"parameters": parameters, "t_final": t_final, "markers": markers is not None}}
-    limits = {{"effort": effort, "max_seconds": max_seconds, "integrator": integrator}}
+    limits = {{"effort": effort, "max_seconds": max_seconds, "max_memory": max_memory}}
     request = ir__request.SolveRequest.of(
-        SYSTEM, [ENGINE.options], options, **accuracy, **domain, **limits
+        SYSTEM, [ENGINE.options], options, integrator=integrator, **accuracy, **domain, **limits
     )
     return export__program.solve_system(ENGINE, SYSTEM, METADATA, request)
 

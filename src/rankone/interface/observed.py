@@ -60,11 +60,10 @@ class SolveOutputs:
         asked = _named(outputs, kept)
         formulas = self._formulas(asked, {**kept, **asked}, domain)
         quantities = formulas.over(domain.box, domain.horizon)
-        if any(quantities.cuts) or formulas.narrow or quantities.gap_texts:
+        if not_smooth := _not_smooth(quantities, formulas):
             which = "the output" if len(quantities.names) == 1 else "one of the outputs"
             raise OptionError(
-                f"{which} {listing(quantities.names)} jumps, kinks or is narrow over time or "
-                "parameters, or has no value somewhere",
+                f"{which} {listing(quantities.names)} {not_smooth}",
                 term=quantities.names,
                 remedy=_ASK_SOLUTION,
             )
@@ -163,6 +162,18 @@ def _named(outputs: object, kept: Mapping[str, object]) -> dict[str, object]:
                 remedy="give the output another name",
             )
     return dict(outputs)
+
+
+def _not_smooth(quantities: Quantities, formulas: OutputFormulas) -> str | None:
+    """What outputs do that trajectories cannot be sampled for; None if they are smooth."""
+    for name, places in zip(formulas.metadata.coordinates, quantities.cuts, strict=True):
+        if places:
+            return f"jumps, kinks or is narrow at {name} = {places[0]:.6g}"
+    if formulas.narrow:
+        return "kinks or is narrow over several parameters at once"
+    if quantities.gap_texts:
+        return f"has no value somewhere: {quantities.gap_texts[0]}"
+    return None
 
 
 def _check_states_alone(quantities: Quantities) -> None:

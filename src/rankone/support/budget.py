@@ -19,6 +19,7 @@ from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
 
 EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best so far is kept"
+MEMORY_HELP = "limit of memory, such as 2GB; what would not fit is refused"
 SECONDS_HELP = "time limit on the clock; the best so far is kept"
 NORMAL = 2.5e10
 """Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""

@@ -118,7 +118,7 @@ def _of_larger_volume(skeleton: Skeleton) -> Skeleton:
 
     Goreinov et al., How to find a good submatrix, 2010.
     """
-    columns, coefficients = skeleton.columns, skeleton.coefficients
+    columns, coefficients = skeleton.columns.copy(), skeleton.coefficients.copy()
     for _ in range(_MAX_EXCHANGES):
         i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
         if abs(coefficients[i, j]) < _VOLUME_GAIN:
@@ -128,4 +128,4 @@ def _of_larger_volume(skeleton: Skeleton) -> Skeleton:
         change[i] -= 1.0
         coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
         columns[i] = j
-    return skeleton
+    return Skeleton(columns, coefficients)

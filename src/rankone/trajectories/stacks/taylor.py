@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.integrate
@@ -50,7 +51,6 @@ _ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
 _TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
 _PRODUCT_COST = 0.5  # Operations of a product of two coefficients
 _STEP_COST = 80e3  # Operations of a step besides
-_KEPT = 16  # Systems whose terms are kept in order
 
 
 def steps_ratio(tolerance: float) -> float:
@@ -149,7 +149,9 @@ class TaylorTerms:
     @classmethod
     def of(cls, system: System) -> TaylorTerms:
         """The terms of a separated system without functions of time."""
-        return _terms_of(system)
+        if system not in _terms:
+            _terms[system] = _terms_of(system)
+        return _terms[system]
 
     def at(self, system: System, parameters: Array) -> TaylorSeries:
         """The series of the system at parameters (d, m)."""
@@ -168,7 +170,10 @@ class TaylorTerms:
         return _step_cost(order, m, self.n, self.products, self.variables.size)
 
 
-@lru_cache(_KEPT)
+_terms: WeakKeyDictionary[System, TaylorTerms] = WeakKeyDictionary()
+"""The terms of systems in order, for as long as there are these."""
+
+
 def _terms_of(system: System) -> TaylorTerms:
     n, constants = system.n_differential, list[tuple[float, int, tuple[int, ...]]]()
     entries, targets, columns = list[float](), list[int](), list[int]()
