@@ -159,9 +159,9 @@ class SamplingChoice:
     last trajectories. The reference, of the relative tolerance ``accuracy``, takes DOP853 so many
     ``steps``, from which the work of stacks is ``predicted``, and with compiled rates
     ``predicted_fast``. Something is compiled once, as soon as it would have saved more, of the
-    ``work`` so far, than it costs. For rates the sweep that begins counts too: about as many
-    trajectories for each further parameter. Whole trajectories are more accurate than asked, so
-    nothing else follows them but where they fail.
+    ``work`` so far, than it costs. For rates the trajectories to come count too: about as many as
+    now for each further parameter. Whole trajectories are more accurate than asked, so nothing else
+    follows them but where they fail.
     """
 
     system: System
@@ -177,13 +177,13 @@ class SamplingChoice:
     may_compile: bool = True
     _next: tuple[float, float] = (0.0, 0.0)  # Predicted work of the next stack, and that if fast
 
-    def at_times(self, times: int, tolerance: float, m: int) -> str:
-        """The option for m further trajectories at so many times, whose stacks are not stiff."""
+    def at_times(self, times: int, tolerance: float, m: int, stacks: int = 1) -> str:
+        """The option for stacks of m further trajectories at so many times, which are not stiff."""
         if self.system.clock is not None or self.system.user_functions:
             return self.integrator
         self._next = generated, fast = self._stacked(times, tolerance, m)
         each = compiled.sampling_cost(self.system, self.accuracy, self.steps, times)
-        further = len(self.system.parameters) - 1
+        further = max(len(self.system.parameters) - 1, 1) * stacks
         if self.option == "auto" and self.may_compile and not self._is_compiled:
             slower = self.work / self.predicted if self.predicted else 0.0
             saved = slower * (self.predicted - self.predicted_fast), further * (generated - fast)
@@ -195,7 +195,7 @@ class SamplingChoice:
             if savings[best] > 0.0 and is_installed() and has_series(self.system):
                 self.integrator = best
         elif self.integrator == "compiled" and not self.trajectories and has_series(self.system):
-            sweep = max(further, 1) * m
+            sweep = further * m
             if self._stacked(times, tolerance, sweep)[1] < sweep * each.each:
                 self.integrator = _COMPILED_STACK
         return self.integrator

@@ -200,7 +200,9 @@ class Trajectories:
         chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
         option = self.choice.integrator
         if not self.stiff:
-            option = self.choice.at_times(self.grid.times.size, tolerance, len(chunks[0]))
+            option = self.choice.at_times(
+                self.grid.times.size, tolerance, len(chunks[0]), len(chunks)
+            )
         integrator = integrator_for(
             reference_set.system,
             option,
