@@ -321,29 +321,31 @@ class _Batches:
         states = np.empty((times.size, *self.initial.shape))
         states[times <= self.edges[0]] = self.initial
         state, lanes = self.initial, taylor.batch_size
-        n, batches = len(state), -(-len(self.points) // lanes)
+        n, m = state.shape
+        longest = self.tolerances.longest_step
         for a, b in itertools.pairwise(self.edges):
             state = self.begun(a, state)
             first, last = np.searchsorted(times, (a, b), side="right")
             grid = np.unique([a, *times[first:last], b])
             repeated = np.repeat(grid[:, None], lanes, axis=1)
             cost = lanes * grid.size * _GRID_STATE(n * (self.order + 1))
-            passed = np.empty((batches, grid.size, n, lanes))
+            ends = np.empty((n, m))
             for k in self.starts(taylor, a, state):
                 charge(cost)
                 allowed = self.allowed_steps()
-                passed[k] = taylor.propagate_grid(
-                    repeated, max_steps=allowed, max_delta_t=self.tolerances.longest_step
-                )[1]
+                columns = slice(k * lanes, min((k + 1) * lanes, m))
+                passed = taylor.propagate_grid(repeated, max_steps=allowed, max_delta_t=longest)[1]
+                passed = passed[:, :, : columns.stop - columns.start]
                 steps = [steps for *_, steps in taylor.propagate_res]
                 charge(self.step_cost * sum(steps))
-                if max(steps) >= allowed < _MOST_STEPS and not np.isfinite(passed[k]).all():
+                if max(steps) >= allowed < _MOST_STEPS and not np.isfinite(passed).all():
                     charge(self.step_cost * allowed)  # the budget ends here, not the series
-            on_grid = self.unbatched(passed)
-            state = on_grid[-1] * self.scales
+                states[first:last, :, columns] = passed[1 : 1 + last - first]
+                ends[:, columns] = passed[-1]
+            states[first:last] *= self.scales
+            state = ends * self.scales
             if not np.isfinite(state).all():
                 raise _Fails
-            np.multiply(on_grid[1 : 1 + last - first], self.scales, out=states[first:last])
         return SampledTrajectories(states, times.size, self.edges[-1], state, "compiled")
 
     def dense(self) -> TaylorTrajectories:
