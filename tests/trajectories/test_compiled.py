@@ -12,7 +12,7 @@ from scipy.special import erf
 
 import rankone as ro
 from rankone.support.budget import OutOfWorkError, limited
-from rankone.trajectories.choice import SamplingChoice, integrator_for
+from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
 from rankone.trajectories.compiled import CompiledIntegrator
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.series import (
@@ -307,6 +307,17 @@ def test_rates_are_compiled_where_stacks_are_large():
     record(choice, "compiled", slower=100.0)
     assert option_for(choice, m=50) == chosen
     assert option_for(replace(choice_for("kirchhoff"), integrator="compiled"), m=1000) == chosen
+
+
+def test_steps_of_either_series_tell_those_of_dop853():
+    system = ro.compile(REFERENCE["kirchhoff"]()).system
+    points = points_of(system)
+    work = points, edges_of(system), tolerances(system, points)
+    whole = replace(system, terms=())  # leaves the series for DOP853
+    expected = StackedIntegrator().run(whole, *work).steps
+    for dense in (run(system, points), StackedIntegrator().run(system, *work)):
+        assert dense.method == "Taylor"
+        assert 0.4 * expected < explicit_steps(dense, RELATIVE) < 2.5 * expected
 
 
 def test_compiled_rates_save_nothing_where_stacks_take_series():

@@ -146,8 +146,10 @@ def explicit_steps(dense: DenseTrajectories, accuracy: float) -> float:
     """Steps of DOP853 that trajectories take at a relative tolerance, by those that were made."""
     if dense.method == "Radau":
         return dense.avoided
-    if dense.method == "Taylor" and dense.integrator == "stack":
-        return dense.steps / steps_ratio(accuracy)
+    if dense.method == "Taylor":
+        of_stack = dense.integrator == "stack"
+        ratio = steps_ratio(accuracy) if of_stack else compiled.steps_ratio(accuracy)
+        return dense.steps / ratio
     return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
 
 

@@ -45,7 +45,7 @@ _MOST_COEFFICIENTS = 3e7  # Coefficients of dense trajectories that fit into mem
 _COPIES = 3  # Copies of them: as they are made, of each trajectory, and of all
 _BATCH_COST = 10.0 * CALL  # Operations of one batch, besides its steps
 _LANE_STEP = Cost(60.0, 0.13)  # Operations of a step: once, and for each product of coefficients
-_GRID_STATE = Cost(50.0, 1.2)  # Operations of a time of the grid: once, and for each coefficient
+_GRID_STATE = Cost(45.0, 0.7)  # Operations of a time of the grid: once, and for each coefficient
 _DENSE_STEP = 20.0 * CALL  # Operations of a step of a batch whose coefficients are kept
 _CHECK_COST = 15.0  # Operations of evaluating a state of dense trajectories
 _USUAL_BATCH = 4  # Trajectories in a batch, where costs are predicted
@@ -57,13 +57,17 @@ _PLACES = 2  # Random places in each step at which the defect is looked at
 _MOST_DEFECT = 300.0  # Largest defect there, times the step, in tolerances
 
 
+def steps_ratio(accuracy: float) -> float:
+    """Steps of series over those of DOP853 at an accuracy, a relative tolerance."""
+    return float(_STEPS_RATIO * (accuracy / _SAME_ACCURACY) ** _DOP853_POWER)
+
+
 def sampling_cost(system: System, accuracy: float, dop853_steps: float, times: int) -> Cost:
     """Operations of sampling at some times: once for the compilation, and for each trajectory.
 
     The trajectories take DOP853 so many steps at the ``accuracy``, a relative tolerance.
     """
-    order = order_of(accuracy)
-    steps = _STEPS_RATIO * (accuracy / _SAME_ACCURACY) ** _DOP853_POWER * dop853_steps
+    order, steps = order_of(accuracy), steps_ratio(accuracy) * dop853_steps
     on_grid = times * _GRID_STATE(system.n_differential * (order + 1))
     each = steps * _step_cost(system, order) + on_grid + _BATCH_COST / _USUAL_BATCH
     return Cost(compilation_cost(system, order), each)
