@@ -18,7 +18,6 @@ from rankone.calibration.solutions import CalibrationSolutions
 from rankone.estimation.formulas import formula_of
 from rankone.frontend.problem import Problem
 from rankone.interface.compiled import compile_problem
-from rankone.interface.solution import Solution
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
@@ -75,12 +74,17 @@ def box_of(
         if isinstance(names, Mapping):
             box[name] = _interval(name, names[name])
         else:
-            factor = checked_number("spread", spread, 1.0, _LARGEST_SPREAD, float)
-            ends = sorted((values[name] / factor, values[name] * factor))
-            box[name] = (ends[0], ends[1])
+            box[name] = _around(values[name], spread)
         if len(box[name]) == 2 and parameters[name].scale != "lin":
             box[name] = (*box[name], "log")
     return box
+
+
+def _around(value: float, spread: object) -> Interval:
+    """The interval from a value over the spread to the value times the spread."""
+    factor = checked_number("spread", spread, 1.0, _LARGEST_SPREAD, float)
+    lower, upper = sorted((value / factor, value * factor))
+    return lower, upper
 
 
 def _interval(name: str, given: object) -> Interval:
@@ -129,7 +133,6 @@ def solved(
         each.name: measured(records, settings, k, together or free)
         for k, each in enumerate(records.experiments)
     }
-    solutions: dict[str, Solution] = {}
     if together is not None:
         first = records.experiments[0]
         problem = problem_for(records, settings, first, together, records.last_time or 1.0)
@@ -139,8 +142,10 @@ def solved(
             each.name: problem_for(records, settings, each, free, end_of(records, each))
             for each in records.experiments
         }
-        for name, problem in problems.items():
-            solutions[name] = compile_problem(problem).solve(rtol, **options)
+        solutions = {
+            name: compile_problem(problem).solve(rtol, **options)
+            for name, problem in problems.items()
+        }
     outer = [p for p in records.parameters if p.name in free.outer & _names(experiments.values())]
     bounds: dict[str, Interval] = {
         p.name: (p.lower, p.upper) if p.scale == "lin" else (p.lower, p.upper, "log") for p in outer

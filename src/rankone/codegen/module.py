@@ -358,52 +358,52 @@ def _events(
     sides: int = 0,
 ) -> list[Block]:
     """The events, what crosses zero, and the states after those that reset some."""
-    parameters = [c.symbol for c in coordinates[1:]]
     if not events:
         return []
     n, k = len(writer.states), len(events)
-    rows = ((quoted(e.name), e.direction, e.terminal, e.then is not None) for e in events)
-    heights = f"What crosses zero at events, at u ({n}, ...): ({k}, ...)."
+    times = [e.at for e in events if e.at is not None]
+    delays = [e.delay for e in events if e.delay is not None]
+    priorities = [e.priority for e in events if e.priority is not None]
+    of_times = f"Times of events of parameters p (d, ...): ({len(times)}, ...)."
+    of_heights = f"What crosses zero at events, at u ({n}, ...): ({k}, ...)."
+    of_delays = f"Time from an event to its resets, at u ({n}, ...): ({len(delays)}, ...)."
+    of_order = f"Which event at one instant is first, at u ({n}, ...): ({len(priorities)}, ...)."
     after = f"States right after it from u ({n}, ...) before, at p (d, ...): ({n}, ...)."
     names = [state.name for state in writer.states]
-    scheduled = [i for i, e in enumerate(events) if e.at is not None]
-    times = f"Times of events of parameters p (d, ...): ({len(scheduled)}, ...)."
-    affine = [(i, a) for i, e in enumerate(events) if (a := e.coefficients(parameters)) is not None]
-    affine_times = table("AFFINE_EVENT_TIMES", nested(affine)) if affine else []
-    delayed = [i for i, e in enumerate(events) if e.delay is not None]
-    delays = f"Time from an event to its resets, at u ({n}, ...): ({len(delayed)}, ...)."
-    ranked = [i for i, e in enumerate(events) if e.priority is not None]
-    priorities = f"Which event at one instant is first, at u ({n}, ...): ({len(ranked)}, ...)."
-    withdrawn = [i for i, e in enumerate(events) if not e.persistent]
-    single = [i for i, e in enumerate(events) if not e.overlapping]
     return [
-        [
-            "# name, direction, whether it ends the trajectory, whether it resets states",
-            *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
-            *([f"N_SIDES = {sides}"] if sides else []),
-            *([f"KNOWN_EVENTS = {tuple(scheduled)}"] if scheduled else []),
-            *affine_times,
-            *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
-            *([f"RANKED_EVENTS = {tuple(ranked)}"] if ranked else []),
-            *([f"WITHDRAWN_EVENTS = {tuple(withdrawn)}"] if withdrawn else []),
-            *([f"SINGLE_EVENTS = {tuple(single)}"] if single else []),
-        ],
-        writer.vector("known_event_times", "p", times, [e.at for e in events if e.at is not None]),
-        writer.vector("event_heights", "t, u, p", heights, [e.when for e in events]),
-        writer.vector(
-            "event_delays", "t, u, p", delays, [e.delay for e in events if e.delay is not None]
-        ),
-        writer.vector(
-            "event_priorities",
-            "t, u, p",
-            priorities,
-            [e.priority for e in events if e.priority is not None],
-        ),
+        _event_tables(events, [c.symbol for c in coordinates[1:]], sides),
+        writer.vector("known_event_times", "p", of_times, times),
+        writer.vector("event_heights", "t, u, p", of_heights, [e.when for e in events]),
+        writer.vector("event_delays", "t, u, p", of_delays, delays),
+        writer.vector("event_priorities", "t, u, p", of_order, priorities),
         *(
             writer.vector(f"after_event_{i}", "t, u, p", after, e.then, names)
             for i, e in enumerate(events)
             if e.then is not None
         ),
+    ]
+
+
+def _event_tables(
+    events: Sequence[EventForm], parameters: Sequence[sp.Symbol], sides: int
+) -> Block:
+    """What each event is, and the positions of those that are scheduled, delayed and so on."""
+    rows = ((quoted(e.name), e.direction, e.terminal, e.then is not None) for e in events)
+    affine = [(i, a) for i, e in enumerate(events) if (a := e.coefficients(parameters)) is not None]
+    scheduled = tuple(i for i, e in enumerate(events) if e.at is not None)
+    others = {
+        "DELAYED": tuple(i for i, e in enumerate(events) if e.delay is not None),
+        "RANKED": tuple(i for i, e in enumerate(events) if e.priority is not None),
+        "WITHDRAWN": tuple(i for i, e in enumerate(events) if not e.persistent),
+        "SINGLE": tuple(i for i, e in enumerate(events) if not e.overlapping),
+    }
+    return [
+        "# name, direction, whether it ends the trajectory, whether it resets states",
+        *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
+        *([f"N_SIDES = {sides}"] if sides else []),
+        *([f"KNOWN_EVENTS = {scheduled}"] if scheduled else []),
+        *(table("AFFINE_EVENT_TIMES", nested(affine)) if affine else []),
+        *(f"{kind}_EVENTS = {positions}" for kind, positions in others.items() if positions),
     ]
 
 

@@ -12,7 +12,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.agreement.problems import check_outputs
-from rankone.codegen.long_sums import long_sums
+from rankone.codegen.long_sums import Sums, long_sums
 from rankone.codegen.output_translation import KINDS, OutputTranslator
 from rankone.codegen.printer import numpy_text
 from rankone.expressions.admissible import gaps
@@ -115,14 +115,7 @@ def output_formulas(
         **{symbol: f"s[{i}]" for i, symbol in enumerate(sources)},
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
-    states = {
-        symbol: rate_of(unknown_of(metadata.states[source.row], time), time, source.order)
-        for source, symbol in translator.sources.items()
-    }
-    states |= {
-        symbol: sp.Add(*(weight * states[state] for state, weight in weights.items()))
-        for symbol, weights in sums.items()
-    }
+    states = _meanings(translator, sums)
     count = len(translator.integrands)
     integrands, values = evaluated[:count], evaluated[count:]
     gap_regions = _gaps(evaluated, states, {*translator.reduced})
@@ -153,6 +146,19 @@ def output_formulas(
     )
     _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
     return OutputFormulas(quantities, tuple(evaluated), metadata, states, bool(of_parameters))
+
+
+def _meanings(translator: OutputTranslator, sums: Sums) -> dict[sp.Symbol, sp.Expr]:
+    """States, their derivatives and sums of them as functions of time, by symbol."""
+    time, names = sp.Symbol(translator.metadata.time), translator.metadata.states
+    states: dict[sp.Symbol, sp.Expr] = {
+        symbol: rate_of(unknown_of(names[source.row], time), time, source.order)
+        for source, symbol in translator.sources.items()
+    }
+    return states | {
+        symbol: sp.Add(*(weight * states[state] for state, weight in weights.items()))
+        for symbol, weights in sums.items()
+    }
 
 
 def _by_name(outputs: object, metadata: SolutionMetadata) -> Mapping[str, object]:

@@ -83,38 +83,44 @@ def with_restricted(
     """The same on smaller intervals of some parameters."""
     for key, interval in intervals.items():
         j = position(metadata, key)
-        name, (lower, upper) = metadata.parameters[j], metadata.box[j]
-        try:
-            if isinstance(interval, str | Set | Mapping):
-                raise TypeError
-            low, high = interval
-        except (TypeError, ValueError):
-            raise OptionError(
-                f"the interval of {quote(name)} is {interval!r}, not a pair of numbers",
-                term=interval,
-                remedy=f"give ({lower:g}, {upper:g}) or a part of it",
-            ) from None
-        low, high = (_inside(name, end, lower, upper) for end in (low, high))
-        if 0.0 < high - low < _LEAST_SHARE * (upper - lower):
-            raise OptionError(
-                f"the interval ({low!r}, {high!r}) of {quote(name)} is too narrow",
-                term=interval,
-                remedy="fix a single value instead",
-            )
-        if not low < high:
-            raise OptionError(
-                f"the interval ({low:g}, {high:g}) of {quote(name)} does not ascend",
-                term=interval,
-                remedy="fix a single value instead" if low == high else f"give ({high:g}, {low:g})",
-            )
+        ends = _part_of(metadata.box[j], interval, metadata.parameters[j])
         if outcome.pieces:
-            outcome, metadata = _restricted_in_pieces(outcome, j, (low, high))
+            outcome, metadata = _restricted_in_pieces(outcome, j, ends)
             continue
         box = [*metadata.box]
-        box[j] = (low, high)
-        outcome = replace(outcome, slabs=restricted(outcome.slabs, j, (low, high)))
+        box[j] = ends
+        outcome = replace(outcome, slabs=restricted(outcome.slabs, j, ends))
         metadata = replace(metadata, box=tuple(box))
     return _part(outcome, metadata.rtol), metadata
+
+
+def _part_of(whole: tuple[float, float], interval: Any, name: str) -> tuple[float, float]:
+    """The ends of an interval, or an OptionError if it is no part of the whole one."""
+    lower, upper = whole
+    try:
+        if isinstance(interval, str | Set | Mapping):
+            raise TypeError
+        low, high = interval
+    except (TypeError, ValueError):
+        raise OptionError(
+            f"the interval of {quote(name)} is {interval!r}, not a pair of numbers",
+            term=interval,
+            remedy=f"give ({lower:g}, {upper:g}) or a part of it",
+        ) from None
+    low, high = (_inside(name, end, lower, upper) for end in (low, high))
+    if 0.0 < high - low < _LEAST_SHARE * (upper - lower):
+        raise OptionError(
+            f"the interval ({low!r}, {high!r}) of {quote(name)} is too narrow",
+            term=interval,
+            remedy="fix a single value instead",
+        )
+    if not low < high:
+        raise OptionError(
+            f"the interval ({low:g}, {high:g}) of {quote(name)} does not ascend",
+            term=interval,
+            remedy="fix a single value instead" if low == high else f"give ({high:g}, {low:g})",
+        )
+    return low, high
 
 
 def _fixed_in_pieces(outcome: Outcome, metadata: SolutionMetadata, j: int, at: float) -> _Pair:
