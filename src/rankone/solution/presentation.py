@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from rankone.discretization.coordinates import name_of
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
+from rankone.ir.outcome import Outcome
 from rankone.solution.core import SolutionCore
 from rankone.support.errors import optional_module
 from rankone.support.memory import in_words
@@ -56,14 +57,25 @@ def summary_html(solution: SolutionCore) -> str:
 
 def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     """Headings and texts of the summary."""
-    metadata, outcome = solution.metadata, solution.outcome
-    wholes = [piece.outcome for piece in outcome.pieces] or [outcome]
-    slabs = [slab for whole in wholes for slab in whole.slabs]
-    start, end = solution.time
-    lower, upper = metadata.horizon
-    whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
-    units, distributions = dict(metadata.units), dict(metadata.distributions)
+    metadata, units = solution.metadata, dict(solution.metadata.units)
     named = [f"{name} [{units[name]}]" if name in units else name for name in solution.unknowns]
+    timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.outcome.timings.items()]
+    return [
+        ("unknowns", _some(named)),
+        ("over", _over(solution)),
+        ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
+        ("error", _error(solution)),
+        (metadata.method, _trains(solution.outcome)),
+        ("timings", ", ".join(timings) or "none"),
+    ]
+
+
+def _over(solution: SolutionCore) -> str:
+    """The horizon and the box, with what is fixed."""
+    metadata, (start, end) = solution.metadata, solution.time
+    lower, upper = metadata.horizon
+    units, distributions = dict(metadata.units), dict(metadata.distributions)
+    whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
     clock = with_unit(f"{metadata.time} in [{start:g}, {end:g}]{whole}", units, metadata.time)
     box = [
         with_measure(with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name), distributions.get(name))
@@ -72,29 +84,28 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     over = _some(box if metadata.timeless else [clock, *box]) or "nothing"
     if metadata.fixed:
         over += "; at " + _some(f"{name} = {at:g}" for name, at in metadata.fixed)
+    return over
+
+
+def _trains(outcome: Outcome) -> str:
+    """How many slabs there are, of which ranks and nodes, and what they take."""
+    wholes = [piece.outcome for piece in outcome.pieces] or [outcome]
+    slabs = [slab for whole in wholes for slab in whole.slabs]
     ranks = [slab.ranks for slab in slabs]
     highest = max((max(each, default=1) for each in ranks), default=0)
     pieces = [count(len(outcome.pieces), "piece")] if outcome.pieces else []
-    train = [*pieces, count(len(slabs), "slab"), f"rank {highest}"]
+    texts = [*pieces, count(len(slabs), "slab"), f"rank {highest}"]
     if slabs and slabs[0].bases:
         largest = [max(column) for column in zip(*ranks, strict=True)]
         sizes = ([basis.size for basis in slab.bases] for slab in slabs)
         nodes = [max(column) for column in zip(*sizes, strict=True)]
-        train.append(f"ranks up to ({_some(map(str, largest))})")
-        train.append(f"nodes up to ({_some(map(str, nodes))})")
+        texts.append(f"ranks up to ({_some(map(str, largest))})")
+        texts.append(f"nodes up to ({_some(map(str, nodes))})")
     sampled = outcome.history[-1].integrator if outcome.history else ""
     if outcome.measured is not None and sampled not in ("", outcome.measured.integrator):
-        train.append(f"samples ({sampled})")
+        texts.append(f"samples ({sampled})")
     size = sum(core.nbytes for slab in slabs for core in slab.cores)
-    timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.outcome.timings.items()]
-    return [
-        ("unknowns", _some(named)),
-        ("over", over),
-        ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
-        ("error", _error(solution)),
-        (metadata.method, ", ".join([*train, in_words(size)])),
-        ("timings", ", ".join(timings) or "none"),
-    ]
+    return ", ".join([*texts, in_words(size)])
 
 
 def _error(solution: SolutionCore) -> str:

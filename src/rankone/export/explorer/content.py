@@ -16,6 +16,7 @@ from rankone.export.explorer.mathml import Notation, with_exponents
 from rankone.export.packing import PackedModel
 from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
+from rankone.ir.outcome import Measured
 from rankone.statistics.distributions import Measure, from_text, scale_of
 from rankone.support.arrays import Array
 from rankone.support.errors import RankoneWarning
@@ -266,10 +267,26 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
     measured = solution.outcome.measured
     if measured is None:
         return [*lines, "The error of this solution is not known: it was not measured."]
-    lines.append(
+    lines += _of_errors(measured, solution)
+    if model.timeline is not None and _has_indices(solution):
+        lines.append("Sobol indices are from points, and good to 0.02.")
+    if model.timeline is not None and model.timeline.terminal:
+        lines.append(
+            "Where some trajectories have ended, bands are those of the others, and Sobol indices "
+            "are not defined."
+        )
+    if model.reduction is not None:
+        lines.append(f"{model.reduction} The errors of the table are those of both together.")
+    # lines break at a hyphen, but not at a minus sign
+    return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]
+
+
+def _of_errors(measured: Measured, solution: DistributionOverBox) -> list[str]:
+    """Where the error was measured, and how large the parts of it are, in sentences."""
+    lines = [
         f"The error was measured on {measured.points} trajectories ({measured.method}), relative "
         f"to the largest value of each unknown; the tolerance asked for is {solution.rtol:.3g}."
-    )
+    ]
     if measured.counted is not None:
         names = listing(solution.states[i] for i in measured.counted)
         lines.append(f"Success is about {names} alone.")
@@ -289,14 +306,4 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(f"The constraints of algebraic equations are met to {drift}.")
     if measured.time_error is not None:
         lines.append(f"Times of events are met to {measured.time_error:.2g} of the horizon.")
-    if model.timeline is not None and _has_indices(solution):
-        lines.append("Sobol indices are from points, and good to 0.02.")
-    if model.timeline is not None and model.timeline.terminal:
-        lines.append(
-            "Where some trajectories have ended, bands are those of the others, and Sobol indices "
-            "are not defined."
-        )
-    if model.reduction is not None:
-        lines.append(f"{model.reduction} The errors of the table are those of both together.")
-    # lines break at a hyphen, but not at a minus sign
-    return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]
+    return lines
