@@ -83,7 +83,7 @@ class Following:
         return path
 
     def each(self, started: Started, grid: Array, accuracy: float) -> tuple[Array, Array]:
-        """The same one by one, for a search; NaN at times at which nothing was measured."""
+        """The states one by one, for a search; NaN at times at which nothing was measured."""
         (n, w, count), system = started.slopes.shape, self.dynamics.system
         states = np.full((n, count, grid.size), np.nan)
         slopes = np.full((n, w, count, grid.size), np.nan)

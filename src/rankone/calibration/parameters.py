@@ -37,7 +37,7 @@ class Prior:
     of_value: bool
 
     def distribution(self) -> Any:
-        """The same as a frozen distribution of scipy.stats over the value."""
+        """The prior as a frozen distribution of scipy.stats over the value."""
         unit = {"lin": 0.0, "log": 1.0, "log10": _LOG10}[self.scale]
         first, second = unit * self.location, unit * self.width
         match self.shape, unit:

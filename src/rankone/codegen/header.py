@@ -107,7 +107,7 @@ def equation_texts(system: QuadraticSystem, rest: RestForm | None = None) -> lis
 
 
 def general_equation_texts(system: FirstOrderSystem) -> list[str]:
-    """The same for a system that does not separate."""
+    """Equations as texts, of a system that does not separate."""
     names = {u: sp.Symbol(s.name) for u, s in zip(system.functions, system.states, strict=True)}
     start = number(system.coordinates[0].lower)
     texts = []

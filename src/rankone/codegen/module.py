@@ -182,7 +182,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
 
 
 def _tabulated_source(system: FirstOrderSystem, terms: TermTable, title: str | None) -> str:
-    """The same of many states, from the table of their rates."""
+    """Source of the module for many states, from the table of their rates."""
     writer = FormWriter(system, terms)
     further = system.known_expressions
     factors = known_functions(system.coordinates, further)

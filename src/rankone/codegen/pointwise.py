@@ -151,7 +151,7 @@ class NumPyPrinter:
         return "np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
 
     def _shape_of_rows(self, function: PointwiseFunction, states: str) -> str | None:
-        """The same from the rows that were unpacked, which is faster, where it fits on a line."""
+        """The shape from unpacked rows, which is faster; None where one line does not do."""
         unpacked = {states: function.states, "p": function.parameters}
         names = [name for rows in unpacked.values() for name in rows]
         many = len(names) >= self._MAX_BROADCAST_ARGUMENTS

@@ -24,7 +24,7 @@ def inset(start: float, end: float) -> float:
 
 
 def insets(starts: Array, ends: Array) -> Array:
-    """The same of several slabs or segments."""
+    """The insets of several slabs or segments."""
     lengths = ends - starts
     rounding = _INSET_SPACINGS * np.spacing(np.maximum(np.abs(starts), np.abs(ends)))
     return np.asarray(np.minimum(np.maximum(_INSET * lengths, rounding), 0.25 * lengths))

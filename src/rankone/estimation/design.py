@@ -362,7 +362,7 @@ def _exchanged(
 
 
 def _ridged(information: Array) -> Array:
-    """The same with a ridge just above what counts as identified, so that searches have a way."""
+    """The information with a ridge just above what counts as identified: searches have a way."""
     size = information.shape[-1]
     trace = np.trace(information, axis1=-2, axis2=-1)[..., None, None]
     return np.asarray(information + 2.0 * _LEAST_EIGENVALUE * trace * np.eye(size))

@@ -122,6 +122,6 @@ def slope_of(x: Operand, width: int) -> Array:
 
 
 def with_shape(x: Operand, shape: tuple[int, ...], width: int) -> Dual:
-    """The same with every axis in full."""
+    """An operand as a dual with every axis in full."""
     value = np.broadcast_to(value_of(x), shape)
     return Dual(value, np.broadcast_to(slope_of(x, width), (*shape, width)))

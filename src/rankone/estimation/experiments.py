@@ -124,7 +124,7 @@ class Trial:
         return self.model.values(self.points(at))
 
     def linearised(self, at: Mapping[str, Array], seeds: Seeds) -> tuple[Array, Array]:
-        """The same with derivatives (K, M, w)."""
+        """The states with their derivatives (K, M, w)."""
         every = self.solution.metadata.parameters
         moving = [name in seeds.columns and name not in self.fixed for name in every]
         free = np.flatnonzero(moving).tolist()

@@ -63,7 +63,7 @@ class FreeParameters:
         return np.clip(self.unclipped(z), self.lower, self.upper)
 
     def unclipped(self, z: Array) -> Array:
-        """The same at z that may be outside the cube."""
+        """The values at z that may be outside the cube."""
         values = self.lower + self.width * z
         for j in np.flatnonzero(self.logarithmic):
             values[..., j] = self.lower[j] * np.exp(z[..., j] * self.logarithms[j])
@@ -185,7 +185,7 @@ def free_parameters(
 
 
 def with_start(free: FreeParameters, start: Mapping[str, float]) -> FreeParameters:
-    """The same with a start; in the middle for parameters without one."""
+    """The parameters with a start; it is in the middle for those without one."""
     z = np.full(len(free.names), 0.5)
     for name, x in start.items():
         j = free.names.index(name)

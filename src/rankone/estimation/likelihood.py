@@ -199,7 +199,7 @@ class Likelihood:
         return whole
 
     def largest_log_likelihood(self, z: Array, cost: float) -> float:
-        """The same at z (n,) with its cost, for the best common factor of unknown deviations."""
+        """The log-likelihood at z (n,) with its cost; unknown deviations get their best factor."""
         values = self.free.values(z)
         if self.unit_known:
             return self.log_likelihood(values)

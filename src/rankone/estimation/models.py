@@ -28,7 +28,7 @@ class Model(Protocol):
     """Values of m data as functions of the parameters."""
 
     def thinned(self, scale: Array, tolerance: float) -> Model:
-        """The same with smaller ranks, within a tolerance of the data times ``scale`` (m,).
+        """The model with smaller ranks, within a tolerance of the data times ``scale`` (m,).
 
         The tolerance is of the root mean square over the box of the norm over all data.
         """
@@ -124,7 +124,7 @@ class TrainModel:
             group.append((here, in_time))
 
     def thinned(self, scale: Array, tolerance: float) -> TrainModel:
-        """The same with smaller ranks, within a tolerance of the data times ``scale`` (m,).
+        """The model with smaller ranks, within a tolerance of the data times ``scale`` (m,).
 
         The tolerance is of the root mean square over the box of the norm over all data.
         """
@@ -172,7 +172,7 @@ class PieceModel:
         self.pieces, self.tiling, self.size = tuple(pieces), tiling, size
 
     def thinned(self, scale: Array, tolerance: float) -> PieceModel:
-        """The same with smaller ranks; see :meth:`Model.thinned`."""
+        """The model with smaller ranks; see :meth:`Model.thinned`."""
         pieces = [piece.thinned(scale, tolerance) for piece in self.pieces]
         return PieceModel(pieces, self.tiling, self.size)
 

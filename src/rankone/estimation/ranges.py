@@ -64,7 +64,7 @@ def ranges_of(trials: Sequence[Trial], declared: Sequence[str]) -> dict[str, Ran
 
 
 def with_linear_ranges(problem: Likelihood, points: Array) -> Likelihood:
-    """The same with finite ranges of linear parameters, from points (N, n) all over the cube."""
+    """The problem with finite ranges of linear parameters, from points (N, n) all over the cube."""
     free = problem.free
     endless = np.flatnonzero(~np.isfinite(free.width))
     if not endless.size:
@@ -115,7 +115,7 @@ def _check_spelling(name: str, trial: Trial) -> None:
 
 
 def within_support(free: FreeParameters, priors: Sequence[Measure]) -> FreeParameters:
-    """The same with bounds inside of the supports of priors."""
+    """The parameters with bounds inside of the supports of priors."""
     lower, upper = free.lower.copy(), free.upper.copy()
     for measure in priors:
         assert measure.distribution is not None

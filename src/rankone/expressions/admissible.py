@@ -97,7 +97,7 @@ def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
 
 
 def located_defect(expression: sp.Expr, coordinate: Coordinate, dimension: int) -> str | None:
-    """The same with the factor and its interval: ``"factor `1/k` is not finite at k = 0, ..."``."""
+    """A defect with the factor and its interval: ``"factor `1/k` is not finite at k = 0, ..."``."""
     message = defect(expression, coordinate)
     if message is None:
         return None
@@ -202,7 +202,7 @@ def _zoom_in(function: Callable[[Array], Array], points: Array, i: int) -> tuple
 
 
 def closed(expression: sp.Basic) -> sp.Basic:
-    """The same with piecewise functions that have a value wherever two branches meet.
+    """The expression with piecewise functions that have a value wherever two branches meet.
 
     A single point between two branches takes the one to its right. Where the branches then leave
     out nothing, the last one has the condition True.
@@ -243,7 +243,7 @@ def _open(expression: sp.Basic) -> set[sp.Piecewise]:
 
 
 def _closed(function: sp.Piecewise) -> sp.Expr:
-    """The same function with weaker conditions, as few as give a value where branches meet."""
+    """The function with weaker conditions, as few as give a value where branches meet."""
     branches = tuple(branch for branch, _ in function.args)
     conditions = [sp.to_nnf(condition, simplify=False) for _, condition in function.args]
     to_right = [_relaxed(condition, rightward=True) for condition in conditions]

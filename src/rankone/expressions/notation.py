@@ -251,7 +251,7 @@ def initial_texts(
 
 
 def initial_latex(states: Iterable[sp.Expr], start: float, values: Iterable[sp.Expr]) -> list[str]:
-    """The same as LaTeX, with ``&=``."""
+    """Initial values as LaTeX, with ``&=``."""
     pairs = zip(states, values, strict=True)
     return [f"{latex_of(u)}({start:g}) &= {latex_text(v)}" for u, v in pairs]
 

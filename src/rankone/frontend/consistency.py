@@ -52,7 +52,7 @@ def consistent_initial(
 
 
 def _with_numbers(expression: sp.Expr) -> sp.Expr:
-    """The same with the values of tables and users' functions of numbers."""
+    """The expression with the values of tables and users' functions at numbers."""
     return expression.xreplace(
         {
             applied: exact(sp.Float(float(applied._imp_(*map(float, applied.args)))))

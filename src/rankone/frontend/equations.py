@@ -280,7 +280,7 @@ class Symbols(NamedTuple):
 
     @property
     def with_rates(self) -> Symbols:
-        """The same where highest derivatives may be named too."""
+        """The symbols of expressions that may also name highest derivatives."""
         return self._replace(states=[*self.states, *self.rates])
 
     def explained(self, symbol: sp.Symbol, declared: Iterable[sp.Symbol]) -> tuple[str, str]:

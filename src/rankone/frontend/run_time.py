@@ -21,11 +21,11 @@ _LARGEST = 1e150  # Of run-time constants, and with its reciprocal the smallest
 def with_decisive(
     shorthand: Shorthand, written: Mapping[str, Any], coupled: Set[str] = frozenset()
 ) -> Shorthand:
-    """The same with the constants that decide what is generated of the arguments of a problem.
+    """The shorthand with its decisive constants, on which the generated code depends.
 
-    A constant that is zero does: terms vanish. So do those whose squares are no floating-point
-    numbers, those of expressions that are not finite, for the errors to say so, and those with the
-    names ``coupled``.
+    A constant that is zero is one: terms vanish. So are those whose squares are no floating-point
+    numbers, those in expressions that are not finite, so that the error names them, and those with
+    the names ``coupled``.
     """
     constants = frozenset(shorthand.constants)
     numbers = shorthand.constants.items()

@@ -180,7 +180,7 @@ class TermSums:
         return changed
 
     def _without_cancellation(self, total: TermSum) -> TermSum:
-        """The same with ``k*x - k*x*exp(z)`` as one product of ``1 - exp(z)``, written by itself.
+        """The sum with ``k*x - k*x*exp(z)`` as one product of ``1 - exp(z)``, written by itself.
 
         See :func:`rankone.expressions.stable.stable`, which then writes it without cancellation.
         """

@@ -278,7 +278,7 @@ def formula(
 
 
 def normalised(argument: str, mapping: Mapping[str, Entry]) -> dict[str, Entry]:
-    """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
+    """The mapping with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
     if not has_names(mapping):
         raise ProblemError(
             f"{argument} is {quote(mapping)}, not a mapping from names",

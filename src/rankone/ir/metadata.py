@@ -70,7 +70,7 @@ class SolutionMetadata:
     left_out: tuple[str, ...] = ()
 
     def keeping(self, names: tuple[str, ...]) -> SolutionMetadata:
-        """The same of a solution that holds some of the states, or quantities beside them."""
+        """The metadata of a solution that holds some of the states, or quantities beside them."""
         kept = {*self.coordinates, *(name for name in names if name in self.states)}
         return replace(
             self,
@@ -82,7 +82,7 @@ class SolutionMetadata:
         )
 
     def observing(self, observed: Observation) -> SolutionMetadata:
-        """The same of a solution that holds what is observed in place of the states."""
+        """The metadata of a solution that holds what is observed in place of the states."""
         return replace(
             self.keeping(observed.names),
             equations=observed.texts,
@@ -102,7 +102,7 @@ class SolutionMetadata:
         return did_you_mean(name, [*self.states, *others])
 
     def derivative(self, coordinate: str) -> SolutionMetadata:
-        """The same of a solution that holds the derivatives of the states."""
+        """The metadata of a solution that holds the derivatives of the states."""
         return replace(
             self,
             equations=(),

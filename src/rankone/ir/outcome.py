@@ -101,7 +101,7 @@ class SafeInterval:
     share: float
 
     def shortened(self, kept: float) -> SafeInterval:
-        """The same with a part of its length, away from where trajectories end."""
+        """The interval with a part of its length, away from where trajectories end."""
         length, share = kept * (self.upper - self.lower), kept * self.share
         if self.below:
             return replace(self, upper=self.lower + length, share=share)
@@ -161,7 +161,7 @@ class Outcome:
         return str(self.verdict)
 
     def fixed(self, parameter: int, value: float) -> Outcome:
-        """The same where the parameter at a position is no longer a coordinate."""
+        """The outcome where the parameter at a position is no longer a coordinate."""
         timeline = self.timeline and self.timeline.fixed(parameter, value)
         return replace(self, slabs=fixed(self.slabs, parameter, value), timeline=timeline)
 
@@ -203,7 +203,7 @@ class Outcome:
         return self.slabs
 
     def keeping(self, rows: tuple[int, ...], states: int) -> Outcome:
-        """The same for ``rows`` alone, of all ``states``; guards and the clock stay."""
+        """The outcome for ``rows`` alone, of all ``states``; guards and the clock stay."""
         if self.observed:
             return self
         measured, timeline, switching = self.measured, self.timeline, self.switching

@@ -341,7 +341,7 @@ class SolveRequest:
         return next(options for options in self.options if isinstance(options, group))
 
     def on_box(self, intervals: Mapping[int, tuple[float, float]], factor: float) -> SolveRequest:
-        """The same with other intervals of some parameters, and a fraction of the limits."""
+        """The request with other intervals of some parameters, and a fraction of the limits."""
         box = tuple(intervals.get(j, interval) for j, interval in enumerate(self.domain.box))
         domain = replace(self.domain, box=box)
         return replace(self, domain=domain, limits=self.limits.scaled(factor))

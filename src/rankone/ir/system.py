@@ -191,7 +191,7 @@ class System:
         return frozenset(self.specification.namespace if self.specification else ())
 
     def starting_at(self, initial: OfParameters) -> System:
-        """The same with other initial values, of the parameters."""
+        """The system with other initial values, as functions of the parameters."""
         return replace(
             self,
             initial_terms=(),

@@ -65,7 +65,7 @@ def elements_of(model: Any) -> Elements:
 
 
 def with_free_starts(elements: Elements, ids: Collection[str]) -> Elements:
-    """The same with a number for the start of each of some ids, and no initial assignment.
+    """The elements with a number for the start of some ids, in place of initial assignments.
 
     The number means what the id means in formulas. There is none yet where the file gives a formula
     or a number in other units.

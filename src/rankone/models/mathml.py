@@ -198,7 +198,7 @@ def _body(definition: Any) -> Any:
 
 
 def _typed(table: Mapping[str, Any]) -> dict[int, Any]:
-    """The same table by libsbml's numbers of types."""
+    """The table by libsbml's numbers of types."""
     library = sbml_library()
     return {getattr(library, f"AST_{name}"): each for name, each in table.items()}
 

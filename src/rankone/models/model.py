@@ -122,7 +122,7 @@ class Model:
         return self.depends_on({})
 
     def depends_on(self, constants: Mapping[str, float]) -> frozenset[str]:
-        """The same where some parameters have numbers; a factor of zero makes others vanish."""
+        """The names used where some parameters have numbers; factors of zero make others vanish."""
         exact = {sp.Symbol(name): sp.Rational(repr(float(x))) for name, x in constants.items()}
         formulas = [*self.rates.values(), *self.constraints.values(), *self.initial.values()]
         expanded = (e.xreplace(self._expanded).xreplace(exact) for e in formulas)

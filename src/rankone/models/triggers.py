@@ -132,7 +132,7 @@ def _difference(comparison: Relational, subject: str) -> sp.Expr:
 
 
 def _written_out(condition: Boolean, subject: str, cases: int = 1) -> Boolean:
-    """The same with comparisons of the branches in place of piecewise functions."""
+    """The condition with comparisons of the branches in place of piecewise functions."""
     for comparison in _comparisons(condition):
         functions = sorted(comparison.atoms(sp.Piecewise), key=sp.default_sort_key)
         inner = [f for f in functions if not any(b.has(sp.Piecewise) for b in f.args)]

@@ -46,7 +46,7 @@ def states_of(solution: Solution, given: object) -> list[str]:
 
 
 def unknowns_of(solution: Solution, given: object) -> list[str]:
-    """The same for statistics, which know unknowns alone."""
+    """The names of unknowns; statistics know no other states."""
     names = states_of(solution, given)
     for name in names:
         if name not in solution.unknowns:

@@ -78,7 +78,7 @@ class Individuals:
     converged: NDArray[np.bool_]
 
     def replaced(self, which: NDArray[np.intp], others: Individuals) -> Individuals:
-        """The same with others in place of some subjects."""
+        """The individuals with others in place of some subjects."""
         names = [field.name for field in fields(Linearised)]
         at = [_joined(getattr(self.at, n), getattr(others.at, n), which) for n in names]
         converged = self.converged.copy()

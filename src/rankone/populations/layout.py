@@ -106,7 +106,7 @@ class Layout:
         return offsets
 
     def selected(self, which: NDArray[np.intp]) -> Layout:
-        """The same for some of the subjects."""
+        """The layout for some of the subjects."""
         effects = tuple(replace(effect, x=effect.x[which]) for effect in self.covariates)
         return replace(self, covariates=effects, subjects=which.size)
 

@@ -35,7 +35,7 @@ class OwnTimes(Protocol):
         """
 
     def selected(self, records: NDArray[np.intp]) -> OwnTimes:
-        """The same for some of the records."""
+        """The states of some of the records."""
 
 
 def own_times(solution: SolutionCore, rows: NDArray[np.intp], response: Response) -> OwnTimes:
@@ -85,7 +85,7 @@ class _OnSlabs:
     def _thinned(
         self, slab: SlabTrain, first: Array, rows: NDArray[np.intp], tolerance: float
     ) -> tuple[SlabTrain, Array]:
-        """The same with smaller ranks."""
+        """A group with smaller ranks."""
         here = first.any(axis=2)
         train = slab.train.with_first(first[here]).right_orthonormal()
         norms = np.linalg.norm(train.first, axis=1)

@@ -48,7 +48,7 @@ class Measured:
     states: tuple[str, ...]
 
     def selected(self, records: NDArray[np.intp]) -> Measured:
-        """The same in some of the records."""
+        """What was measured in some of the records."""
         noise = replace(self.noise, spread=self.noise.spread[records])
         times, data, present = self.times[records], self.data[records], self.present[records]
         rows = self.rows[records]

@@ -45,7 +45,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
-    """The same at one time, which is no longer a coordinate."""
+    """An outcome and its metadata at one time, which is no longer a coordinate."""
     slab = at_one_time(outcome.slabs_over_clock_time("at"), time, metadata.horizon)
     fixed = (*metadata.fixed, (metadata.time, float(time)))
     metadata = replace(metadata, source=None, timeless=True, fixed=fixed)
@@ -55,7 +55,7 @@ def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
 def with_fixed(
     outcome: Outcome, metadata: SolutionMetadata, parameters: Mapping[str, object]
 ) -> _Pair:
-    """The same with some parameters fixed, which are no longer coordinates."""
+    """An outcome and its metadata with some parameters fixed, which are no longer coordinates."""
     for key, at in parameters.items():
         j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
@@ -80,7 +80,7 @@ def with_fixed(
 def with_restricted(
     outcome: Outcome, metadata: SolutionMetadata, intervals: Mapping[str, Sequence[float]]
 ) -> _Pair:
-    """The same on smaller intervals of some parameters."""
+    """An outcome and its metadata on smaller intervals of some parameters."""
     for key, interval in intervals.items():
         j = position(metadata, key)
         ends = _part_of(metadata.box[j], interval, metadata.parameters[j])

@@ -270,7 +270,7 @@ class Measure:
         return float(abs(above - below) / self.mass)
 
     def cut(self, lower: float, upper: float) -> Measure:
-        """The same on a part of the interval."""
+        """The measure on a part of the interval."""
         return Measure(self.name, lower, upper, self.distribution, from_problem=True)
 
     def integrals(self, basis: Basis1D) -> tuple[Array, Array]:
@@ -334,7 +334,7 @@ class Measure:
         return points, weights / weights.sum()
 
     def _by_probability(self, basis: Basis1D) -> tuple[Array, Array]:
-        """The same over the probability, for densities that are infinite, jump or have gaps.
+        """Points and weights over the probability, for densities with poles, jumps or gaps.
 
         Panels are halved until the means of the modes do not change.
         """

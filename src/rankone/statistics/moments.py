@@ -198,7 +198,7 @@ class ConditionalMoments(TrainMoments):
         return np.asarray(np.einsum("abc,pbc->ap", around, at))
 
     def _mean_given(self, j: int, point: float) -> Array:
-        """The same for one value of a correlated parameter, (r_1,)."""
+        """The mean given one value of a correlated parameter, (r_1,)."""
         place = self.copula.positions.index(j)
         coarser = None
         for shares, weights in self.copula.given(place, self.parameters.measures[j].normal(point)):

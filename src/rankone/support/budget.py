@@ -50,7 +50,7 @@ class OutOfBudgetError(Exception):
         self.reached = reached
 
     def at(self, reached: Reached | None) -> Self:
-        """The same of an integration that came so far."""
+        """The error of an integration, with how far it came."""
         return type(self)(reached)
 
 

@@ -156,7 +156,7 @@ def text_table(
 
 
 def html_table(summary: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """The same as an HTML table, in full."""
+    """A summary and the table below it as HTML, in full."""
     head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
     body = "\n".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows

@@ -154,7 +154,7 @@ class _Lifter:
                     raise NotLiftable(node)
 
     def polynomial(self, expression: sp.Expr) -> sp.Expr:
-        """The same as a polynomial of states, lifted ones included."""
+        """The expression as a polynomial of states, lifted ones included."""
         check_time()
         if expression.is_Symbol or expression.is_number:
             return expression
@@ -188,7 +188,7 @@ class _Lifter:
         return True
 
     def reduced(self, rate: sp.Expr) -> sp.Expr:
-        """The same polynomial, of lower degree by ``r*base = 1`` of the reciprocals r.
+        """The rate as a polynomial of lower degree, by ``r*base = 1`` of the reciprocals r.
 
         The leading monomial of r*base is replaced: x/(c + x) = 1 - c*r.
         """

@@ -94,7 +94,7 @@ def symbolic_forms(
 
 
 def _named_in_time(terms: MonomialSum) -> MonomialSum:
-    """The same with named constants of coefficients in the factors of time.
+    """The terms with named constants in the factors of time, not in coefficients.
 
     They are functions of time that do not change, so that coefficients are numbers.
     """
