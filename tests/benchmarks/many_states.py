@@ -1,5 +1,7 @@
 """Solve systems of many states: python tests/benchmarks/many_states.py [NAME ...] [--method METHOD]
 
+With ``--basis`` it says what the basis costs in which the samples of (state, time) are compressed.
+
 Each row runs in a process of its own. Seconds are of the processor, with compiling; the peak is of
 the whole process. The error is that at random parameters against SciPy's BDF with the sparse
 Jacobian at rtol 1e-10, relative to each unknown's largest value. The break-even is the time over
@@ -29,6 +31,8 @@ import sympy as sp
 
 import rankone as ro
 from rankone.ir.jacobian import PatternJacobian
+from rankone.solvers.cross import trajectories
+from rankone.tensors.cross import GrowingBasis
 
 FIELDS = Path(__file__).resolve().parents[2] / "examples" / "fields"
 POINTS, TIMES = 3, 11  # Random parameters and times at which errors are measured
@@ -231,8 +235,30 @@ class Peer:
         return integrated.y
 
 
-def row(name: str, method: str) -> str:
+class TimedBasis(GrowingBasis):
+    """The basis of the samples, which remembers what it took."""
+
+    seconds, largest = 0.0, (0, 0)
+
+    def coefficients(self, columns: np.ndarray, tolerance: float) -> np.ndarray:
+        began = time.process_time()
+        coefficients = super().coefficients(columns, tolerance)
+        TimedBasis.seconds += time.process_time() - began
+        TimedBasis.largest = max(TimedBasis.largest, self.vectors.shape)
+        return coefficients
+
+    @classmethod
+    def cost(cls, seconds: float) -> str:
+        length, rank = cls.largest
+        size = 8e-6 * length * rank
+        share = cls.seconds / seconds
+        return f"    basis: {rank} x {length:,} numbers, {size:.0f} MB; {share:.0%} of the seconds"
+
+
+def row(name: str, method: str, basis: bool) -> str:
     """One line of the table."""
+    if basis:
+        trajectories.GrowingBasis = TimedBasis
     case, clock = CASES[name], time.process_time
     began = clock()
     compiled = ro.compile(case.problem())  # with building the problem
@@ -265,6 +291,8 @@ def row(name: str, method: str) -> str:
         f"{1e3 * one:,.0f}",
         f"{seconds / one:,.0f}",
     )
+    if basis:
+        print(TimedBasis.cost(seconds), flush=True)
     return line(cells) + ("" if solution.success else f"\n    {solution.message}")
 
 
@@ -276,10 +304,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="rows whose names begin so; all by default")
     parser.add_argument("--method", default="auto")
+    parser.add_argument("--basis", action="store_true", help="what compressing samples costs")
     parser.add_argument("--row", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.row:
-        print(row(arguments.row, arguments.method), flush=True)
+        print(row(arguments.row, arguments.method, arguments.basis), flush=True)
         return
     for given in arguments.names:
         if not any(name.startswith(given) for name in CASES):
@@ -299,6 +328,7 @@ def main() -> None:
     for name in CASES:
         if not arguments.names or any(name.startswith(given) for given in arguments.names):
             call = [sys.executable, __file__, "--row", name, "--method", arguments.method]
+            call += ["--basis"] if arguments.basis else []
             subprocess.run(call, check=False)
 
 
