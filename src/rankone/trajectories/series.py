@@ -97,14 +97,14 @@ class CompiledRates:
 
     def __call__(self, t: float | Array, u: VectorLike, p: VectorLike) -> Array:
         states, parameters, compiled = np.asarray(u), np.asarray(p), self.compiled
-        m = states.shape[-1]
-        if states.ndim != 2 or parameters.shape != (len(parameters), m) or np.ndim(t):
+        one_time = isinstance(t, float) and states.ndim == 2 == parameters.ndim
+        if not one_time or states.shape[1] != parameters.shape[1]:
             return self.generated(t, u, p)
         of_points: dict[str, Array] = {}
         if compiled.nparams:
             of_points["pars"] = np.ascontiguousarray(parameters[: compiled.nparams])
         if compiled.is_time_dependent:
-            of_points["time"] = np.full(m, t)
+            of_points["time"] = np.full(states.shape[1], t)
         return compiled(np.ascontiguousarray(states), **of_points)
 
 
