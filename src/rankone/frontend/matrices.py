@@ -228,9 +228,9 @@ def initial_values(
     for k, column in enumerate(columns):
         entries = [*column] if _is_column(column) else None
         if entries is None or len(entries) != len(unknowns):
-            given = shown(written) if entries is None else count(len(entries), "value")
+            content = shown(written) if entries is None else count(len(entries), "value")
             raise ProblemError(
-                f"initial is {given} for {count(len(unknowns), 'unknown')}",
+                f"initial is {content} for {count(len(unknowns), 'unknown')}",
                 term=written,
                 remedy=f"give {count(len(unknowns), 'value')}, or a pair of such arrays "
                 "for values and derivatives, or a mapping",
