@@ -133,6 +133,47 @@ def test_what_no_table_holds_is_compiled_from_equations(changed):
     assert np.isfinite(ro.compile(problem).system.initial(np.ones((3, 1)))).all()
 
 
+def test_numbers_for_parameters_keep_the_table():
+    n = FEWEST_TABULATED
+    problem = chain(n)
+    changed = problem.set({C: 0.15}).set({C: 0.12, F: 0.7})
+    assert changed.table is not None
+    assert changed.constants == {C: sp.Rational(3, 25), F: sp.Rational(7, 10)}
+    other = ro.Problem(
+        list(problem.equations),
+        problem.time,
+        {K: (1, 2)},
+        dict(problem.initial),
+        constants={C: 0.12, F: 0.7},
+    )
+    assert other.table is None
+    ours, theirs, k = ro.compile(changed).system, ro.compile(other).system, np.array([[1.3]])
+    u = np.random.default_rng(1).random((2 * n, 1))
+    np.testing.assert_allclose(ours.rhs(0.4, u, k), theirs.rhs(0.4, u, k), rtol=1e-13)
+    np.testing.assert_allclose(ours.initial(k), theirs.initial(k), rtol=1e-13)
+    freed = changed.vary({C: (0.1, 0.2), F: (0.5, 1)})
+    assert freed.table is not None
+    assert ro.compile(freed).source.count("\n") == ro.compile(problem).source.count("\n")
+    assert problem.set({C: 0.0}).table is None  # terms vanish
+
+
+@pytest.mark.parametrize("law", ["k*x{0}/(h + x{0})", "k*x{0}*x{1}", "tanh(k*x{0} - h)"])
+def test_numbers_in_texts_keep_the_table(law):
+    n = FEWEST_TABULATED
+    rates = {f"x{i}": f"{law.format((i + 1) % n, i)} - x{i}" for i in range(n)}
+    start = dict.fromkeys(rates, "h/2")
+    problem = ro.Problem.from_strings(rates, start, {"k": (1, 2), "h": (1, 2)}, (0, 1))
+    changed = problem.set(h=1.5)
+    assert changed.table is not None
+    ours, theirs, u = ro.compile(changed).system, ro.compile(problem).system, np.full((n, 1), 0.4)
+    few, all_of_them = np.array([[1.2]]), np.array([[1.2], [1.5]])
+    np.testing.assert_allclose(ours.rhs(0, u, few), theirs.rhs(0, u, all_of_them), rtol=1e-13)
+    np.testing.assert_allclose(ours.initial(few), theirs.initial(all_of_them))
+    again = pickle.loads(pickle.dumps(changed))
+    assert again.table is not None
+    assert again == changed
+
+
 def test_tables_are_compared_with_the_generated_code():
     problem, other = chain(), chain(K={K: 1.001 * np.eye(N)})
     with pytest.raises(DisagreementError, match="generated rate"):

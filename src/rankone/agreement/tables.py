@@ -78,8 +78,9 @@ def _check_forms(
 
 def _written_rates(problem: Problem, table: TermTable, t: Array, p: Array, u: Array) -> Array:
     """Right-hand sides at points, evaluated as they are written."""
-    leaves = [problem.time[0], *problem.parameters, *problem.initial]
-    at = [t, *p, *u]
+    constants = problem.constants or {}
+    leaves = [problem.time[0], *problem.parameters, *problem.initial, *constants]
+    at = [t, *p, *u, *(np.full(t.shape, float(number)) for number in constants.values())]
     if table.texts:
         values = dict(zip(map(name_of, leaves), at, strict=True))
         pieces = map(syntax_trees, table.texts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence, Set
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -51,10 +52,18 @@ from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.steady_start import SteadyState, check_autonomous, conditioned
 from rankone.frontend.tabulated_equations import tabulated_equations
-from rankone.frontend.term_table import TabulatedEquations, has_distinct_names
+from rankone.frontend.term_table import (
+    FEWEST_TABULATED,
+    TabulatedEquations,
+    TermTable,
+    has_distinct_names,
+)
 from rankone.ir.functions import check_distinct
 from rankone.support.errors import ProblemError, RankoneWarning, warn
 from rankone.support.wording import is_line, quote, shown
+
+_Tabulated = tuple[TermTable, dict[sp.Expr, sp.Expr], Shorthand]
+"""A table, the initial values of its states, and its constants."""
 
 
 def warn_of_unused(parameters: Iterable[sp.Symbol], used: Set[sp.Basic]) -> None:
@@ -79,10 +88,10 @@ class CheckedProblem(ProblemContent):
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
-        if self._is_plain:
+        if self._is_plain and not self.constants:
             self._keep(equations=tabulated_equations(self.written["equations"], time[0], box))
-        if self._is_tabulated(time[0], box):
-            self._keep_table(time, box, distributions)
+        if (kept := self._tabulated(time[0], box)) is not None:
+            self._keep_table(*kept, time, box, distributions)
             return
         equations = listed_equations(self.written["equations"])
         shorthand, residuals = self._put_in(equations, box, time[0])
@@ -122,30 +131,41 @@ class CheckedProblem(ProblemContent):
 
     @property
     def _is_plain(self) -> bool:
-        """Whether there are equations and initial values alone."""
-        besides = self.jumps, self.events, self.constants, self.definitions
+        """Whether there are equations, constants and initial values alone."""
+        besides = self.jumps, self.events, self.definitions
         return not any(map(bool, besides)) and not isinstance(self.initial, SteadyState)
 
-    def _is_tabulated(self, time: sp.Symbol, box: Box) -> bool:
-        """Whether the equations are a table of terms, with nothing besides.
+    def _tabulated(self, time: sp.Symbol, box: Box) -> _Tabulated | None:
+        """The table of terms that the equations are, with numbers for constants; or None.
 
         Whatever else there is needs the equations as expressions, and so does what is not valid.
         """
-        if not isinstance(self.equations, TabulatedEquations):
-            return False
-        table = self.equations.table
-        if not self._is_plain or not table.fits(time, box):
-            return False
-        if not has_distinct_names(table.states, time, box):
-            return False
-        return table.start(self.initial, box) is not None
+        if not isinstance(self.equations, TabulatedEquations) or not self._is_plain:
+            return None
+        if self.constants and len(self.equations) < FEWEST_TABULATED:
+            return None  # run-time values of what is compiled
+        shorthand = check_shorthand(self.written["constants"], None, time)
+        check_apart(shorthand, box, self.initial)
+        shorthand = replace(shorthand, decisive=frozenset(shorthand.constants))
+        table = self.equations.table.with_numbers(shorthand.constants)
+        names = [*box, *shorthand.constants]
+        if table is None or not table.fits(time, box):
+            return None
+        if not has_distinct_names(table.states, time, names):
+            return None
+        initial = table.start(self.initial, box, shorthand.constants)
+        return None if initial is None else (table, initial, shorthand)
 
-    def _keep_table(self, time: Time, box: Box, distributions: dict[str, str]) -> None:
+    def _keep_table(
+        self,
+        table: TermTable,
+        initial: dict[sp.Expr, sp.Expr],
+        shorthand: Shorthand,
+        time: Time,
+        box: Box,
+        distributions: dict[str, str],
+    ) -> None:
         """Set what follows from a table of terms, without the equations."""
-        assert isinstance(self.equations, TabulatedEquations)
-        table = self.equations.table
-        initial = table.start(self.initial, box)
-        assert initial is not None
         starts = set().union(*(start.free_symbols for start in initial.values()))
         warn_of_unused(box, table.symbols | starts)
         self._keep(
@@ -153,10 +173,10 @@ class CheckedProblem(ProblemContent):
             parameters=MappingProxyType(box),
             distributions=MappingProxyType(distributions),
             correlation=MappingProxyType(check_correlation(self.correlation, box)),
-            constants=MappingProxyType({}),
+            constants=MappingProxyType(dict(shorthand.constants)),
             definitions=MappingProxyType({}),
-            shorthand=Shorthand(),
-            **self._named(time[0], [*box], table.states),
+            shorthand=shorthand,
+            **self._named(time[0], [*box, *shorthand.constants], table.states),
             unknowns=table.states[: len(self.equations)],
             table=table,
             initial=MappingProxyType(initial),

@@ -15,6 +15,7 @@ from rankone.frontend.algebraic import Reduction
 from rankone.frontend.events import Event, event_latex, event_texts
 from rankone.frontend.jumps import jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.shorthand import Shorthand
 from rankone.frontend.steady_start import rest_text
 from rankone.frontend.term_table import TermTable
 from rankone.ir.forms import Coordinate, Jump
@@ -47,6 +48,7 @@ class ProblemContent:
     table: TermTable | None
     reduction: Reduction | None
     rest: Any
+    shorthand: Shorthand
     written: Mapping[str, Any]
 
     @cached_property
@@ -55,7 +57,8 @@ class ProblemContent:
 
         Checks set them, except of a table of terms.
         """
-        return tuple(closed(exact(e.lhs - e.rhs)) for e in self._shown())
+        put_in = self.shorthand.put_in
+        return tuple(closed(put_in(exact(e.lhs - e.rhs))) for e in self._shown())
 
     @cached_property
     def mass(self) -> MassForm:

@@ -512,7 +512,8 @@ class Problem(CheckedProblem):
           m = 2.5
         """
         states = map(name_of, self.initial)
-        changed = type(self)(**with_constants(self.written, changes_of(values, named), states))
+        changes = changes_of(values, named)
+        changed = type(self)(**with_constants(self._arguments, changes, states))
         if changed._is_like(self):
             object.__setattr__(changed, "compiled", self.compiled)
         return changed
@@ -545,7 +546,13 @@ class Problem(CheckedProblem):
             If there is no such constant or parameter, or the new problem is not well posed.
         """
         states = map(name_of, self.initial)
-        return type(self)(**with_parameters(self.written, changes_of(intervals, named), states))
+        changes = changes_of(intervals, named)
+        return type(self)(**with_parameters(self._arguments, changes, states))
+
+    @property
+    def _arguments(self) -> Mapping[str, Any]:
+        """What it was made of, with the table of its terms if there is one."""
+        return self.written if self.table is None else {**self.written, "equations": self.equations}
 
     def split(
         self, counts: Mapping[Any, Any] | None = None, /, **named: Any

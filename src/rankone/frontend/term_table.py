@@ -8,7 +8,7 @@ out when somebody looks at them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 
@@ -68,6 +68,24 @@ class TermTable:
         """Without what was written out."""
         return TermTable, tuple(getattr(self, each.name) for each in fields(self))
 
+    def with_numbers(self, constants: Mapping[sp.Symbol, sp.Expr]) -> TermTable | None:
+        """The table with numbers for constants; None where terms vanish or have no value."""
+        symbols = self.symbols if constants else ()
+        involved = {symbol: at for symbol, at in constants.items() if symbol in symbols}
+        if not involved:
+            return self
+        functions = tuple(function.xreplace(involved) for function in self.functions)
+        forms = tuple(
+            replace(form, expression=form.expression.xreplace(involved)) for form in self.forms
+        )
+        if any(f.is_zero or f.has(sp.zoo, sp.nan, sp.oo, -sp.oo) for f in functions):
+            return None
+        for form, before in zip(forms, self.forms, strict=True):
+            left = before.expression.free_symbols - {*involved}
+            if form.expression.free_symbols != left or form.expression.has(sp.zoo, sp.nan, sp.oo):
+                return None
+        return replace(self, functions=functions, forms=forms)
+
     def fits(self, time: sp.Symbol, box: Box) -> bool:
         """Whether all functions are smooth ones of time and the parameters of a box."""
         return self.symbols <= {time, *box} and all(map(is_smooth, self.functions))
@@ -126,7 +144,9 @@ class TermTable:
         coefficient, _, function, symbols = entry
         return sp.Mul(rational(coefficient), self.functions[function], *map(self.written, symbols))
 
-    def start(self, initial: object, box: Box) -> dict[sp.Expr, sp.Expr] | None:
+    def start(
+        self, initial: object, box: Box, constants: Mapping[sp.Symbol, sp.Expr]
+    ) -> dict[sp.Expr, sp.Expr] | None:
         """The initial value of each state; None if they are not numbers or expressions of the box.
 
         The general checks then say what is wrong with them.
@@ -137,6 +157,8 @@ class TermTable:
         for state in self.states:
             written = initial[state]
             expression = sp.sympify(written) if isinstance(written, sp.Expr) else _number(written)
+            if expression is not None and constants:
+                expression = expression.xreplace(dict(constants))
             if expression is None or not expression.free_symbols <= parameters:
                 return None
             if not expression.is_Rational:
@@ -183,9 +205,11 @@ def written_rates(table: TermTable, time: sp.Symbol, equations: int) -> list[sp.
     ]
 
 
-def has_distinct_names(states: Iterable[sp.Expr], time: sp.Symbol, box: Box) -> bool:
+def has_distinct_names(
+    states: Iterable[sp.Expr], time: sp.Symbol, symbols: Iterable[sp.Symbol]
+) -> bool:
     """Whether no name is taken twice, and all can be printed."""
-    names = [time.name, *(symbol.name for symbol in box), *map(name_of, states)]
+    names = [time.name, *(symbol.name for symbol in symbols), *map(name_of, states)]
     return len({*names}) == len(names) and all(n.isprintable() and n.strip() for n in names)
 
 
