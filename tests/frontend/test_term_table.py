@@ -158,7 +158,7 @@ def test_numbers_for_parameters_keep_the_table():
 
 
 @pytest.mark.parametrize("law", ["k*x{0}/(h + x{0})", "k*x{0}*x{1}", "tanh(k*x{0} - h)"])
-def test_numbers_in_texts_keep_the_table(law):
+def test_numbers_in_texts_keep_the_table(law, tmp_path):
     n = FEWEST_TABULATED
     rates = {f"x{i}": f"{law.format((i + 1) % n, i)} - x{i}" for i in range(n)}
     start = dict.fromkeys(rates, "h/2")
@@ -171,7 +171,10 @@ def test_numbers_in_texts_keep_the_table(law):
     np.testing.assert_allclose(ours.initial(few), theirs.initial(all_of_them))
     again = pickle.loads(pickle.dumps(changed))
     assert again.table is not None
-    assert again == changed
+    assert again == changed != problem.set(h=1.6)
+    written = ro.Problem.from_strings(rates, start, {"k": (1, 2)}, (0, 1), constants={"h": 1.5})
+    assert (changed, hash(changed)) == (written, hash(written))
+    assert changed.save(tmp_path / "few.toml").exists()
 
 
 def test_tables_are_compared_with_the_generated_code():

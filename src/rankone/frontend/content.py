@@ -10,6 +10,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed
+from rankone.expressions.named_constants import named_constants
 from rankone.expressions.notation import exact, initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.algebraic import Reduction
 from rankone.frontend.events import Event, event_latex, event_texts
@@ -101,6 +102,7 @@ class ProblemContent:
         expressions += [_tuple_of(mapping or {}) for mapping in mappings]
         expressions += [sp.Tuple(at, _tuple_of(reset)) for at, reset in resets]
         expressions += [sp.Tuple(*e.expressions, _tuple_of(e.then or {})) for e in self.events]
+        expressions = _in_numbers(expressions)  # the same whether run-time values or written in
         if plain:
             names = {s: sp.Symbol(s.name) for e in expressions for s in e.free_symbols}
             expressions = [expression.xreplace(names) for expression in expressions]
@@ -119,7 +121,7 @@ class ProblemContent:
         return self is other or self.content() == other.content()
 
     def __hash__(self) -> int:
-        return hash((self.residuals, self.unknowns, self.time))
+        return hash((*_in_numbers(self.residuals), self.unknowns, self.time))
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
@@ -208,6 +210,12 @@ class ProblemContent:
             equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
             for equation in self.equations
         ]
+
+
+def _in_numbers(expressions: Sequence[sp.Basic]) -> list[sp.Basic]:
+    """Expressions with plain numbers for those that have names."""
+    numbers = {constant: constant.value for constant in named_constants(expressions)}
+    return [e.xreplace(numbers) for e in expressions] if numbers else [*expressions]
 
 
 def _tuple_of(mapping: Mapping[sp.Expr, Any]) -> sp.Tuple:
