@@ -45,6 +45,7 @@ class Status(Enum):
     STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
     SWITCHES = "a trajectory switches to and fro without end"
+    NARROW = "steps of trajectories pass over something narrow in the rates"
     LEAVES = "a trajectory reaches a point where its right-hand side is not finite"
 
     @property
@@ -213,6 +214,22 @@ class MovingFeatures(Cause):
         "{status} (the rates switch, or are narrow, at times that depend on parameters: rescale "
         "time, or a part of the horizon, so that these times are constant)"
     )
+
+
+@dataclass(frozen=True)
+class HiddenRate(Cause):
+    """A rate is narrow between the steps of a reference trajectory, at a time and parameters."""
+
+    state: str
+    time: float
+    at: tuple[tuple[str, float], ...]
+
+    def sentence(self, status: Status) -> str:
+        place = "".join(f", {name} = {value:.6g}" for name, value in self.at)
+        return (
+            f"the rate of {quote(self.state)} is so narrow near t = {self.time:.9g}{place} that "
+            "steps pass over it: the error is not known"
+        )
 
 
 @dataclass(frozen=True)

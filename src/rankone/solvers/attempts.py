@@ -72,6 +72,7 @@ _REMEDIES = {
     Status.WORK_LIMIT: "raise effort",
     Status.TIME_LIMIT: "give more time by max_seconds",
     Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
+    Status.NARROW: "make it wider, or replace it by an event that resets the states",
 }
 # Limits that a later attempt may meet, although an earlier one is the best
 _LIMITS_OF_THE_SOLVE = (
@@ -229,8 +230,12 @@ def solve_in_attempts(
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
             cause = None
+        if status is Status.CONVERGED and (hidden := reference_set.hidden_rate()) is not None:
+            status, cause = Status.NARROW, hidden
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
-    notes = [*error_notes(request.rtol, best.measured, reference_set.names)]
+    notes: list[Note] = []
+    if status is not Status.NARROW:
+        notes += error_notes(request.rtol, best.measured, reference_set.names)
     if status is not Status.CONVERGED:
         if best.result.stopped is None:
             notes += unknowns_notes(request.rtol, best.measured, reference_set.names)

@@ -20,7 +20,13 @@ from rankone.verification.measure import ReferenceSet, drift
 from rankone.verification.sharing import sharing_references
 
 # Statuses after which no other engine is tried
-_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
+_FINAL = (
+    Status.CONVERGED,
+    Status.UNCHECKED,
+    Status.STEEP,
+    Status.NARROW,
+    *(s for s in Status if s.ends_early),
+)
 # Most operations of train if cross follows: a system that suits train needs fewer
 _TRAIN_OPERATIONS = 2e9
 _TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows

@@ -8,6 +8,8 @@ Read in this order:
 ``growth``        how much errors grow that are made on the way
 ``clock``         errors at clock times, where slabs are over stretches between events
 ``branches``      errors where several orders of events hold, and the share left undecided
+``hidden``        what is narrow in the rates between the steps of reference trajectories
+``enclosures``    what samples of a function may hide, by its range
 ``narrow``        times at which narrow outputs are checked
 ``worst_points``  where the error is expected to be above the tolerance
 ``reference``     reference trajectories, and the intervals on which they reach the end

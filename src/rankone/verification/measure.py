@@ -14,7 +14,7 @@ from rankone.ir.outcome import Measured
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
-from rankone.ir.verdict import NumericallyZero
+from rankone.ir.verdict import HiddenRate, NumericallyZero
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
@@ -24,6 +24,7 @@ from rankone.trajectories.choice import following
 from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
+from rankone.verification.hidden import hidden_rate
 from rankone.verification.narrow import narrow_times
 from rankone.verification.points import (
     FEW_PARAMETERS,
@@ -448,6 +449,10 @@ class ReferenceSet:
         return tuple(
             NumericallyZero(names[0], *numbers, len(names) - 1) for numbers, names in alike.items()
         )
+
+    def hidden_rate(self) -> HiddenRate | None:
+        """Where steps of the trajectories miss something narrow, if they do."""
+        return hidden_rate(self.reference, self.system, self.of_states, self.rtol)
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

@@ -1,0 +1,566 @@
+"""Enclosures: what samples on a piece of a trajectory show of a function, and what they may hide.
+
+A generated function is evaluated on :class:`Enclosure` in place of arrays, by the same text. Sums
+and products of what samples show hide nothing, however large they are. A function of one argument
+may hide something where that varies by more than the function's own scale, or across its
+singularity; then the range of the function bounds it. So a peak of width 1e-9 shows by its height,
+wherever it is, and stiff differences of large numbers do not.
+
+Ranges are computed without outward rounding. Functions of the user, tables, and those of
+``scipy.special`` that are not listed here show what their samples show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import FunctionType, SimpleNamespace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from rankone.support.arrays import Array
+
+Bounds: TypeAlias = "Callable[[Array, Array], tuple[Array, Array]]"
+Resolved: TypeAlias = "Callable[[Array, Array], NDArray[np.bool_]]"
+Function: TypeAlias = Callable[..., Any]
+
+_BETWEEN = 0.15  # How far values go beyond samples of a smooth function, in ranges of the samples
+_STEEPEST = 8.0  # Largest slope of a function within its scale, over its mean slope, about
+_SMOOTH_DEGREE = 8  # Whole powers up to this hide nothing
+_NEAR = 4.0  # Ratio of an argument's ends that a singularity at zero leaves resolved
+_POWER_RANGE = 6.0  # The same for powers, as a logarithm of their values
+_SCALE = 2.0  # Half a range of exponentials and waves that samples resolve
+_FAR = 1e9  # Longest argument of a sine of which the extrema are told
+_TABLES = "f_"  # First letters of tables and functions of the user in generated text
+
+
+class UnsuitableError(Exception):
+    """A function cannot be evaluated on enclosures: it is array code."""
+
+
+class Enclosure:
+    """Values (K, N) at K places of N pieces, and bounds (N,) of all values on each piece.
+
+    No value differs by more than the ``doubt`` (N,) from what the samples suggest, a smooth curve
+    through them; None stands for zero.
+    """
+
+    __array_ufunc__ = None  # arrays and NumPy's numbers leave operations to it
+    __slots__ = ("doubt", "high", "low", "values")
+
+    def __init__(self, values: Array, low: Array, high: Array, doubt: Array | None = None) -> None:
+        self.values, self.low, self.high = values, low, high
+        self.doubt = doubt
+        if doubt is not None:
+            self.doubt = np.fmin(np.where(np.isnan(doubt), np.inf, doubt), _finite_width(low, high))
+            self.doubt = self.doubt if self.doubt.any() else None
+
+    @classmethod
+    def of(cls, value: Enclosure | float | Array) -> Enclosure:
+        """A number, or one for each piece, as an enclosure."""
+        if isinstance(value, Enclosure):
+            return value
+        known = np.asarray(value, dtype=float)
+        return cls(known, known, known)
+
+    @classmethod
+    def of_samples(cls, values: Array, beyond: float = _BETWEEN) -> Enclosure:
+        """A smooth function that goes beyond its samples (K, N) by a part of their range."""
+        if values.ndim < 2:
+            return cls(values, values, values)
+        low, high = values.min(axis=0), values.max(axis=0)
+        margin = beyond * (high - low)
+        return cls(values, low - margin, high + margin)
+
+    def range(self) -> tuple[Array, Array]:
+        """Bounds of all values: those of its parts, or the samples and what is beside them."""
+        if self.values.ndim < 2:
+            return self.low, self.high
+        low, high = self.values.min(axis=0), self.values.max(axis=0)
+        margin = _BETWEEN * (high - low) + (0.0 if self.doubt is None else self.doubt)
+        return _without_nan(np.fmax(self.low, low - margin), np.fmin(self.high, high + margin))
+
+    @property
+    def largest(self) -> Array:
+        """Largest absolute value on each piece."""
+        low, high = self.range()
+        return np.maximum(np.abs(low), np.abs(high))
+
+    @property
+    def real(self) -> Enclosure:
+        """The same: all values are real."""
+        return self
+
+    def __neg__(self) -> Enclosure:
+        return Enclosure(-self.values, -self.high, -self.low, self.doubt)
+
+    def __add__(self, other: Any) -> Enclosure:
+        other = Enclosure.of(other)
+        doubt = _sum(self.doubt, other.doubt)
+        low, high = self.low + other.low, self.high + other.high
+        return Enclosure(self.values + other.values, low, high, doubt)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Enclosure:
+        return self + -Enclosure.of(other)
+
+    def __rsub__(self, other: Any) -> Enclosure:
+        return Enclosure.of(other) + -self
+
+    def __mul__(self, other: Any) -> Enclosure:
+        other = Enclosure.of(other)
+        return _product(self, other, self.values * other.values)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Enclosure:
+        other = Enclosure.of(other)
+        return _product(self, _reciprocal(other), self.values / other.values)
+
+    def __rtruediv__(self, other: Any) -> Enclosure:
+        return Enclosure.of(other) / self
+
+    def __pow__(self, exponent: Any) -> Enclosure:
+        exponent = Enclosure.of(exponent)
+        if exponent.values.ndim == 0:
+            return _power(self, float(exponent.values))
+        return Enclosure.of(_exp(exponent * _log(self)))
+
+    def __rpow__(self, base: Any) -> Enclosure:
+        return Enclosure.of(_exp(self * float(np.log(base))))
+
+    def __gt__(self, other: Any) -> Condition:
+        return Condition.of(self - other, np.greater)
+
+    def __ge__(self, other: Any) -> Condition:
+        return Condition.of(self - other, np.greater_equal)
+
+    def __lt__(self, other: Any) -> Condition:
+        return Condition.of(Enclosure.of(other) - self, np.greater)
+
+    def __le__(self, other: Any) -> Condition:
+        return Condition.of(Enclosure.of(other) - self, np.greater_equal)
+
+    def __eq__(self, other: Any) -> Condition:  # type: ignore[override]
+        difference = self - other
+        least = Condition.of(difference, np.greater_equal)
+        return least & Condition.of(-difference, np.greater_equal)
+
+    def __ne__(self, other: Any) -> Condition:  # type: ignore[override]
+        return ~self.__eq__(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What holds at the places (K, N), and what ``may`` and ``must`` hold on the pieces (N,)."""
+
+    values: NDArray[np.bool_]
+    may: NDArray[np.bool_]
+    must: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, difference: Enclosure, compare: Function) -> Condition:
+        """Whether a difference is positive, or not negative."""
+        low, high = difference.range()
+        return cls(compare(difference.values, 0.0), compare(high, 0.0), compare(low, 0.0))
+
+    @classmethod
+    def known(cls, condition: Condition | bool) -> Condition:
+        """The same, or what always holds or never."""
+        if isinstance(condition, Condition):
+            return condition
+        always = np.asarray(bool(condition))
+        return cls(always, always, always)
+
+    def __and__(self, other: Condition | bool) -> Condition:
+        other = Condition.known(other)
+        return Condition(self.values & other.values, self.may & other.may, self.must & other.must)
+
+    def __or__(self, other: Condition | bool) -> Condition:
+        other = Condition.known(other)
+        return Condition(self.values | other.values, self.may | other.may, self.must | other.must)
+
+    def __invert__(self) -> Condition:
+        return Condition(~self.values, ~self.must, ~self.may)
+
+
+def enclosed(function: Callable[..., Array]) -> Callable[..., Sequence[Enclosure]]:
+    """A generated function as one of enclosures, which returns the rows of its array.
+
+    An UnsuitableError if it calls helpers, as array code does.
+    """
+    if not isinstance(function, FunctionType):
+        raise UnsuitableError
+    names = {**function.__globals__, "np": _NAMES_OF_NUMPY, "special": _NAMES_OF_SPECIAL}
+    for name in function.__code__.co_names:
+        original = function.__globals__.get(name)
+        if isinstance(original, FunctionType) and not name.startswith(_TABLES):
+            raise UnsuitableError
+        if name.startswith(_TABLES) and callable(original):
+            names[name] = _by_samples(original)
+    return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+
+
+def _without_nan(low: Array, high: Array) -> tuple[Array, Array]:
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def _finite_width(low: Array, high: Array) -> Array:
+    """The width of ranges, infinite where it is not known."""
+    width = high - low
+    return np.where(np.isnan(width), np.where(low == high, 0.0, np.inf), width)
+
+
+def _sum(first: Array | None, second: Array | None) -> Array | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return first + second
+
+
+def _times(a: Array, b: Array) -> Array:
+    """A product in which zero times infinity is zero."""
+    product = a * b
+    return np.where(np.isnan(product), 0.0, product)
+
+
+def _product(a: Enclosure, b: Enclosure, values: Array) -> Enclosure:
+    corners = [_times(x, y) for x in (a.low, a.high) for y in (b.low, b.high)]
+    low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
+    high = np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
+    doubt = None if b.doubt is None else _times(a.largest, b.doubt)
+    doubt = _sum(doubt, None if a.doubt is None else _times(b.largest, a.doubt))
+    return Enclosure(values, low, high, doubt)
+
+
+def _applied(a: Enclosure, values: Array, bounds: Bounds, resolved: Resolved) -> Enclosure:
+    """A function of one argument: its values, bounds over a range, and whether that is narrow.
+
+    Where samples resolve it, it passes on a doubt by its slope. Elsewhere its range is in doubt.
+    """
+    low, high = a.range()
+    below, above = _without_nan(*bounds(low, high))
+    width = _finite_width(below, above)
+    doubt = np.where(resolved(low, high), 0.0, width)
+    if a.doubt is not None:
+        share = _STEEPEST * a.doubt / np.where(high > low, high - low, 1.0)
+        share = np.where(np.isnan(share), 1.0, np.minimum(share, 1.0))
+        doubt = np.maximum(doubt, _times(width, share))
+    return Enclosure(values, below, above, doubt)
+
+
+# --- whether samples resolve a function over a range of its argument ------------------------------
+
+
+def _within(scale: float) -> Resolved:
+    return lambda low, high: high - low <= 2.0 * scale
+
+
+def _away_from(singularity: float, ratio: float = _NEAR) -> Resolved:
+    def resolved(low: Array, high: Array) -> NDArray[np.bool_]:
+        a, b = low - singularity, high - singularity
+        return ((a > 0.0) & (b <= ratio * a)) | ((b < 0.0) & (a >= ratio * b))
+
+    return resolved
+
+
+def _inside(border: float) -> Resolved:
+    return lambda low, high: (low > -border) & (high < border)
+
+
+def _one_sided(low: Array, high: Array) -> NDArray[np.bool_]:
+    return (low >= 0.0) | (high <= 0.0)
+
+
+# --- functions of one argument --------------------------------------------------------------------
+
+
+def _unary(function: Function, bounds: Bounds, resolved: Resolved) -> Function:
+    """A function of NumPy that takes enclosures too."""
+
+    def of(a: Any) -> Any:
+        if not isinstance(a, Enclosure):
+            return function(a)
+        return _applied(a, function(a.values), bounds, resolved)
+
+    return of
+
+
+def _rising(
+    function: Function,
+    resolved: Resolved | None = None,
+    domain: tuple[float, float] = (-np.inf, np.inf),
+) -> Function:
+    """A function that rises; without a scale one that has steps alone."""
+
+    def bounds(low: Array, high: Array) -> tuple[Array, Array]:
+        return function(np.clip(low, *domain)), function(np.clip(high, *domain))
+
+    def constant(low: Array, high: Array) -> NDArray[np.bool_]:
+        return np.asarray(function(low) == function(high))
+
+    return _unary(function, bounds, resolved or constant)
+
+
+def _falling(
+    function: Function, resolved: Resolved, domain: tuple[float, float] = (-np.inf, np.inf)
+) -> Function:
+    def bounds(low: Array, high: Array) -> tuple[Array, Array]:
+        return function(np.clip(high, *domain)), function(np.clip(low, *domain))
+
+    return _unary(function, bounds, resolved)
+
+
+def _even_bounds(function: Function) -> Bounds:
+    """Bounds of an even function that rises from zero on."""
+
+    def bounds(low: Array, high: Array) -> tuple[Array, Array]:
+        at_low, at_high = np.asarray(function(low)), np.asarray(function(high))
+        least = np.where((low <= 0.0) & (high >= 0.0), function(0.0), np.minimum(at_low, at_high))
+        return np.asarray(least), np.maximum(at_low, at_high)
+
+    return bounds
+
+
+def _wave_bounds(shift: float, at_top: float = 1.0) -> Bounds:
+    """Bounds of ``sin(x + shift)`` plus one number less than ``at_top``."""
+
+    def passes(low: Array, high: Array, place: float) -> NDArray[np.bool_]:
+        first = np.ceil((low - place) / (2.0 * np.pi))
+        return np.asarray((2.0 * np.pi * first + place <= high) | ~(high - low < _FAR))
+
+    def bounds(low: Array, high: Array) -> tuple[Array, Array]:
+        low, high = low + shift, high + shift
+        a, b = np.sin(low), np.sin(high)
+        least = np.where(passes(low, high, -0.5 * np.pi), -1.0, np.minimum(a, b))
+        most = np.where(passes(low, high, 0.5 * np.pi), 1.0, np.maximum(a, b))
+        return least + (at_top - 1.0), most + (at_top - 1.0)
+
+    return bounds
+
+
+def _tan_bounds(low: Array, high: Array) -> tuple[Array, Array]:
+    pole = np.floor(high / np.pi + 0.5) > np.floor(low / np.pi + 0.5)
+    return np.where(pole, -np.inf, np.tan(low)), np.where(pole, np.inf, np.tan(high))
+
+
+def _tan_resolved(low: Array, high: Array) -> NDArray[np.bool_]:
+    middle = (0.5 * (low + high) + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    return np.asarray(0.5 * (high - low) <= 0.8 * (0.5 * np.pi - np.abs(middle)))
+
+
+def _reciprocal_bounds(low: Array, high: Array) -> tuple[Array, Array]:
+    across = (low < 0.0) & (high > 0.0)
+    below = np.where(high == 0.0, -np.inf, 1.0 / high)
+    above = np.where(low == 0.0, np.inf, 1.0 / low)
+    return np.where(across, -np.inf, below), np.where(across, np.inf, above)
+
+
+def _sinc_bounds(low: Array, high: Array) -> tuple[Array, Array]:
+    """Of ``sin(pi x)/(pi x)``: it is below one over ``pi x``."""
+    nearest = np.pi * np.where(_one_sided(low, high), np.minimum(np.abs(low), np.abs(high)), 0.0)
+    height = np.where(nearest > 1.0, 1.0 / np.maximum(nearest, 1.0), 1.0)
+    return -np.minimum(height, 0.22), height
+
+
+def _reciprocal(a: Enclosure) -> Enclosure:
+    return _applied(a, 1.0 / a.values, _reciprocal_bounds, _away_from(0.0))
+
+
+_exp: Callable[[Any], Any] = _rising(np.exp, _within(_SCALE))
+_log: Callable[[Any], Any] = _rising(np.log, _away_from(0.0), (0.0, np.inf))
+
+
+def _power(a: Enclosure, exponent: float) -> Enclosure:
+    """A power with a number as exponent."""
+    whole = exponent == round(exponent)
+    if whole and exponent < 0.0:
+        return _reciprocal(_power(a, -exponent))
+
+    def power(base: Array) -> Array:
+        return np.asarray(base**exponent)
+
+    even = whole and exponent % 2.0 == 0.0
+    if whole and exponent <= _SMOOTH_DEGREE:
+        low, high = a.range()
+        bounds = _even_bounds(power)(low, high) if even else (power(low), power(high))
+        doubt = a.doubt
+        if doubt is not None:
+            doubt = _times(exponent * a.largest ** (exponent - 1.0), doubt)
+        return Enclosure(power(a.values), *bounds, doubt)
+    resolved = _away_from(0.0, min(_NEAR, float(np.exp(_POWER_RANGE / abs(exponent)))))
+    if even:
+        return _applied(a, power(a.values), _even_bounds(power), resolved)
+    domain = (-np.inf if whole else 0.0, np.inf)
+    kind = _rising if exponent > 0.0 else _falling
+    return Enclosure.of(kind(power, resolved, domain)(a))
+
+
+# --- functions of several arguments ---------------------------------------------------------------
+
+
+def _extreme(function: Function) -> Function:
+    """The larger or the smaller one of two: in doubt where their ranges meet."""
+
+    def of(a: Any, b: Any) -> Any:
+        if not isinstance(a, Enclosure) and not isinstance(b, Enclosure):
+            return function(a, b)
+        a, b = Enclosure.of(a), Enclosure.of(b)
+        (a_low, a_high), (b_low, b_high) = a.range(), b.range()
+        common = np.minimum(a_high - b_low, b_high - a_low)
+        doubt = _sum(np.maximum(common, 0.0), _sum(a.doubt, b.doubt))
+        low, high = function(a_low, b_low), function(a_high, b_high)
+        return Enclosure(function(a.values, b.values), low, high, doubt)
+
+    return of
+
+
+def _where(condition: Any, a: Any, b: Any) -> Any:
+    """One of two branches: both where it is not known which."""
+    if not isinstance(condition, Condition):
+        return a if condition else b
+    a, b = Enclosure.of(a), Enclosure.of(b)
+    (a_low, a_high), (b_low, b_high) = a.range(), b.range()
+    may, must = condition.may, condition.must
+    low = np.where(must, a_low, np.where(may, np.fmin(a_low, b_low), b_low))
+    high = np.where(must, a_high, np.where(may, np.fmax(a_high, b_high), b_high))
+    of_a, of_b = (0.0 if each.doubt is None else each.doubt for each in (a, b))
+    doubt = np.where(must, of_a, np.where(may, _finite_width(low, high), of_b))
+    return Enclosure(np.where(condition.values, a.values, b.values), low, high, doubt)
+
+
+def _heaviside(a: Any, at_zero: Any) -> Any:
+    if not isinstance(a, Enclosure):
+        return np.heaviside(a, at_zero)
+
+    def bounds(low: Array, high: Array) -> tuple[Array, Array]:
+        return np.heaviside(low, 0.0), np.heaviside(high, 1.0)
+
+    values = np.heaviside(a.values, at_zero)
+    return _applied(a, values, bounds, lambda low, high: (low > 0.0) | (high < 0.0))
+
+
+def _mod(a: Any, b: Any) -> Any:
+    """The remainder of a division: in doubt where it starts anew."""
+    if not isinstance(a, Enclosure) and not isinstance(b, Enclosure):
+        return np.mod(a, b)
+    a, b = Enclosure.of(a), Enclosure.of(b)
+    quotient = a / b
+    low, high = quotient.range()
+    inside = np.floor(low) == np.floor(high)
+    sizes, zero = b.largest, np.zeros(1)
+    least = np.where(b.low < 0.0, -sizes, 0.0)
+    most = np.where(b.high > 0.0, sizes, 0.0)
+    doubt = np.where(inside, zero if a.doubt is None else a.doubt, most - least)
+    return Enclosure(np.mod(a.values, b.values), least, most, doubt)
+
+
+def _logaddexp(a: Any, b: Any) -> Any:
+    if not isinstance(a, Enclosure) and not isinstance(b, Enclosure):
+        return np.logaddexp(a, b)
+    a, b = Enclosure.of(a), Enclosure.of(b)
+    total = b + _softplus(a - b)
+    return Enclosure(np.logaddexp(a.values, b.values), total.low, total.high, total.doubt)
+
+
+_softplus = _rising(lambda x: np.logaddexp(0.0, x), _within(4.0))
+
+
+def _by_samples(function: Function) -> Function:
+    """A function of which nothing is known besides its values."""
+
+    def of(*arguments: Any) -> Any:
+        if not any(isinstance(argument, Enclosure) for argument in arguments):
+            return function(*arguments)
+        sampled = np.broadcast_arrays(*(Enclosure.of(a).values for a in arguments))
+        values = function(*sampled)
+        if isinstance(values, tuple):
+            return tuple(Enclosure.of_samples(np.real(each)) for each in values)
+        return Enclosure.of_samples(np.real(values))
+
+    return of
+
+
+class _Rows(list[Any]):
+    """The rows of what a generated function returns."""
+
+    def __init__(self, shape: Sequence[int]) -> None:
+        super().__init__(Enclosure.of(0.0) for _ in range(shape[0]))
+
+    def __setitem__(self, row: Any, value: Any) -> None:
+        super().__setitem__(row, Enclosure.of(value))
+
+
+class _Names:
+    """A namespace for generated text: functions of enclosures, and others by their samples."""
+
+    def __init__(self, module: Any, functions: Mapping[str, Function]) -> None:
+        self._module = module
+        vars(self).update(functions)
+
+    def __getattr__(self, name: str) -> Any:
+        original = getattr(self._module, name)
+        return _by_samples(original) if callable(original) else original
+
+
+def _no_shape(*_: Any) -> tuple[int, ...]:
+    """Rows need no shape."""
+    return ()
+
+
+_NAMES_OF_NUMPY = _Names(
+    np,
+    {
+        "abs": _unary(np.abs, _even_bounds(np.abs), _one_sided),
+        "arccos": _falling(np.arccos, _inside(0.9), (-1.0, 1.0)),
+        "arccosh": _rising(np.arccosh, _away_from(1.0), (1.0, np.inf)),
+        "arcsin": _rising(np.arcsin, _inside(0.9), (-1.0, 1.0)),
+        "arcsinh": _rising(np.arcsinh, _within(1.2)),
+        "arctan": _rising(np.arctan, _within(1.2)),
+        "arctanh": _rising(np.arctanh, _inside(0.8), (-1.0, 1.0)),
+        "asarray": lambda a, dtype=None: a,
+        "broadcast": lambda *_: SimpleNamespace(shape=()),
+        "broadcast_shapes": _no_shape,
+        "ceil": _rising(np.ceil),
+        "cos": _unary(np.cos, _wave_bounds(0.5 * np.pi), _within(_SCALE)),
+        "cosh": _unary(np.cosh, _even_bounds(np.cosh), _within(_SCALE)),
+        "empty": _Rows,
+        "exp": _exp,
+        "expm1": _rising(np.expm1, _within(_SCALE)),
+        "floor": _rising(np.floor),
+        "heaviside": _heaviside,
+        "log": _log,
+        "log1p": _rising(np.log1p, _away_from(-1.0), (-1.0, np.inf)),
+        "logaddexp": _logaddexp,
+        "logical_and": lambda a, b: Condition.known(a) & b,
+        "logical_not": lambda a: ~Condition.known(a),
+        "logical_or": lambda a, b: Condition.known(a) | b,
+        "maximum": _extreme(np.maximum),
+        "minimum": _extreme(np.minimum),
+        "mod": _mod,
+        "shape": _no_shape,
+        "sign": _rising(np.sign),
+        "sin": _unary(np.sin, _wave_bounds(0.0), _within(_SCALE)),
+        "sinc": _unary(np.sinc, _sinc_bounds, _within(1.0)),
+        "sinh": _rising(np.sinh, _within(_SCALE)),
+        "sqrt": _rising(np.sqrt, _away_from(0.0), (0.0, np.inf)),
+        "tan": _unary(np.tan, _tan_bounds, _tan_resolved),
+        "tanh": _rising(np.tanh, _within(2.0)),
+        "where": _where,
+        "zeros": _Rows,
+    },
+)
+_NAMES_OF_SPECIAL = _Names(
+    special,
+    {
+        "cosm1": _unary(special.cosm1, _wave_bounds(0.5 * np.pi, 0.0), _within(_SCALE)),
+        "erf": _rising(special.erf, _within(1.5)),
+        "erfc": _falling(special.erfc, _within(1.5)),
+        "expit": _rising(special.expit, _within(4.0)),
+    },
+)

@@ -1,0 +1,70 @@
+"""Nothing narrow between the steps of trajectories is part of a success."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.verdict import HiddenRate, Status
+
+HIDDEN = {
+    "gap": "1e9*Z**2/(exp(Z) + exp(-Z) - 1)",
+    "flat": "1e9*exp(-1/Z**2 - Z**2)",
+    "reciprocal": "1e6*exp(-1e12*(x/k + k/x - 2))",
+}
+"""Rates with a peak of width 1e-9 and area one at x = k, by Z = (x - k)/1e-9."""
+
+
+def solved(rate, start="1", rtol=1e-3, **options):
+    rates = {"x": "1", "y": f"{rate} - y/10".replace("Z", "((x - k)*1e9)")}
+    problem = ro.Problem.from_strings(
+        rates, {"x": "0.01", "y": start}, {"k": (0.8, 1.2)}, (0, 3), **options
+    )
+    return ro.solve(problem, rtol, effort=0.3)
+
+
+@pytest.mark.parametrize("rate", HIDDEN.values(), ids=HIDDEN)
+def test_hidden_peaks_are_no_success(rate):
+    try:
+        solution = solved(rate)
+    except ro.RankoneError:
+        return
+    sure = np.exp(-0.29) + np.exp(-0.1 * (2.91 - 1.01))  # if it is solved, the area counts
+    assert not solution.success or solution(t=2.9, k=1.01)[1] > 0.5 * sure + 0.4
+
+
+def test_the_message_says_where():
+    solution = solved(HIDDEN["flat"])
+    assert solution.status is Status.NARROW
+    cause = solution.outcome.cause
+    assert isinstance(cause, HiddenRate)
+    assert cause.state == "y"
+    assert cause.time == pytest.approx(dict(cause.at)["k"] - 0.01, abs=1e-6)
+    assert "the rate of `y` is so narrow near t = " in solution.message
+    assert "steps pass over it" in solution.message
+
+
+def test_peaks_that_change_nothing_are_no_matter():
+    """The state itself runs through the peak in no time."""
+    rate = "1 + 1e6*exp(-1/Z**2 - Z**2)".replace("Z", "((x - k)*1e9)")
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "0.01"}, {"k": (0.8, 1.2)}, (0, 3))
+    solution = ro.solve(problem, 1e-3)
+    assert solution.success
+    assert solution(t=2.0, k=1.0)[0] == pytest.approx(2.01, abs=1e-4)
+
+
+def test_singularities_that_can_be_removed_hide_nothing():
+    solution = solved("sin(3*(x - k))/(x - k)")
+    assert solution.success
+
+
+def test_stretches_between_events_are_looked_at():
+    rate = HIDDEN["flat"].replace("Z", "((x - k)*1e9)")
+    problem = ro.Problem.from_strings(
+        {"x": "1", "y": f"{rate} - y/10"},
+        {"x": "0.01", "y": "1"},
+        {"k": (0.8, 1.2)},
+        (0, 3),
+        events=[{"when": "x - 2*k", "direction": "rising", "then": {"y": "y + 1"}, "name": "dose"}],
+    )
+    solution = ro.solve(problem, 1e-3, effort=0.3)
+    assert solution.status is Status.NARROW
