@@ -45,43 +45,56 @@ class Enclosure:
     """Values (K, N) at K places of N pieces, and bounds (N,) of all values on each piece.
 
     No value differs by more than the ``doubt`` (N,) from what the samples suggest, a smooth curve
-    through them; None stands for zero.
+    through them; None stands for zero. Bounds that follow from those of parts are computed when
+    they are asked for, which is seldom: samples bound what is not in doubt.
     """
 
     __array_ufunc__ = None  # arrays and NumPy's numbers leave operations to it
-    __slots__ = ("doubt", "high", "low", "values")
+    __slots__ = ("_bounds", "doubt", "values")
 
-    def __init__(self, values: Array, low: Array, high: Array, doubt: Array | None = None) -> None:
-        self.values, self.low, self.high = values, low, high
-        self.doubt = doubt
-        if doubt is not None:
-            self.doubt = np.fmin(np.where(np.isnan(doubt), np.inf, doubt), _finite_width(low, high))
-            self.doubt = self.doubt if self.doubt.any() else None
+    def __init__(
+        self,
+        values: Array,
+        bounds: Callable[[], tuple[Array, Array]] | tuple[Array, Array],
+        doubt: Array | None = None,
+    ) -> None:
+        self.values, self._bounds, self.doubt = values, bounds, None
+        if doubt is not None and doubt.any():
+            self.doubt = np.fmin(_known(doubt), _width(*self.bounds))
 
     @classmethod
     def of(cls, value: Enclosure | float | Array) -> Enclosure:
         """A number, or one for each piece, as an enclosure."""
         if isinstance(value, Enclosure):
             return value
-        known = np.asarray(value, dtype=float)
-        return cls(known, known, known)
+        exact = np.asarray(value, dtype=float)
+        return cls(exact, (exact, exact))
 
     @classmethod
     def of_samples(cls, values: Array, beyond: float = _BETWEEN) -> Enclosure:
         """A smooth function that goes beyond its samples (K, N) by a part of their range."""
         if values.ndim < 2:
-            return cls(values, values, values)
-        low, high = values.min(axis=0), values.max(axis=0)
-        margin = beyond * (high - low)
-        return cls(values, low - margin, high + margin)
+            return cls(values, (values, values))
+        return cls(values, lambda: _around(values, beyond))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """What follows from the bounds of its parts."""
+        if callable(self._bounds):
+            self._bounds = self._bounds()
+        return self._bounds
+
+    def hull(self) -> tuple[Array, Array]:
+        """Bounds by the samples, and by what is beside them."""
+        if self.values.ndim < 2:
+            return self.bounds
+        low, high = _around(self.values, _BETWEEN)
+        return (low, high) if self.doubt is None else (low - self.doubt, high + self.doubt)
 
     def range(self) -> tuple[Array, Array]:
-        """Bounds of all values: those of its parts, or the samples and what is beside them."""
-        if self.values.ndim < 2:
-            return self.low, self.high
-        low, high = self.values.min(axis=0), self.values.max(axis=0)
-        margin = _BETWEEN * (high - low) + (0.0 if self.doubt is None else self.doubt)
-        return _without_nan(np.fmax(self.low, low - margin), np.fmin(self.high, high + margin))
+        """Bounds of all values: by its parts, and by its samples."""
+        (low, high), (below, above) = self.bounds, self.hull()
+        return _without_nan(np.fmax(low, below), np.fmin(high, above))
 
     @property
     def largest(self) -> Array:
@@ -95,13 +108,20 @@ class Enclosure:
         return self
 
     def __neg__(self) -> Enclosure:
-        return Enclosure(-self.values, -self.high, -self.low, self.doubt)
+        def bounds() -> tuple[Array, Array]:
+            low, high = self.bounds
+            return -high, -low
+
+        return Enclosure(-self.values, bounds, self.doubt)
 
     def __add__(self, other: Any) -> Enclosure:
         other = Enclosure.of(other)
-        doubt = _sum(self.doubt, other.doubt)
-        low, high = self.low + other.low, self.high + other.high
-        return Enclosure(self.values + other.values, low, high, doubt)
+
+        def bounds() -> tuple[Array, Array]:
+            (low, high), (below, above) = self.bounds, other.bounds
+            return low + below, high + above
+
+        return Enclosure(self.values + other.values, bounds, _sum(self.doubt, other.doubt))
 
     __radd__ = __add__
 
@@ -167,8 +187,12 @@ class Condition:
     @classmethod
     def of(cls, difference: Enclosure, compare: Function) -> Condition:
         """Whether a difference is positive, or not negative."""
-        low, high = difference.range()
-        return cls(compare(difference.values, 0.0), compare(high, 0.0), compare(low, 0.0))
+        low, high = difference.hull()
+        may, must = compare(high, 0.0), compare(low, 0.0)
+        if (may != must).any():
+            low, high = difference.range()
+            may, must = compare(high, 0.0), compare(low, 0.0)
+        return cls(compare(difference.values, 0.0), may, must)
 
     @classmethod
     def known(cls, condition: Condition | bool) -> Condition:
@@ -211,10 +235,21 @@ def _without_nan(low: Array, high: Array) -> tuple[Array, Array]:
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
 
-def _finite_width(low: Array, high: Array) -> Array:
+def _around(values: Array, beyond: float) -> tuple[Array, Array]:
+    """Bounds of a smooth function that goes beyond its samples (K, N) by a part of their range."""
+    low, high = values.min(axis=0), values.max(axis=0)
+    margin = beyond * (high - low)
+    return low - margin, high + margin
+
+
+def _width(low: Array, high: Array) -> Array:
     """The width of ranges, infinite where it is not known."""
     width = high - low
     return np.where(np.isnan(width), np.where(low == high, 0.0, np.inf), width)
+
+
+def _known(doubt: Array) -> Array:
+    return np.where(np.isnan(doubt), np.inf, doubt)
 
 
 def _sum(first: Array | None, second: Array | None) -> Array | None:
@@ -230,12 +265,14 @@ def _times(a: Array, b: Array) -> Array:
 
 
 def _product(a: Enclosure, b: Enclosure, values: Array) -> Enclosure:
-    corners = [_times(x, y) for x in (a.low, a.high) for y in (b.low, b.high)]
-    low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
-    high = np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
+    def bounds() -> tuple[Array, Array]:
+        corners = [_times(x, y) for x in a.bounds for y in b.bounds]
+        low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
+        return low, np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
+
     doubt = None if b.doubt is None else _times(a.largest, b.doubt)
     doubt = _sum(doubt, None if a.doubt is None else _times(b.largest, a.doubt))
-    return Enclosure(values, low, high, doubt)
+    return Enclosure(values, bounds, doubt)
 
 
 def _applied(a: Enclosure, values: Array, bounds: Bounds, resolved: Resolved) -> Enclosure:
@@ -243,15 +280,20 @@ def _applied(a: Enclosure, values: Array, bounds: Bounds, resolved: Resolved) ->
 
     Where samples resolve it, it passes on a doubt by its slope. Elsewhere its range is in doubt.
     """
+
+    def of_range() -> tuple[Array, Array]:
+        return _without_nan(*bounds(*a.range()))
+
+    if a.doubt is None and resolved(*a.hull()).all():
+        return Enclosure(values, of_range)
     low, high = a.range()
-    below, above = _without_nan(*bounds(low, high))
-    width = _finite_width(below, above)
+    both = of_range()
+    width = _width(*both)
     doubt = np.where(resolved(low, high), 0.0, width)
     if a.doubt is not None:
-        share = _STEEPEST * a.doubt / np.where(high > low, high - low, 1.0)
-        share = np.where(np.isnan(share), 1.0, np.minimum(share, 1.0))
-        doubt = np.maximum(doubt, _times(width, share))
-    return Enclosure(values, below, above, doubt)
+        share = _known(_STEEPEST * a.doubt / np.where(high > low, high - low, 1.0))
+        doubt = np.maximum(doubt, _times(width, np.minimum(share, 1.0)))
+    return Enclosure(values, both, doubt)
 
 
 # --- whether samples resolve a function over a range of its argument ------------------------------
@@ -387,12 +429,15 @@ def _power(a: Enclosure, exponent: float) -> Enclosure:
 
     even = whole and exponent % 2.0 == 0.0
     if whole and exponent <= _SMOOTH_DEGREE:
-        low, high = a.range()
-        bounds = _even_bounds(power)(low, high) if even else (power(low), power(high))
+
+        def bounds() -> tuple[Array, Array]:
+            low, high = a.range()
+            return _even_bounds(power)(low, high) if even else (power(low), power(high))
+
         doubt = a.doubt
         if doubt is not None:
             doubt = _times(exponent * a.largest ** (exponent - 1.0), doubt)
-        return Enclosure(power(a.values), *bounds, doubt)
+        return Enclosure(power(a.values), bounds, doubt)
     resolved = _away_from(0.0, min(_NEAR, float(np.exp(_POWER_RANGE / abs(exponent)))))
     if even:
         return _applied(a, power(a.values), _even_bounds(power), resolved)
@@ -414,8 +459,8 @@ def _extreme(function: Function) -> Function:
         (a_low, a_high), (b_low, b_high) = a.range(), b.range()
         common = np.minimum(a_high - b_low, b_high - a_low)
         doubt = _sum(np.maximum(common, 0.0), _sum(a.doubt, b.doubt))
-        low, high = function(a_low, b_low), function(a_high, b_high)
-        return Enclosure(function(a.values, b.values), low, high, doubt)
+        bounds = function(a_low, b_low), function(a_high, b_high)
+        return Enclosure(function(a.values, b.values), bounds, doubt)
 
     return of
 
@@ -430,8 +475,8 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
     low = np.where(must, a_low, np.where(may, np.fmin(a_low, b_low), b_low))
     high = np.where(must, a_high, np.where(may, np.fmax(a_high, b_high), b_high))
     of_a, of_b = (0.0 if each.doubt is None else each.doubt for each in (a, b))
-    doubt = np.where(must, of_a, np.where(may, _finite_width(low, high), of_b))
-    return Enclosure(np.where(condition.values, a.values, b.values), low, high, doubt)
+    doubt = np.where(must, of_a, np.where(may, _width(low, high), of_b))
+    return Enclosure(np.where(condition.values, a.values, b.values), (low, high), doubt)
 
 
 def _heaviside(a: Any, at_zero: Any) -> Any:
@@ -454,10 +499,10 @@ def _mod(a: Any, b: Any) -> Any:
     low, high = quotient.range()
     inside = np.floor(low) == np.floor(high)
     sizes, zero = b.largest, np.zeros(1)
-    least = np.where(b.low < 0.0, -sizes, 0.0)
-    most = np.where(b.high > 0.0, sizes, 0.0)
+    least = np.where(b.bounds[0] < 0.0, -sizes, 0.0)
+    most = np.where(b.bounds[1] > 0.0, sizes, 0.0)
     doubt = np.where(inside, zero if a.doubt is None else a.doubt, most - least)
-    return Enclosure(np.mod(a.values, b.values), least, most, doubt)
+    return Enclosure(np.mod(a.values, b.values), (least, most), doubt)
 
 
 def _logaddexp(a: Any, b: Any) -> Any:
@@ -465,7 +510,7 @@ def _logaddexp(a: Any, b: Any) -> Any:
         return np.logaddexp(a, b)
     a, b = Enclosure.of(a), Enclosure.of(b)
     total = b + _softplus(a - b)
-    return Enclosure(np.logaddexp(a.values, b.values), total.low, total.high, total.doubt)
+    return Enclosure(np.logaddexp(a.values, b.values), total.range, total.doubt)
 
 
 _softplus = _rising(lambda x: np.logaddexp(0.0, x), _within(4.0))

@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +40,7 @@ _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length
 _DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
-_TOGETHER = 2048  # Pieces evaluated together: what is in work fits the cache
+_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _TRIED = 6  # Trajectories that are tried by short steps, those with the largest surprises
 _SHORT_STEPS = 8  # Steps over what surprised, at least
@@ -141,20 +140,15 @@ class _Steps:
         parameters = np.ascontiguousarray(np.repeat(points, counts, axis=0).T)
         return cls(starts + near, ends - starts - 2.0 * near, nodal, parameters)
 
-    @cached_property
-    def coefficients(self) -> Array:
-        """Of the powers of ``2 share - 1``, (nodes, S, n)."""
-        return step_coefficients(self.nodal)
-
     def at(self, pieces: _Pieces) -> tuple[Array, Array]:
         """Times (nodes, N) and states (n, nodes, N) at the nodes of pieces."""
         shares = pieces.lower + pieces.length * NODES[:, None]
         times = self.starts[pieces.step] + self.lengths[pieces.step] * shares
         if (pieces.length == 1.0).all():
-            return times, self.nodal[pieces.step].transpose(2, 1, 0)
+            return times, np.ascontiguousarray(self.nodal[pieces.step].transpose(2, 1, 0))
         powers = np.vander((2.0 * shares - 1.0).ravel(), NODES.size, increasing=True)
         powers = powers.reshape(*shares.shape, -1)
-        states = np.einsum("kpq,qpn->nkp", powers, self.coefficients[:, pieces.step])
+        states = np.einsum("kpq,qpn->nkp", powers, step_coefficients(self.nodal[pieces.step]))
         return times, np.asarray(states)
 
 
