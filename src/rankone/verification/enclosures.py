@@ -217,9 +217,9 @@ class Condition:
 def enclosed(function: Callable[..., Array]) -> Callable[..., Sequence[Enclosure]]:
     """A generated function as one of enclosures, which returns the rows of its array.
 
-    An UnsuitableError if it calls helpers, as array code does.
+    An UnsuitableError if it calls helpers, as array code does, or was not generated.
     """
-    if not isinstance(function, FunctionType):
+    if not isinstance(function, FunctionType) or "STATES" not in function.__globals__:
         raise UnsuitableError
     names = {**function.__globals__, "np": _NAMES_OF_NUMPY, "special": _NAMES_OF_SPECIAL}
     for name in function.__code__.co_names:
