@@ -123,7 +123,7 @@ def test_array_code_is_not_enclosed():
     def helper(x):
         return x
 
-    namespace = {"STATES": ("x",), "helper": helper}
+    namespace = {"helper": helper}
     exec("def rhs(t, u, p):\n    return helper(u)", namespace)
     with pytest.raises(UnsuitableError):
         enclosed(namespace["rhs"])

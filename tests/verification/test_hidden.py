@@ -68,3 +68,12 @@ def test_stretches_between_events_are_looked_at():
     )
     solution = ro.solve(problem, 1e-3, effort=0.3)
     assert solution.status is Status.NARROW
+
+
+def test_hidden_peaks_of_outputs_are_no_success():
+    problem = ro.Problem.from_strings({"x": "1"}, {"x": "0.01"}, {"k": (0.8, 1.2)}, (0, 3))
+    peak = "exp(-1e12*(x/k + k/x - 2))"
+    solution = ro.solve(problem, 1e-3, outputs={"q": f"1 + {peak}"}, effort=0.3)
+    assert not solution.success
+    wide = ro.solve(problem, 1e-3, outputs={"q": f"1 + {peak.replace('1e12', '1')}"})
+    assert wide.success

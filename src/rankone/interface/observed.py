@@ -15,7 +15,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, counted_states
 from rankone.ir.system import System
-from rankone.outputs.quantities import Quantities
+from rankone.outputs.quantities import Quantities, WrittenFunction
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import listing, quote
@@ -74,7 +74,10 @@ class SolveOutputs:
         rows = tuple(source.row for source in quantities.sources)
         names, texts = quantities.names, quantities.texts
         surfaces = quantities.state_surfaces if quantities.n_state_surfaces else None
-        return Observation(names, texts, rows, values, surfaces=surfaces)
+        text = quantities.values
+        written = text.function if isinstance(text, WrittenFunction) else None
+        written = None if quantities.sums else written
+        return Observation(names, texts, rows, values, surfaces=surfaces, written=written)
 
     def _formulas(
         self, asked: Mapping[str, object], named: Mapping[str, object], domain: Domain

@@ -27,16 +27,17 @@ class WrittenFunction:
     called: Mapping[str, Callable[..., Array]] = field(default_factory=dict)
 
     @cached_property
-    def _function(self) -> Callable[..., Sequence[Array]]:
+    def function(self) -> Callable[..., Sequence[Array]]:
+        """The function that the text says."""
         namespace = {"np": np, "special": special, **self.called}
         text = f"lambda {self.arguments}: [{', '.join(self.texts)}]"
         return cast(Callable[..., Sequence[Array]], eval(text, namespace))
 
     def __call__(self, *arguments: object) -> Sequence[Array]:
-        return self._function(*arguments)
+        return self.function(*arguments)
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: held for name, held in vars(self).items() if name != "_function"}
+        return {name: held for name, held in vars(self).items() if name != "function"}
 
 
 class Kind(Enum):

@@ -214,21 +214,26 @@ class Condition:
         return Condition(~self.values, ~self.must, ~self.may)
 
 
-def enclosed(function: Callable[..., Array]) -> Callable[..., Sequence[Enclosure]]:
+def enclosed(function: Callable[..., object]) -> Callable[..., Sequence[Enclosure]]:
     """A generated function as one of enclosures, which returns the rows of its array.
 
     An UnsuitableError if it calls helpers, as array code does, or was not generated.
     """
-    if not isinstance(function, FunctionType) or "STATES" not in function.__globals__:
+    if not isinstance(function, FunctionType) or not _is_generated(function):
         raise UnsuitableError
     names = {**function.__globals__, "np": _NAMES_OF_NUMPY, "special": _NAMES_OF_SPECIAL}
     for name in function.__code__.co_names:
         original = function.__globals__.get(name)
-        if isinstance(original, FunctionType) and not name.startswith(_TABLES):
-            raise UnsuitableError
         if name.startswith(_TABLES) and callable(original):
             names[name] = _by_samples(original)
+        elif isinstance(original, FunctionType):
+            raise UnsuitableError
     return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+
+
+def _is_generated(function: FunctionType) -> bool:
+    """Whether a function is from text, and not from a file."""
+    return function.__code__.co_filename.startswith("<")
 
 
 def _without_nan(low: Array, high: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rankone.discretization.radau import insets
+from rankone.ir.observation import Observation
 from rankone.ir.system import System
 from rankone.ir.verdict import HiddenRate
 from rankone.support.arrays import Array
@@ -42,6 +43,7 @@ _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
 _TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
+_MOST_TIMES = 400  # Most times at which narrow quantities are checked
 _TRIED = 6  # Trajectories that are tried by short steps, those with the largest surprises
 _SHORT_STEPS = 8  # Steps over what surprised, at least
 _ACCURACY = 1e-2  # Tolerance of short steps over that of the solve
@@ -76,10 +78,41 @@ def hidden_rate(
     tolerated = rtol * np.append(sizes, np.ones(system.n_differential))[: system.n_differential]
     with unlimited(), np.errstate(all="ignore"):
         for paths, points in _taken_apart(reference):
-            look = _Look(system, rates, _Steps.of(system, paths, points), tolerated, rtol)
-            if (place := look.place()) is not None:
-                return look.hidden(place)
+            steps = _Steps.of(system.jumps.times, paths, points)
+            cost = function_cost(system.rhs, system.user_functions)
+            look = _Look(rates, cost, steps, tolerated, _DOUBT)
+            tried = _ShortSteps(system, cost, steps, tolerated, rtol)
+            if (place := _missed(look, tried)) is not None:
+                return tried.hidden(place)
     return None
+
+
+def hidden_times(reference: Reference, observed: Observation, rtol: float) -> Array:
+    """When quantities are narrow between the steps of a reference, in order: (k,)."""
+    try:
+        function = enclosed(observed.written) if observed.written is not None else None
+    except UnsuitableError:
+        function = None
+    if function is None:
+        return np.empty(0)
+
+    def quantities(
+        times: Enclosure, states: Sequence[Enclosure], parameters: Sequence[Enclosure]
+    ) -> Sequence[Enclosure]:
+        read = [states[row] for row in observed.rows]
+        return [Enclosure.of(row) for row in function(times, read, parameters, [])]
+
+    times = list[float]()
+    cost = function_cost(observed.written)
+    with unlimited(), np.errstate(all="ignore"):
+        for paths, points in _taken_apart(reference):
+            steps = _Steps.of((), paths, points)
+            look = _Look(quantities, cost, steps, None, 1.0, rtol)
+            surprises, left = look.surprises()
+            times += [
+                steps.time(place) for place in (surprises if left is None else [*surprises, left])
+            ]
+    return np.unique(times)[:: max(len(times) // _MOST_TIMES, 1)]
 
 
 def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], Array]]:
@@ -128,17 +161,21 @@ class _Steps:
     parameters: Array
 
     @classmethod
-    def of(cls, system: System, paths: Sequence[Path], points: Array) -> _Steps:
-        """All steps of paths; they leave out what is reset at their ends."""
+    def of(cls, jumps: Sequence[float], paths: Sequence[Path], points: Array) -> _Steps:
+        """All steps of paths; they leave out what is reset at jumps."""
         starts = np.concatenate([path.breaks[:-1] for path in paths])
         ends = np.concatenate([path.breaks[1:] for path in paths])
         nodal = np.concatenate([path.nodal for path in paths])
-        before_jump = np.isin(ends, system.jumps.times)
+        before_jump = np.isin(ends, jumps)
         nodal[before_jump, -1] = np.tensordot(nodal[before_jump, :-1], _LAST[0], axes=(1, 0))
         counts = [path.steps for path in paths]
         near = insets(starts, ends)
         parameters = np.ascontiguousarray(np.repeat(points, counts, axis=0).T)
         return cls(starts + near, ends - starts - 2.0 * near, nodal, parameters)
+
+    def time(self, place: _Place) -> float:
+        """The time at which rates surprised."""
+        return float(self.starts[place.step] + self.lengths[place.step] * place.share)
 
     def at(self, pieces: _Pieces) -> tuple[Array, Array]:
         """Times (nodes, N) and states (n, nodes, N) at the nodes of pieces."""
@@ -184,85 +221,118 @@ class _Pieces:
 
 @dataclass(frozen=True)
 class _Place:
-    """Part of a step, and the state whose rate surprised there by so many tolerances."""
+    """Part of a step, and the function that surprised there at a share, by so many tolerances."""
 
     step: int
     lower: float
     length: float
-    state: int
-    surprise: float
+    share: float
+    row: int = 0
+    surprise: float = 0.0
 
 
 @dataclass(frozen=True)
 class _Look:
-    """A look at steps of a system; ``tolerated`` (n,) are errors of the states that count."""
+    """A look at what functions hide on steps: at most so many tolerances count.
 
-    system: System
-    rates: Callable[..., Sequence[Enclosure]]
+    They are rates if there are ``tolerated`` errors (n,) of states, to which they add by their
+    length. Errors of other functions are relative to their size.
+    """
+
+    functions: Callable[..., Sequence[Enclosure]]
+    cost: Cost
     steps: _Steps
-    tolerated: Array
-    rtol: float
+    tolerated: Array | None
+    most: float
+    rtol: float = 0.0
 
-    def place(self) -> _Place | None:
-        """Where a step missed something that changes the trajectory, or doubts remain."""
-        surprises, left = self._surprises()
-        by_step = {place.step: place for place in sorted(surprises, key=lambda p: p.surprise)}
-        worst = sorted(by_step.values(), key=lambda p: -p.surprise)[:_TRIED]
-        missed = next((place for place in worst if self._matters(place)), None)
-        return missed or left
-
-    def _surprises(self) -> tuple[list[_Place], _Place | None]:
-        """Where rates surprised, and a place in doubt if there were too many to look at."""
+    def surprises(self) -> tuple[list[_Place], _Place | None]:
+        """Where functions surprised, and a place in doubt if there were too many to look at."""
         count = self.steps.starts.size
         pieces = _Pieces(np.arange(count), np.zeros(count), np.ones(count))
         once, each = _MOST_PIECES
-        surprises: list[_Place] = []
+        places: list[_Place] = []
+        tolerated = self._tolerated(pieces)
         looked = 0
         for _ in range(_HALVINGS):
             looked += pieces.step.size
             if not pieces.step.size:
                 break
             if looked > once + each * count:
-                first = int(pieces.step[0]), float(pieces.lower[0]), float(pieces.length[0])
-                return surprises, _Place(*first, 0, 0.0)
+                lower, length = float(pieces.lower[0]), float(pieces.length[0])
+                middle = lower + 0.5 * length
+                return places, _Place(int(pieces.step[0]), lower, length, middle)
             blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
-            halves = [self._look_at(pieces.some(block), surprises) for block in blocks]
+            halves = [self._look_at(pieces.some(block), tolerated, places) for block in blocks]
             pieces = _joined(halves)
-        return surprises, None
+        return places, None
 
-    def _look_at(self, pieces: _Pieces, surprises: list[_Place]) -> _Pieces:
-        """The halves of pieces that are in doubt; where their rates surprised is added."""
-        times, states = self.steps.at(pieces)
-        rows = self._rows(times, states, self.steps.parameters[:, pieces.step])
+    def _tolerated(self, pieces: _Pieces) -> Array:
+        """What may be wrong of each function, (n,)."""
+        if self.tolerated is not None:
+            return self.tolerated
+        blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
+        largest = [
+            [np.abs(np.nan_to_num(row.values)).max() for row in self._rows(pieces.some(block))[1]]
+            for block in blocks
+        ]
+        sizes = np.max(largest, axis=0)
+        return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, 1.0))
+
+    def _look_at(self, pieces: _Pieces, tolerated: Array, places: list[_Place]) -> _Pieces:
+        """The halves of pieces that are in doubt; places where functions surprised are added."""
+        times, rows = self._rows(pieces)
         values = np.stack([np.broadcast_to(row.values, times.shape) for row in rows])
-        spans = self.steps.lengths[pieces.step] * pieces.length
-        units = spans / self.tolerated[:, None]
+        units = np.repeat(1.0 / tolerated[:, None], pieces.step.size, axis=1)
+        if self.tolerated is not None:
+            units *= self.steps.lengths[pieces.step] * pieces.length
         if pieces.expected is not None:
             change = np.nan_to_num(values - pieces.expected, nan=0.0, posinf=0.0, neginf=0.0)
-            change = np.abs(change).max(axis=1) * units
-            for k in np.flatnonzero(change.max(axis=0) > _SURPRISE):
-                state = int(change[:, k].argmax())
-                part = int(pieces.step[k]), float(pieces.lower[k]), float(pieces.length[k])
-                surprises.append(_Place(*part, state, float(change[state, k])))
-        doubt = np.zeros(spans.shape)
-        for row, unit in zip(rows, units, strict=True):
-            if row.doubt is not None:
-                doubt = np.maximum(doubt, row.doubt * unit)
-        doubtful = np.flatnonzero(doubt > _DOUBT)
+            change = np.abs(change) * units[:, None]
+            for k in np.flatnonzero(change.max(axis=(0, 1)) > _SURPRISE):
+                row, node = np.unravel_index(change[:, :, k].argmax(), change.shape[:2])
+                lower, length = float(pieces.lower[k]), float(pieces.length[k])
+                share = lower + length * float(NODES[node])
+                part = int(pieces.step[k]), lower, length, share
+                places.append(_Place(*part, int(row), float(change[row, node, k])))
+        doubt = np.zeros(pieces.step.size)
+        for enclosure, unit in zip(rows, units, strict=True):
+            if enclosure.doubt is not None:
+                doubt = np.maximum(doubt, enclosure.doubt * unit)
+        doubtful = np.flatnonzero(doubt > self.most)
         return pieces.halves(doubtful, values[:, :, doubtful])
 
-    def _rows(self, times: Array, states: Array, parameters: Array) -> Sequence[Enclosure]:
-        """Enclosures of the rates at times (nodes, N), states (n, nodes, N), parameters (d, N)."""
-        cost = function_cost(self.system.rhs, self.system.user_functions)
-        charge(_CALL(0) + _ENCLOSURES * cost(times.size))
-        return self.rates(
+    def _rows(self, pieces: _Pieces) -> tuple[Array, Sequence[Enclosure]]:
+        """Times (nodes, N), and enclosures of the functions on pieces."""
+        times, states = self.steps.at(pieces)
+        charge(_CALL(0) + _ENCLOSURES * self.cost(times.size))
+        return times, self.functions(
             Enclosure.of_samples(times, 0.0),
             [Enclosure.of_samples(state) for state in states],
-            [Enclosure.of(parameter) for parameter in parameters],
+            [Enclosure.of(parameter) for parameter in self.steps.parameters[:, pieces.step]],
         )
 
-    def _matters(self, place: _Place) -> bool:
-        """Whether short steps from before a surprise end the step elsewhere."""
+
+def _missed(look: _Look, tried: _ShortSteps) -> _Place | None:
+    """Where a step missed something that changes the trajectory, or doubts remain."""
+    surprises, left = look.surprises()
+    by_step = {place.step: place for place in sorted(surprises, key=lambda p: p.surprise)}
+    worst = sorted(by_step.values(), key=lambda p: -p.surprise)[:_TRIED]
+    return next((place for place in worst if tried.change(place)), left)
+
+
+@dataclass(frozen=True)
+class _ShortSteps:
+    """Tries whether short steps from before a surprise end a step elsewhere."""
+
+    system: System
+    cost: Cost
+    steps: _Steps
+    tolerated: Array
+    rtol: float
+
+    def change(self, place: _Place) -> bool:
+        """Whether they end elsewhere, or do not end."""
         start, length = self.steps.starts[place.step], self.steps.lengths[place.step]
         before = max(place.lower - place.length, 0.0)
         piece = _Pieces(np.array([place.step]), np.array([before]), np.array([1.0 - before]))
@@ -271,24 +341,23 @@ class _Look:
         even = before + short * np.arange(4 * _SHORT_STEPS)
         growing = even[-1] + short * 2.0 ** np.arange(1.0, _HALVINGS + 10.0)
         shares = np.append(even[even < 1.0], [*growing[growing < 1.0], 1.0])
-        end = self._by_short_steps(place.step, start + length * shares, states[:, 0])
+        end = self._end(place.step, start + length * shares, states[:, 0])
         if end is None:
             return True
         return bool((np.abs(end - states[:, -1]) > _DIFFERENCE * self.tolerated).any())
 
-    def _by_short_steps(self, step: int, times: Array, state: Array) -> Array | None:
+    def _end(self, step: int, times: Array, state: Array) -> Array | None:
         """The state at the last of times at which steps begin anew; None if there are too many."""
         p = self.steps.parameters[:, step : step + 1]
-        cost = function_cost(self.system.rhs, self.system.user_functions)
 
         def rates(t: float, y: Array) -> Array:
-            charge(cost(1))
+            charge(self.cost(1))
             return np.asarray(self.system.rhs(t, y[:, None], p))[:, 0]
 
         evaluations = 0
+        relative = max(_ACCURACY * self.rtol, 1e-12)
+        absolute = np.maximum(_ACCURACY * relative * self.tolerated / self.rtol, 1e-300)
         for a, b in itertools.pairwise(times.tolist()):
-            relative = max(_ACCURACY * self.rtol, 1e-12)
-            absolute = np.maximum(_ACCURACY * relative * self.tolerated / self.rtol, 1e-300)
             solved = solve_ivp(rates, (a, b), state, "LSODA", rtol=relative, atol=absolute)
             evaluations += solved.nfev
             if not solved.success or evaluations > _MOST_EVALUATIONS:
@@ -298,11 +367,9 @@ class _Look:
 
     def hidden(self, place: _Place) -> HiddenRate:
         """What to say of a place."""
-        middle = place.lower + 0.5 * place.length
-        time = self.steps.starts[place.step] + middle * self.steps.lengths[place.step]
         parameters = self.steps.parameters[:, place.step].tolist()
         at = zip(self.system.parameters, parameters, strict=True)
-        return HiddenRate(self.system.states[place.state], float(time), tuple(at))
+        return HiddenRate(self.system.states[place.row], self.steps.time(place), tuple(at))
 
 
 def _joined(pieces: Sequence[_Pieces]) -> _Pieces:

@@ -24,7 +24,7 @@ from rankone.trajectories.choice import following
 from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
-from rankone.verification.hidden import hidden_rate
+from rankone.verification.hidden import hidden_rate, hidden_times
 from rankone.verification.narrow import narrow_times
 from rankone.verification.points import (
     FEW_PARAMETERS,
@@ -290,7 +290,11 @@ class ReferenceSet:
     @cached_property
     def _narrow_times(self) -> Array:
         """When quantities are narrow on a trajectory, in order."""
-        return narrow_times(self.reference, self.observed, self.end)
+        crossed = narrow_times(self.reference, self.observed, self.end)
+        if self.observed is None or self.system.clock is not None:
+            return crossed
+        hidden = hidden_times(self.reference, self.observed, self.rtol)
+        return np.unique(np.concatenate([crossed, hidden[hidden < self.end]]))
 
     @property
     def names(self) -> tuple[str, ...]:
