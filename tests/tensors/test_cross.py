@@ -134,6 +134,20 @@ def test_a_growing_basis_holds_the_few_columns_that_many_others_do_not_span():
     np.testing.assert_allclose(gram, np.eye(len(gram)), atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [60, 400])
+def test_a_growing_basis_resolves_what_rounding_errors_of_products_hide(count):
+    generator = np.random.default_rng(0)
+    left, _ = np.linalg.qr(generator.standard_normal((200, 12)))
+    columns = left * 10.0 ** -np.arange(12) @ generator.standard_normal((12, count))
+    basis = GrowingBasis(200)
+    coefficients = basis.coefficients(columns, 1e-9)
+    np.testing.assert_allclose(
+        basis.vectors.T @ basis.vectors, np.eye(len(coefficients)), atol=1e-12
+    )
+    assert np.linalg.norm(columns - basis.columns(coefficients), 2) < 2e-9
+    assert len(coefficients) <= 12
+
+
 def adapted(function, box, target, attempts=6, borders=()):
     """Bases and largest error at random points after some attempts."""
     limits = InterpolationLimits(ChebyshevBasis, 400, 60)

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from rankone.discretization import Basis1D
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import charge, reserve
-from rankone.support.costs import product, qr, svd
+from rankone.support.costs import CALL, product, qr
 from rankone.tensors.skeleton import Skeleton, skeleton_of
 from rankone.tensors.train import Integers, Train
 
@@ -44,9 +45,9 @@ _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _PYTHAGOREAN = 1e-13
 # Columns for which a basis grows at a time: those between them hardly add to what these span
 _MOST_SPANNED = 400
-# Singular values, over the largest, that a Gram matrix tells from rounding
+# Norm of a remainder, over that of all columns, that a Gram matrix tells from rounding
 _GRAM_RESOLUTION = 1e-6
-_LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
+_LOST_SHARE = 0.3  # Remainders that add nothing to the basis, over the tolerance
 
 Columns = Callable[[Array], Array]
 """Coefficients (rank, m) of columns at points (m, d) of the box; the rank may grow."""
@@ -329,11 +330,15 @@ class GrowingBasis:
     def _added(self, remainders: Array, tolerance: float) -> Array:
         """Vectors (length, k) that the basis grows by, for remainders of columns."""
         length, rank = self.vectors.shape
-        added = _span(remainders, _LOST_SHARE * tolerance)
-        charge(2.0 * product(length, added.shape[1], rank) + qr(*added.shape) + self.vectors.size)
-        added, _ = np.linalg.qr(added - self.vectors @ (self.vectors.T @ added))
-        self.vectors = np.concatenate([self.vectors, added], axis=1)
-        return added
+        while True:
+            directions, missed = _directions(remainders, tolerance)
+            held, size = self.vectors, directions.shape[1]
+            charge(2.0 * product(length, size, held.shape[1]) + qr(length, size) + held.size)
+            added, _ = np.linalg.qr(directions - held @ (held.T @ directions))
+            self.vectors = np.concatenate([held, added], axis=1)
+            if missed <= tolerance or self.vectors.shape[1] >= length:
+                return self.vectors[:, rank:]
+            remainders = remainders - added @ (added.T @ remainders)
 
     def columns(self, coefficients: Array) -> Array:
         """Columns (length, m) from coefficients (rank, m) that may be older than the basis."""
@@ -345,27 +350,26 @@ def _squares(columns: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->j", columns, columns))
 
 
-def _span(columns: Array, tolerance: float) -> Array:
-    """Orthonormal columns in whose span most of the columns lie up to the tolerance.
+def _directions(columns: Array, tolerance: float) -> tuple[Array, float]:
+    """Directions (length, k), at least one, that span columns (length, m) up to a missed norm.
 
-    By eigenvectors of Gram matrices, several times faster than singular vectors: each gives the
-    directions that stand out of its rounding errors, and the next is one of what is left.
+    That is a tolerance, or more where rounding errors of the Gram matrix hide smaller directions.
+    They are the pivots of its Cholesky decomposition: far cheaper than its eigenvectors, and hardly
+    more of them.
     """
-    span = np.zeros((len(columns), 0))
-    while True:
-        smaller, larger = sorted(columns.shape)
-        charge(2.0 * product(smaller, larger, smaller) + svd(smaller, smaller) + columns.size)
-        wide = columns.shape[1] > columns.shape[0]
-        squares, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
-        weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
-        threshold = max(tolerance, _GRAM_RESOLUTION * weights[0])
-        rank = max(int(np.count_nonzero(weights > threshold)), 1)
-        directions = vectors[:, :rank]
-        if not wide:
-            directions = columns @ (directions / np.maximum(weights[:rank], 1e-300))
-        charge(2.0 * product(len(span), rank, span.shape[1]) + qr(*directions.shape))
-        directions, _ = np.linalg.qr(directions - span @ (span.T @ directions))
-        span = np.concatenate([span, directions], axis=1)
-        if threshold == tolerance or span.shape[1] >= len(span):
-            return span
-        columns = columns - directions @ (directions.T @ columns)
+    smaller, larger = sorted(columns.shape)
+    charge(2.0 * product(smaller, larger, smaller) + CALL)
+    wide = larger > len(columns)
+    gram = columns @ columns.T if wide else columns.T @ columns
+    total = float(np.trace(gram))
+    missed = max(tolerance, _GRAM_RESOLUTION * math.sqrt(total))
+    factor, order, rank, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
+    charge(product(smaller, rank, rank))
+    factor, pivots = np.tril(factor)[:, :rank], order - 1
+    left = total - np.square(factor).sum(axis=0).cumsum()
+    count = int(np.count_nonzero(left > missed**2)) + 1
+    if not wide:
+        return columns[:, pivots[:count]], missed
+    directions = np.empty((smaller, min(count, max(rank, 1))))
+    directions[pivots] = factor[:, :count]
+    return directions, missed

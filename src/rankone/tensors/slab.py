@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 from rankone.discretization.time_grid import TimeGrid
@@ -60,26 +60,31 @@ class SlabTrain:
         core = self.cores[0]
         return np.asarray(core.reshape(len(core), -1) @ products.reshape(-1, times.size))
 
-    def over_parameters(self, points: Array) -> Array:
-        """Product of the cores of the parameters at points (d, M): shape (r_1, M)."""
+    def over_parameters(self, points: Array, precision: DTypeLike = float) -> Array:
+        """Product of the cores of the parameters at points (d, M): shape (r_1, M).
+
+        By numbers of a ``precision``: float, or np.float32 where few digits do.
+        """
         charge(sum(_CORE_COST(points.shape[1] * core.size) for core in self.cores[1:]))
         charge(_MODE_COST * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
         count = points.shape[1]
         widest = max((_entries(core) for core in self.cores[1:]), default=1)
         step = max(_ENTRIES_AT_ONCE // widest, 1)
         if count <= step:
-            return self._over_parameters(points)
+            return self._over_parameters(points, precision)
         parts = np.array_split(points, -(-count // step), axis=1)
-        return np.concatenate([self._over_parameters(part) for part in parts], axis=1)
+        blocks = [self._over_parameters(part, precision) for part in parts]
+        return np.concatenate(blocks, axis=1)
 
-    def _over_parameters(self, points: Array) -> Array:
+    def _over_parameters(self, points: Array, precision: DTypeLike) -> Array:
         """The same at so few points that the products of modes and columns are held at once."""
-        columns = np.ones((1, points.shape[1]))
-        for core, basis, row in zip(
+        columns = np.ones((1, points.shape[1]), dtype=precision)
+        for exact, basis, row in zip(
             reversed(self.cores[1:]), reversed(self.bases), reversed(points), strict=True
         ):
+            core = exact.astype(precision, copy=False)
             left, size, right = core.shape
-            modes = basis.modal_values(row).T
+            modes = basis.modal_values(row).T.astype(precision, copy=False)
             if left < right:
                 of_modes = (core.reshape(-1, right) @ columns).reshape(left, size, -1)
                 columns = np.einsum("lnm,nm->lm", of_modes, modes)

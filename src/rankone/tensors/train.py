@@ -108,18 +108,6 @@ class Train:
             cores[j + 1] = np.tensordot(s[:rank, None] * vt[:rank], cores[j + 1], 1)
         return Train(tuple(cores)), change
 
-    def left_orthonormal(self, negligible: float = _NEGLIGIBLE_ROW) -> Train:
-        """Cores of orthonormal columns but the last, which takes the factors.
-
-        Columns that add no direction above ``negligible``, relative to the largest, are left out.
-        """
-        cores = list(self.cores)
-        for j in range(len(cores) - 1):
-            q, r = independent(cores[j].reshape(-1, cores[j].shape[-1]), negligible)
-            cores[j] = q.reshape(*cores[j].shape[:-1], -1)
-            cores[j + 1] = np.tensordot(r, cores[j + 1], 1)
-        return Train(tuple(cores))
-
     def rounded(self, tolerance: float) -> Train:
         """The train with the ranks that a tolerance needs, right-orthonormal."""
         return self.right_orthonormal().truncated(tolerance)[0].right_orthonormal()
@@ -127,18 +115,29 @@ class Train:
     def rounded_with_norms(self, tolerance: float) -> tuple[Train, list[Array]]:
         """The same in one sweep less, and the norms of the modes of each core j >= 1.
 
-        What is tiny in core 0 is not left out, but mixed with the rest.
+        What is tiny in core 0 is not left out, but mixed with the rest. Each core is seen in the
+        norm of those before it, which takes the factors R of their QR decompositions alone.
         """
-        cores, norms = list(self.left_orthonormal().cores), list[Array]()
-        share = tolerance / math.sqrt(max(len(cores) - 1, 1))
+        cores, weighted = list(self.cores), list[Array]()
+        for core in self.cores[1:]:
+            rows = weighted[-1] if weighted else self.first
+            factor = np.asarray(np.linalg.qr(rows.reshape(-1, len(core)), mode="r"))
+            charge(
+                0.5 * qr(rows.size / len(core), len(core))
+                + product(len(factor), len(core), core[0].size)
+            )
+            weighted.append(np.tensordot(factor, core, 1))
+        norms, share = list[Array](), tolerance / math.sqrt(max(len(cores) - 1, 1))
+        turn = np.eye(1)
         for j in range(len(cores) - 1, 0, -1):
-            core = cores[j]
-            norms.insert(0, np.linalg.norm(core, axis=(0, 2)))
-            left, weights, right = _svd(core.reshape(len(core), -1))
+            core, seen = np.tensordot(cores[j], turn, 1), np.tensordot(weighted[j - 1], turn, 1)
+            norms.insert(0, np.linalg.norm(seen, axis=(0, 2)))
+            _, weights, right = _svd(seen.reshape(len(seen), -1))
             tails = np.sqrt(np.cumsum(weights[::-1] ** 2))[::-1]
-            rank = max(int(np.count_nonzero(tails > share)), 1)
-            cores[j] = right[:rank].reshape(rank, *core.shape[1:])
-            cores[j - 1] = cores[j - 1] @ (left[:, :rank] * weights[:rank])
+            right = right[: max(int(np.count_nonzero(tails > share)), 1)]
+            turn = core.reshape(len(core), -1) @ right.T
+            cores[j] = right.reshape(len(right), *core.shape[1:])
+        cores[0] = cores[0] @ turn
         return Train(tuple(cores)), norms
 
     def thinned(self, tolerance: float) -> Train:

@@ -332,7 +332,7 @@ def _bounds(bases: Sequence[Basis1D]) -> tuple[Array, Array]:
 def _steepness(slabs: Sequence[SlabTrain], points: Array, sizes: Array) -> list[Array]:
     """Largest change of a state at the end of each slab over a small step across the box, (m,).
 
-    The slabs share the cores of their parameters.
+    The slabs share the cores of their parameters. Single precision tells what is steep.
     """
     lower, upper = _bounds(slabs[0].bases)
     generator = np.random.default_rng(20140)
@@ -340,7 +340,8 @@ def _steepness(slabs: Sequence[SlabTrain], points: Array, sizes: Array) -> list[
         [-1.0, 1.0], points.shape
     )
     beside = np.concatenate([np.clip(points + s, lower, upper) for s in (step, -step)])
-    columns, changes = slabs[0].over_parameters(beside.T), list[Array]()
+    columns = slabs[0].over_parameters(beside.T, np.float32)
+    changes = list[Array]()
     for slab in slabs:
         one, two = np.split(slab.on_grid(np.array([slab.end]), columns)[:, :, 0], 2, axis=1)
         changes.append((np.abs(one - two) / sizes[:, None]).max(axis=0))
