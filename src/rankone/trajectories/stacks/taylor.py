@@ -201,11 +201,32 @@ def _terms_of(system: System) -> TaylorTerms:
     return TaylorTerms(n, tuple(constants), sums, products, variables, of_flows)
 
 
+@dataclass(frozen=True)
+class _Factors:
+    """The coefficients (order + 1, q, m) of the factors of products, at ``places`` of the powers.
+
+    They are a copy of these unless they stand side by side.
+    """
+
+    rows: Array
+    places: NDArray[np.intp] | None
+
+    @classmethod
+    def of(cls, powers: Array, places: NDArray[np.intp]) -> _Factors:
+        if (np.diff(places) == 1).all():
+            return cls(powers[:, places[0] : places[-1] + 1], None)
+        return cls(np.empty((len(powers), places.size, powers.shape[2])), places)
+
+    def copied(self, k: int) -> list[tuple[NDArray[np.intp], Array]]:
+        """What is copied of the coefficients of a power: places, and where to."""
+        return [] if self.places is None else [(self.places, self.rows[k])]
+
+
 class Recursion:
     """The coefficients of steps of one order, in buffers that serve all of them.
 
     The buffers hold the ``powers`` (order + 1, variables, m) and, for each level of products, the
-    coefficients of the left factors and those of the right ones, in reverse.
+    coefficients of factors that do not stand side by side among them.
     """
 
     def __init__(self, series: TaylorSeries, order: int) -> None:
@@ -214,13 +235,21 @@ class Recursion:
         self.powers = powers = np.empty((order + 1, series.size, m))
         self._of_states = powers.reshape(order + 1, -1)[:, : n * m]
         self._states = [each[:n] for each in powers]
-        levels = [(each, *np.empty((2, order, each.left.size, m))) for each in series.products]
+        levels = [
+            (level.places, _Factors.of(powers, level.left), _Factors.of(powers, level.right))
+            for level in series.products
+        ]
         self._convolutions = [
             [
-                (level, powers[k, level.places], left[k], right[back], left[: k + 1], right[back:])
-                for level, left, right in levels
+                (
+                    left.copied(k) + right.copied(k),
+                    left.rows[: k + 1],
+                    right.rows[k::-1],
+                    now[places],
+                )
+                for places, left, right in levels
             ]
-            for k, back in enumerate(range(order - 1, -1, -1))
+            for k, now in enumerate(powers[:-1])
         ]
 
     def __call__(self, states: Array, h: float) -> Array:
@@ -229,21 +258,22 @@ class Recursion:
         The next call overwrites them.
         """
         series, powers = self.series, self.powers
-        factors, variables = series.factors, series.variables
+        factors, variables, sums = series.factors, series.variables, series.sums
+        shares = h / np.arange(1.0, self.order + 1.0)
+        scaled = shares[:, None, None] * sums if isinstance(sums, np.ndarray) else None
         powers[0, : len(states)] = states
         for k, convolutions in enumerate(self._convolutions):
             now = powers[k]
-            for level, product, left, right, all_left, all_right in convolutions:
-                now.take(level.left, axis=0, out=left, mode="clip")
-                now.take(level.right, axis=0, out=right, mode="clip")
-                np.einsum("kqm,kqm->qm", all_left, all_right, out=product)
+            for copied, left, right, product in convolutions:
+                for places, rows in copied:
+                    now.take(places, axis=0, out=rows, mode="clip")
+                np.einsum("kqm,kqm->qm", left, right, out=product)
             weighted = now if factors is None else now.take(variables, axis=0) * factors
             slopes = self._states[k + 1]
-            if isinstance(series.sums, np.ndarray):
-                np.dot(series.sums, weighted, out=slopes)
+            if scaled is not None:
+                np.dot(scaled[k], weighted, out=slopes)
             else:
-                slopes[:] = series.sums @ weighted
-            slopes *= h / (k + 1)
+                slopes[:] = shares[k] * (sums @ weighted)
             if not k:
                 self._states[1] += h * series.constant
         return self._of_states
