@@ -239,8 +239,6 @@ def _by_paths(
     """
     domain = request.domain
     further = (domain.horizon[1] - domain.horizon[0]) / (paths[0].end - domain.horizon[0])
-    if not may_pay(paths[SCOUTS], further):
-        return None
     markers = chosen_markers(system, paths, points, further)
     if not markers:
         return None

@@ -48,6 +48,7 @@ _MOST_SPANNED = 400
 # Norm of a remainder, over that of all columns, that a Gram matrix tells from rounding
 _GRAM_RESOLUTION = 1e-6
 _LOST_SHARE = 0.3  # Remainders that add nothing to the basis, over the tolerance
+_MISSED_SHARE = 0.1  # What it may miss of all others together: columns to come are missed by more
 
 Columns = Callable[[Array], Array]
 """Coefficients (rank, m) of columns at points (m, d) of the box; the rank may grow."""
@@ -318,7 +319,8 @@ class GrowingBasis:
             large = np.flatnonzero(sizes > _LOST_SHARE * tolerance)
             if not large.size:  # so far all are negligible
                 large = np.flatnonzero(sizes == sizes.max(initial=0.0))
-            added = self._added(remainder[:, large[:: max(-(-large.size // most), 1)]], tolerance)
+            some = remainder[:, large[:: max(-(-large.size // most), 1)]]
+            added = self._added(some, _MISSED_SHARE * tolerance)
             further = added.T @ remainder
             coefficients = np.concatenate([coefficients, further])
             if large.size <= most:

@@ -185,8 +185,10 @@ def _steps(path: Path, borders: Array) -> Array:
 
 def _spans(paths: Sequence[Path]) -> list[tuple[int, float, float]]:
     """States, and the interval of each that all paths run through."""
-    lower = np.max([path.nodal.min(axis=(0, 1)) for path in paths], axis=0)
-    upper = np.min([path.nodal.max(axis=(0, 1)) for path in paths], axis=0)
+    nodal = [path.nodal.reshape(-1, path.nodal.shape[2]) for path in paths]
+    every, first = np.concatenate(nodal), np.cumsum([0, *map(len, nodal[:-1])])
+    lower = np.minimum.reduceat(every, first).max(axis=0)
+    upper = np.maximum.reduceat(every, first).min(axis=0)
     states = np.flatnonzero(lower < upper).tolist()
     return [(state, float(lower[state]), float(upper[state])) for state in states]
 
