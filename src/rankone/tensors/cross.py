@@ -47,8 +47,9 @@ _PYTHAGOREAN = 1e-13
 _MOST_SPANNED = 400
 # Norm of a remainder, over that of all columns, that a Gram matrix tells from rounding
 _GRAM_RESOLUTION = 1e-6
-_LOST_SHARE = 0.3  # Remainders that add nothing to the basis, over the tolerance
-_MISSED_SHARE = 0.1  # What it may miss of all others together: columns to come are missed by more
+# Remainders that add nothing to the basis, and the norm that it misses of all others together, over
+# the tolerance: columns to come are missed by more
+_LOST_SHARE = 0.3
 
 Columns = Callable[[Array], Array]
 """Coefficients (rank, m) of columns at points (m, d) of the box; the rank may grow."""
@@ -320,7 +321,7 @@ class GrowingBasis:
             if not large.size:  # so far all are negligible
                 large = np.flatnonzero(sizes == sizes.max(initial=0.0))
             some = remainder[:, large[:: max(-(-large.size // most), 1)]]
-            added = self._added(some, _MISSED_SHARE * tolerance)
+            added = self._added(some, _LOST_SHARE * tolerance)
             further = added.T @ remainder
             coefficients = np.concatenate([coefficients, further])
             if large.size <= most:
