@@ -148,6 +148,12 @@ def test_a_growing_basis_resolves_what_rounding_errors_of_products_hide(count):
     assert len(coefficients) <= 12
 
 
+@pytest.mark.parametrize("count", [3, 40])
+def test_a_growing_basis_of_zeros_holds_one_vector(count):
+    basis = GrowingBasis(6)
+    assert basis.coefficients(np.zeros((6, count)), 1e-8).shape == (1, count)
+
+
 def adapted(function, box, target, attempts=6, borders=()):
     """Bases and largest error at random points after some attempts."""
     limits = InterpolationLimits(ChebyshevBasis, 400, 60)

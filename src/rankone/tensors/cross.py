@@ -366,13 +366,14 @@ def _directions(columns: Array, tolerance: float) -> tuple[Array, float]:
     gram = columns @ columns.T if wide else columns.T @ columns
     total = float(np.trace(gram))
     missed = max(tolerance, _GRAM_RESOLUTION * math.sqrt(total))
-    factor, order, rank, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
+    factor, order, found, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
+    rank = max(found, 1)
     charge(product(smaller, rank, rank))
     factor, pivots = np.tril(factor)[:, :rank], order - 1
     left = total - np.square(factor).sum(axis=0).cumsum()
-    count = int(np.count_nonzero(left > missed**2)) + 1
+    count = min(int(np.count_nonzero(left > missed**2)) + 1, rank)
     if not wide:
         return columns[:, pivots[:count]], missed
-    directions = np.empty((smaller, min(count, max(rank, 1))))
+    directions = np.empty((smaller, count))
     directions[pivots] = factor[:, :count]
     return directions, missed

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import DTypeLike
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -64,8 +65,8 @@ def skeleton_of(
     """
     rows = sum(map(len, matrices))
     norm = math.hypot(*(float(np.linalg.norm(matrix)) for matrix in matrices))
-    single = tolerance > _SINGLE_PRECISION * norm
-    precise = [matrix.astype(np.float32) for matrix in matrices] if single else matrices
+    precision: DTypeLike = np.float32 if tolerance > _SINGLE_PRECISION * norm else float
+    precise = [matrix.astype(precision, copy=False) for matrix in matrices]
     count = math.ceil(_ROWS_RATIO * expected) + _MORE_ROWS
     while True:
         direct = rows <= _DIRECT_RATIO * count
