@@ -13,6 +13,7 @@
 ``observed``    outputs of a solve: quantities that are evaluated along its trajectories
 ``checkpoint``  finished solves in a folder
 ``digests``     functions of the user told apart by their code and state
-``solution``    the solution with its statistics, outputs, fits, exports and files
+``forms``       a solution as canonical sums, tables, figures, pages and exported models
+``solution``    the solution with its statistics, outputs, fits, pieces and files
 ==============  ====================================================================================
 """
