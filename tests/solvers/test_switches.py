@@ -1,5 +1,7 @@
 """Solves whose rates switch over the unknowns, against closed forms and narrow smooth steps."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -235,3 +237,46 @@ def test_a_trajectory_that_blows_up_beyond_a_kink_is_named_as_such():
     repelled = {"x": "v", "v": "-x - 20*Abs(x - k)**1.5"}
     with pytest.raises(ro.BlowUpError, match="blows up inside the horizon"):
         ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL)
+
+
+GRAZING = {
+    "friction": (
+        {"x": "v", "v": "-x - mu*sign(v) + F*cos(0.7*t)"},
+        {"x": 0, "v": 1},
+        {"mu": (0.1, 0.5), "F": (0.6, 1.4)},
+        20,
+        (),
+    ),
+    "threshold": (
+        {"x": "v", "v": "-0.2*v - x + k*Heaviside(x - c)"},
+        {"x": 1, "v": 0},
+        {"k": (0.2, 0.6), "c": (0.3, 1.2)},
+        15,
+        (),
+    ),
+    "wall": (
+        {"x": "v", "v": "-x + F*sin(1.7*t)"},
+        {"x": 0, "v": 0.5},
+        {"F": (0.2, 0.9), "c": (0.5, 1.5)},
+        12,
+        [{"when": "x - c", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "wall"}],
+    ),
+}
+"""Larger parts of these boxes graze a switch or an event."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GRAZING)
+def test_a_refusal_where_trajectories_graze_names_a_box_that_works(name):
+    *parts, events = GRAZING[name]
+    compiled = ro.compile(ro.Problem.from_strings(*parts[:3], (0, parts[3]), events=events))
+    with pytest.raises(ro.ConvergenceError, match="events come in one order there") as caught:
+        compiled.solve(1e-3, effort=0.4)
+    message = str(caught.value)
+    assert f"`{'wall' if events else 'switch_0'}`" in message
+    assert "not finite" not in message
+    narrow = message[: message.index("events come in one order")]
+    found = re.findall(r"`(\w+)` to \[([-+.\de]+), ([-+.\de]+)\]", narrow)
+    assert found
+    part = {parameter: (float(lower), float(upper)) for parameter, lower, upper in found}
+    assert compiled.solve(1e-3, parameters=part, effort=0.4).success

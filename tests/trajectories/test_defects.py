@@ -254,3 +254,15 @@ def test_rounded_times_of_an_ignition_miss_nothing():
     with limited(2e7):
         trajectories = single.run(system, np.zeros((1, 0)), (2.0, 2.3), tolerances)
     assert trajectories.end == 2.3
+
+
+def test_two_finite_peaks_are_no_end_of_trajectories():
+    rates = {"x": "k", "y": "1e9*exp(-(1e9*(x-1))**2) + 1e9*exp(-(1e9*(x-1-1e-7))**2)"}
+    made = ro.Problem.from_strings(rates, {"x": 0, "y": 0}, {"k": (1, 2)}, (0, 3))
+    reference = integrate_reference(
+        ro.compile(made).system, np.array([[1.25], [1.5]]), (0.0, 3.0), 3e-7, integrator="single"
+    )
+    assert reference.blown is None
+    np.testing.assert_allclose(
+        reference(np.array([3.0]))[1, :, 0], 2 * np.sqrt(np.pi) / np.array([1.25, 1.5]), rtol=1e-4
+    )

@@ -47,11 +47,12 @@ class Status(Enum):
     SWITCHES = "a trajectory switches to and fro without end"
     NARROW = "steps of trajectories pass over something narrow in the rates"
     LEAVES = "a trajectory reaches a point where its right-hand side is not finite"
+    STALLS = "the steps of a trajectory shrink without end, although its rates are finite"
 
     @property
     def ends_early(self) -> bool:
         """Whether a trajectory does not reach the end of the horizon."""
-        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES)
+        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES, Status.STALLS)
 
     @classmethod
     def of_limit(cls, error: OutOfBudgetError) -> Status:

@@ -40,6 +40,7 @@ _ENDS = {
     Status.BLOW_UP: "blows up inside the horizon",
     Status.LEAVES: "reaches a point where its right-hand side is not finite",
     Status.SWITCHES: "switches to and fro without end",
+    Status.STALLS: "gets no further: steps shrink without end, although its rates are finite",
 }
 # Fractions of a safe interval to solve on: near its end the states are very large
 _KEPT_SHARES = (0.95, 0.8, 0.5)

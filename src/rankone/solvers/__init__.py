@@ -10,6 +10,7 @@
 ``interpolation``  initial values and states after jumps, interpolated in a tensor train
 ``stretches``      solves over stretches between events
 ``branches``       solves of several orders of events, each a branch
+``one_order``      a part of the box in which events come in one order, for messages
 ``markers``        the reference over stretches between markers, where they pay
 ``cross``          the engine that interpolates trajectories
 ``train``          the engine that sweeps over a tensor train

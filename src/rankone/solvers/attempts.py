@@ -116,7 +116,9 @@ class Attempt:
         if reference.blown is not None:
             if reference.switching is not None:
                 return Status.SWITCHES
-            return Status.BLOW_UP if reference.large else Status.LEAVES
+            if reference.large:
+                return Status.BLOW_UP
+            return Status.STALLS if reference.regular else Status.LEAVES
         if stopped is not None:
             return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
         if not reference_set.checked:

@@ -21,15 +21,15 @@ from rankone.ir.system import System
 from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Timeline
 from rankone.ir.verdict import MeasuredError, Note, Status, UndecidedShare
 from rankone.solution.branches import branch_evaluator
+from rankone.solvers.one_order import narrowing_text, one_order
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
-from rankone.support.budget import limited, seconds_left, work_left
+from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.events.forced import ContinuationError
-from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.orders import Order, OrderSearch
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import Tolerances
@@ -54,6 +54,7 @@ _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, o
 _MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
 _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
 _MOST_MISSED = 10.0  # Error over the tolerance from which more accurate branches are no remedy
+_PART_SHARE = 0.3  # Of what is left, for a part of the box in which events come in one order
 _FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
 _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
@@ -102,9 +103,24 @@ def solve_in_branches(
                 return outcome
     except TrajectoryEndError:
         raise error from None
+    except OrderError as failure:
+        raise _with_part(failure, search) from None
     if len(further):  # each check meets yet another order
         raise error
     return outcome
+
+
+def _with_part(failure: OrderError, search: OrderSearch) -> OrderError:
+    """The failure, with a part of the box in which events come in one order, if there is one."""
+    try:
+        with limited(_PART_SHARE * work_left()):
+            part = one_order(search)
+    except OutOfBudgetError:
+        part = None
+    if part is None:
+        return failure
+    remedy = f"narrow {narrowing_text(search.system.parameters, search.bounds, part)}"
+    return OrderError(f"{failure.message}; {remedy}: events come in one order there", remedy=REMEDY)
 
 
 def order_search(timed: System, request: SolveRequest) -> OrderSearch:
@@ -121,16 +137,10 @@ def order_search(timed: System, request: SolveRequest) -> OrderSearch:
 
 def with_points(search: OrderSearch, points: Array) -> OrderSearch:
     """The search with trajectories at further points (m, d)."""
-    events = search.system.events
-    followed = integrate_to_events(
-        search.integrator, search.system, points, search.horizon, search.tolerances, events
-    )
-    for trajectory, point in zip(followed, points, strict=True):
-        search.check_end(trajectory, point)
     return replace(
         search,
         points=np.concatenate([search.points, points]),
-        trajectories=[*search.trajectories, *followed],
+        trajectories=[*search.trajectories, *search.followed(points)],
     )
 
 

@@ -80,8 +80,11 @@ class Engine:
                 failure = error
         if held is not None and held.status in _SOLVED:
             return held
-        outcome = self._solve_as_written(system, request, report)
-        if failure is not None and outcome.status is Status.SWITCHES:
+        try:
+            outcome = self._solve_as_written(system, request, report)
+        except ConvergenceError as error:
+            raise failure or error from None
+        if failure is not None and outcome.status not in _SOLVED:
             outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(failure.message)))
         return held if held is not None and _is_better(held, outcome) else outcome
 

@@ -25,7 +25,7 @@ _JUMP = 1e-3  # Value at a root, over those at the ends, from which the function
 _ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
 _GRAZING = 0.1  # Least height of a parabola on a step, over those at its ends, that may be zero
 _TURNING_WIDTHS = (0.1, 0.02, 0.002)  # Widths of the parabolas that tell where a height turns
-_TIME_ROUNDINGS = 100.0  # Roundings of a time that count as one of a slope: nodes are rounded
+_ROUNDINGS = 100.0  # Of a time or a state, that may be one of a slope times the step
 _LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
 _PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
@@ -92,7 +92,7 @@ class DefectControl:
         start, h = self._spans(solver, columns)
         states, slopes = solver.interpolant(columns)(shares, True)
         rates = self.rates(start + h * shares, states, self.parameters[:, columns])
-        defect = _beyond_rounding(slopes - h * rates, rates, start + h)
+        defect = _beyond_rounding(slopes - h * rates, rates, start + h, states)
         error = np.abs(solver.error_of(defect, columns))
         return self._largest(error / _tolerated(solver, states), columns)
 
@@ -128,7 +128,7 @@ class DefectControl:
             charge(self.rates_cost(columns.size) + 2.0 * _LOOK_COST(tolerated.size * columns.size))
             states, slopes = interpolant(shares, True)
             rates = h * self.rates(before + h * shares, states, p)
-            defect = np.abs(rates - slopes)
+            defect = np.abs(_beyond_rounding(rates - slopes, rates / h, before + h, states))
             unknown = defect > _DIFFERENT_RATES * np.maximum(np.abs(rates), np.abs(slopes))
             defect[kink & ~unknown] = 0.0
             defect = np.where(narrow & unknown, (solver.t_bound - before) / h * defect, defect)
@@ -230,10 +230,13 @@ def turning_points(function: Callable[[Array], Array], shares: Array) -> Array:
     return np.asarray(shares)
 
 
-def _beyond_rounding(defect: Array, rates: Array, times: Array) -> Array:
-    """The part of defects (n, c), times the step, that no rounding of the times (c,) explains."""
-    rounding = _TIME_ROUNDINGS * np.spacing(np.abs(times)) * np.abs(rates)
-    return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - rounding, 0.0))
+def _beyond_rounding(defect: Array, rates: Array, times: Array, states: Array) -> Array:
+    """The part of defects (n, c), times the step, that no rounding explains.
+
+    Nodes of polynomials are at rounded times (c,), where rates are (n, c), and in rounded states.
+    """
+    rounding = np.spacing(np.abs(times)) * np.abs(rates) + np.finfo(float).eps * np.abs(states)
+    return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - _ROUNDINGS * rounding, 0.0))
 
 
 def _tolerated(solver: Steps, states: Array) -> Array:

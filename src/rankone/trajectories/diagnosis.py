@@ -21,6 +21,8 @@ from rankone.trajectories.stacks.newton import entries_at, sparse_pattern
 
 _STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)  # Relative, until rates are not finite
 _JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)  # In horizons; rates may jump over one
+_TINY_STEPS = (1e-15, 1e-14, 1e-12)  # In horizons; beside a pole rates differ after them
+_LITTLE_CHANGE = 0.3  # Of a rate over such a step, over its size
 _RUNAWAY_GROWTH = 1e6  # Growth over a horizon, at the last rate, from which a state blows up
 _LATER_STATE = 1.0001  # Factor on a state for a later one: beside a pole the rate differs there
 _SEVERAL_ROUNDINGS = 16.0  # Relative error of states after many steps, in last places
@@ -85,6 +87,34 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
         )
         fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY_GROWTH * np.abs(state)
         return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
+
+
+def is_regular(
+    system: System, time: float, state: Array, size: Array, point: Array, horizon: float
+) -> bool:
+    """Whether rates ahead are finite, and change little within a tiny way but where they switch.
+
+    States (n,) are of some ``size`` (n, 1).
+    """
+    surfaces, parameters, states = system.features.state_surfaces, point[:, None], state[:, None]
+    with np.errstate(all="ignore"):
+        rates = system.rhs(time, states, parameters)
+        for change in _STATE_CHANGES:
+            near = states + change * size * np.sign(rates)
+            if not np.isfinite(system.rhs(time, near, parameters)).all():
+                return False
+        before = surfaces(time, states, parameters)
+        for step in _TINY_STEPS:
+            later, ahead = time + step * horizon, states + step * horizon * rates
+            there = system.rhs(later, ahead, parameters)
+            across = surfaces(later, ahead, parameters)
+            crossed = ((before * across <= 0.0) & (across != before)).any()
+            difference = np.abs(there - rates)
+            changed = difference > _LITTLE_CHANGE * np.maximum(np.abs(rates), np.abs(there))
+            changed &= difference * horizon > np.abs(ahead)
+            if not np.isfinite(there).all() or (changed.any() and not crossed):
+                return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from rankone.support.budget import (
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.choice import following, integrator_for
-from rankone.trajectories.diagnosis import first_to_end, runs_away, switching_state
+from rankone.trajectories.diagnosis import first_to_end, is_regular, runs_away, switching_state
 from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseTrajectories,
@@ -61,7 +61,8 @@ class Reference:
 
     Each integration made a batch, in the order of the points. All trajectories reach ``end``, which
     is before the horizon where the one at the point ``blown`` blows up or leaves where its rates
-    are finite. It may be ``large`` then, or the rate of the state ``switching`` goes to and fro.
+    are finite. It may be ``large`` then, or ``regular``, where steps shrink without such a reason,
+    or the rate of the state ``switching`` goes to and fro.
 
     For each state, (n,): ``floor`` is the size below which its relative accuracy ends, where that
     is lower than usual since it is amplified later, else infinite; ``rounded`` the rounding errors
@@ -78,6 +79,7 @@ class Reference:
     least: Array
     blown: int | None = None
     large: bool = False
+    regular: bool = False
     switching: int | None = None
 
     @property
@@ -239,9 +241,10 @@ def _reference(resolution: Resolution, dense: DenseTrajectories) -> Reference:
     large = bool((np.abs(state[:, blown]) > _BLOW_UP_GROWTH * size[:, 0]).any())
     large = large or runs_away(system, time, state[:, blown], points[blown], resolution.horizon)
     switch = None if large else switching_state(system, time, state, points, resolution.horizon)
-    if switch is None:
-        return replace(reference, blown=blown, large=large)
-    return replace(reference, blown=switch[1], switching=switch[0])
+    if switch is not None:
+        return replace(reference, blown=switch[1], switching=switch[0])
+    at_end = system, time, state[:, blown], size, points[blown], resolution.horizon
+    return replace(reference, blown=blown, large=large, regular=not large and is_regular(*at_end))
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:

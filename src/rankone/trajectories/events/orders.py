@@ -30,6 +30,7 @@ from rankone.trajectories.events.forced import (
     forced_trajectories,
     guard_heights,
 )
+from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
@@ -158,7 +159,7 @@ class OrderSearch:
         """Those of the trajectories."""
         return [Order.of(self.system, each, self.length) for each in self.trajectories]
 
-    def check_end(self, trajectory: EventTrajectory, point: Array) -> None:
+    def _check_end(self, trajectory: EventTrajectory, point: Array) -> None:
         """Raise an OrderError for a trajectory that ends although nothing ends it."""
         events, occurrences = self.system.events, trajectory.occurrences
         terminal = bool(occurrences) and events[occurrences[-1].event].terminal
@@ -167,6 +168,16 @@ class OrderSearch:
             return
         clock = Clock(self.system, EventOrder((), Ending.HORIZON), self.horizon)
         raise end_error(clock, point, trajectory.end, trajectory.stuck)
+
+    def followed(self, points: Array) -> list[EventTrajectory]:
+        """Trajectories at points (m, d); an OrderError where one ends although nothing ends it."""
+        events = self.system.events
+        followed = integrate_to_events(
+            self.integrator, self.system, points, self.horizon, self.tolerances, events
+        )
+        for trajectory, point in zip(followed, points, strict=True):
+            self._check_end(trajectory, point)
+        return followed
 
     def named(self, order: Order) -> str:
         """An order of events, as messages name it."""
