@@ -220,3 +220,14 @@ def test_a_box_without_parameters_is_one_column():
     assert not limited
     assert adaptive.bases == ()
     np.testing.assert_array_equal(train.first, np.full((3, 1), 2.0))
+
+
+def test_a_basis_that_spans_its_columns_gets_no_rounding_errors():
+    """What is left of a single column is rounding: normalised, it would be the column again."""
+    columns = np.array([[1.0], [-1.0], [1.0]])
+    basis = GrowingBasis(3)
+    coefficients = basis.coefficients(columns, 1e-10)
+    np.testing.assert_allclose(basis.columns(coefficients), columns, atol=1e-14)
+    np.testing.assert_allclose(
+        basis.vectors.T @ basis.vectors, np.eye(basis.vectors.shape[1]), atol=1e-12
+    )

@@ -342,6 +342,8 @@ class GrowingBasis:
             if missed <= tolerance or self.vectors.shape[1] >= length:
                 return self.vectors[:, rank:]
             remainders = remainders - added @ (added.T @ remainders)
+            if np.linalg.norm(remainders) <= tolerance:  # rounding has no direction of its own
+                return self.vectors[:, rank:]
 
     def columns(self, coefficients: Array) -> Array:
         """Columns (length, m) from coefficients (rank, m) that may be older than the basis."""
