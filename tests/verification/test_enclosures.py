@@ -127,3 +127,18 @@ def test_array_code_is_not_enclosed():
     exec("def rhs(t, u, p):\n    return helper(u)", namespace)
     with pytest.raises(UnsuitableError):
         enclosed(namespace["rhs"])
+
+
+@pytest.mark.parametrize("above", ["x", "x*(2 + k)", "sin(x)"])
+def test_a_zero_that_numerator_and_denominator_share_hides_nothing(above):
+    x = Enclosure.of_samples(0.02 * (NODES - 0.37)[:, None])
+
+    def doubt(numerator):
+        function = enclosed(rates(f"{numerator}/(exp(x) - 1)"))
+        (row,) = function(Enclosure.of(0.0), [x], [Enclosure.of(2.0)])
+        return 0.0 if row.doubt is None else row.doubt.max()
+
+    with np.errstate(all="ignore"):
+        assert doubt(above) < 1e-8
+        for beside in (1e-9, 1e-6, 1e-4, 1e-2):
+            assert doubt(f"({above} + {beside})") > beside

@@ -17,7 +17,7 @@ _DEGREE = 6  # Degree of the polynomial of a step: further terms of LSODA's own 
 NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 """Chebyshev–Lobatto nodes of a step, as shares, the first one zero and the last one one."""
 # From states at the nodes to coefficients of the powers of 2 share - 1
-_TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
+TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
 _READ_COST = Cost(60e3, 40.0)  # Operations of evaluating steps: once, and for each state
 _MANY_TIMES = 64  # Times of each path from which on their steps are looked up path by path
 _BLOCK = 8192  # Times that are read together: what is in work fits the cache
@@ -141,7 +141,7 @@ class Paths:
 
     def _of_few(self, steps: NDArray[np.intp], shares: Array) -> Array:
         """States (n, N) of some of the steps at shares (N,) from -1 to 1."""
-        weights = np.vander(shares, NODES.size, True) @ _TO_POWERS
+        weights = np.vander(shares, NODES.size, True) @ TO_POWERS
         return np.asarray(np.matmul(weights[:, None], self.nodal[steps])[:, 0].T)
 
     def _of_many(self, steps: NDArray[np.intp], shares: Array) -> Array:
@@ -192,7 +192,7 @@ def _after(breaks: Array, times: Array) -> NDArray[np.intp]:
 
 def step_coefficients(nodal: Array) -> Array:
     """Coefficients (nodes, S, n) of the powers of ``2 share - 1`` of steps (S, nodes, n)."""
-    return np.asarray(np.tensordot(_TO_POWERS, nodal, axes=(1, 1)))
+    return np.asarray(np.tensordot(TO_POWERS, nodal, axes=(1, 1)))
 
 
 def joined(paths: Sequence[Path]) -> Path:

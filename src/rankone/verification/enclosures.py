@@ -18,10 +18,12 @@ from types import FunctionType, SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy import special
 
 from rankone.support.arrays import Array
+from rankone.trajectories.paths import TO_POWERS
 
 Bounds: TypeAlias = "Callable[[Array, Array], tuple[Array, Array]]"
 Resolved: TypeAlias = "Callable[[Array, Array], NDArray[np.bool_]]"
@@ -33,6 +35,9 @@ _SMOOTH_DEGREE = 8  # Whole powers up to this hide nothing
 _NEAR = 4.0  # Ratio of an argument's ends that a singularity at zero leaves resolved
 _POWER_RANGE = 6.0  # The same for powers, as a logarithm of their values
 _SCALE = 2.0  # Half a range of exponentials and waves that samples resolve
+_NEWTON_STEPS = 8  # To a zero of the curve through samples
+_SHARED = 1e-3  # Distance of two zeros, in lengths of a piece, below which they may be one
+_LOGARITHM = 40.0  # Of a piece over rounding
 _FAR = 1e9  # Longest argument of a sine of which the extrema are told
 _TABLES = "f_"  # First letters of tables and functions of the user in generated text
 
@@ -139,7 +144,8 @@ class Enclosure:
 
     def __truediv__(self, other: Any) -> Enclosure:
         other = Enclosure.of(other)
-        return _product(self, _reciprocal(other), self.values / other.values)
+        quotient = _product(self, _reciprocal(other), self.values / other.values)
+        return _of_shared_zeros(self, other, quotient)
 
     def __rtruediv__(self, other: Any) -> Enclosure:
         return Enclosure.of(other) / self
@@ -417,6 +423,38 @@ def _sinc_bounds(low: Array, high: Array) -> tuple[Array, Array]:
 
 def _reciprocal(a: Enclosure) -> Enclosure:
     return _applied(a, 1.0 / a.values, _reciprocal_bounds, _away_from(0.0))
+
+
+def _curve(places: Array, coefficients: Array) -> Array:
+    """Polynomials at one place (N,) each, from their coefficients (K, N)."""
+    return np.asarray(polyval(places, coefficients, tensor=False))
+
+
+def _of_shared_zeros(a: Enclosure, b: Enclosure, quotient: Enclosure) -> Enclosure:
+    """A quotient that is smooth where a zero of ``b`` is one of ``a``, as in x/(exp(x) - 1).
+
+    Where curves through the samples have their zeros a distance apart, a pole is left whose
+    strength is that distance times the quotient; beside it, down to rounding, are its logarithms.
+    """
+    if quotient.doubt is None or a.values.ndim < 2 or a.values.shape != b.values.shape:
+        return quotient
+    slopes = np.diff(b.values, axis=0)
+    rises = (slopes > 0.0).all(axis=0) | (slopes < 0.0).all(axis=0)
+    single = rises & (b.values[0] * b.values[-1] < 0.0) & ~np.isfinite(quotient.doubt)
+    for each in (a, b):
+        single &= True if each.doubt is None else each.doubt == 0.0
+    if not (at := np.flatnonzero(single)).size:
+        return quotient
+    above, below = (TO_POWERS @ each.values[:, at] for each in (a, b))
+    slope = np.arange(1, len(below))[:, None] * below[1:]
+    zero = np.zeros(at.size)
+    for _ in range(_NEWTON_STEPS):
+        zero = np.clip(zero - _curve(zero, below) / _curve(zero, slope), -1.0, 1.0)
+    distance = np.abs(_curve(zero, above)) / np.abs(a.values[:, at]).max(axis=0)
+    missed = _LOGARITHM * distance * np.abs(quotient.values[:, at]).max(axis=0)
+    doubt = quotient.doubt.copy()
+    doubt[at] = np.where(distance < _SHARED, missed, np.inf)
+    return Enclosure(quotient.values, quotient.bounds, doubt)
 
 
 _exp: Callable[[Any], Any] = _rising(np.exp, _within(_SCALE))
