@@ -77,3 +77,43 @@ def test_hidden_peaks_of_outputs_are_no_success():
     assert not solution.success
     wide = ro.solve(problem, 1e-3, outputs={"q": f"1 + {peak.replace('1e12', '1')}"})
     assert wide.success
+
+
+FLAT = "exp(-1/Z**2 - Z**2)"
+
+
+def test_harmless_peaks_hide_none_that_matters():
+    """Those in the rate of `x` surprise most, on all trajectories."""
+    harmless = "1 + 1e12*" + FLAT.replace("Z", "((x - 0.5)*1e9)")
+    matters = "1e9*" + FLAT.replace("Z", "((x - k)*1e9)")
+    rates = {"x": harmless, "y": f"{matters} - y/10"}
+    problem = ro.Problem.from_strings(rates, {"x": "0.01", "y": "1"}, {"k": (0.8, 1.2)}, (0, 3))
+    solution = ro.solve(problem, 1e-3, effort=0.3)
+    assert solution.status is Status.NARROW
+    assert solution.outcome.cause.state == "y"
+
+
+def test_wide_features_hide_no_narrow_one_at_their_middle():
+    """The wide one is antisymmetric and changes nothing; so do steps that are as wide."""
+    wide = "1e6*W*exp(-1/W**2 - W**2)".replace("W", "((x - k)/1e-6)")
+    narrow = "1e10*" + FLAT.replace("Z", "((x - k)/1e-10)")
+    assert solved(f"{wide} + {narrow}").status is Status.NARROW
+
+
+@pytest.mark.parametrize("method", ["auto", "train", "greedy"])
+def test_peaks_are_found_that_a_sample_hits_by_chance(method):
+    peak = "1e6*exp(-1e12*((t + 1)/2.0137 + 2.0137/(t + 1) - 2))"
+    problem = ro.Problem.from_strings(
+        {"y": f"{peak} - k*y"}, {"y": "1"}, {"k": (0.05, 0.15)}, (0, 3)
+    )
+    solution = ro.solve(problem, 1e-3, effort=0.3, method=method)
+    assert solution.status is Status.NARROW
+    assert solution.outcome.cause.time == pytest.approx(1.0137, abs=1e-4)
+
+
+def test_many_removable_singularities_hide_nothing():
+    """As in rates of Hodgkin and Huxley, crossed several times by each trajectory."""
+    gate = "0.1*(1 - n)*(10*v + 0.3)/(1 - exp(-(10*v + 0.3))) - n"
+    rates = {"v": "k*sin(5*t) - v", "n": gate}
+    problem = ro.Problem.from_strings(rates, {"v": "0", "n": "0.3"}, {"k": (0.8, 1.2)}, (0, 5))
+    assert ro.solve(problem, 1e-3, effort=0.3).success

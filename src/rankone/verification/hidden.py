@@ -4,8 +4,8 @@ Each step is looked at through :mod:`enclosures <rankone.verification.enclosures
 Where they may hide so much that it matters, the step is halved, and only the halves in doubt are
 looked at again. Doubts about smooth rates vanish after a few halvings; a hidden peak keeps its
 height until its width is reached, and then samples see it. Whether that changes the trajectory is
-tried by short steps. Peaks wider than a hundredth of a step are left to the defects at random
-places of :mod:`rankone.trajectories.defects`.
+tried by steps no longer than the parts into which a step was halved. Peaks wider than a hundredth
+of a step are left to the defects at random places of :mod:`rankone.trajectories.defects`.
 """
 
 from __future__ import annotations
@@ -44,10 +44,13 @@ _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each ste
 _TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _MOST_TIMES = 400  # Most times at which narrow quantities are checked
-_TRIED = 6  # Trajectories that are tried by short steps, those with the largest surprises
-_SHORT_STEPS = 8  # Steps over what surprised, at least
+_LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
+_TRIED = 6  # Steps of each kind that are tried by short steps, at least
+_SHORT_STEPS = 4  # Steps over each part of a step, at least
 _ACCURACY = 1e-2  # Tolerance of short steps over that of the solve
-_MOST_EVALUATIONS = 50_000  # Of the rates by short steps
+_MOST_EVALUATIONS = 20_000  # Of the rates by short steps over a step
+_FEW_EVALUATIONS = 100_000  # Up to these all steps are tried, once those of each kind are
+_ALL_EVALUATIONS = 1_000_000  # Of all short steps
 _ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
 _CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the rates
 _TO_NODES = np.vander(2.0 * NODES - 1.0, increasing=True)
@@ -77,8 +80,8 @@ def hidden_rate(
         return None
     tolerated = rtol * np.append(sizes, np.ones(system.n_differential))[: system.n_differential]
     with unlimited(), np.errstate(all="ignore"):
-        for paths, points in _taken_apart(reference):
-            steps = _Steps.of(system.jumps.times, paths, points)
+        for paths, owners in _taken_apart(reference):
+            steps = _Steps.of(system.jumps.times, paths, owners, reference.points)
             cost = function_cost(system.rhs, system.user_functions)
             look = _Look(rates, cost, steps, tolerated, _DOUBT)
             tried = _ShortSteps(system, cost, steps, tolerated, rtol)
@@ -105,18 +108,16 @@ def hidden_times(reference: Reference, observed: Observation, rtol: float) -> Ar
     times = list[float]()
     cost = function_cost(observed.written)
     with unlimited(), np.errstate(all="ignore"):
-        for paths, points in _taken_apart(reference):
-            steps = _Steps.of((), paths, points)
-            look = _Look(quantities, cost, steps, None, 1.0, rtol)
-            surprises, left = look.surprises()
-            times += [
-                steps.time(place) for place in (surprises if left is None else [*surprises, left])
-            ]
+        for paths, owners in _taken_apart(reference):
+            steps = _Steps.of((), paths, owners, reference.points)
+            seen = _Look(quantities, cost, steps, None, 1.0, rtol).seen()
+            left = [] if seen.left is None else [seen.left]
+            times += [steps.time(place) for place in [*seen.surprises, *left]]
     return np.unique(times)[:: max(len(times) // _MOST_TIMES, 1)]
 
 
-def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], Array]]:
-    """Paths with a point (d,) for each, as many as are held at once."""
+def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], list[int]]]:
+    """Paths with the position of their trajectory, as many as are held at once."""
     first = 0
     for batch in reference.batches:
         count = batch.state.shape[1]
@@ -124,11 +125,10 @@ def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], Array]]:
         together = max(_MOST_NUMBERS // max(size, 1), 1)
         for begin in range(0, count, together):
             some = slice(begin, min(begin + together, count))
-            points = reference.points[first + some.start : first + some.stop]
-            paths = _paths(batch if together >= count else batch.of(some))
-            of_paths = [(path, p) for own, p in zip(paths, points, strict=False) for path in own]
+            each = _paths(batch if together >= count else batch.of(some))
+            of_paths = [(path, k) for k, own in enumerate(each, first + begin) for path in own]
             if of_paths:
-                yield [path for path, _ in of_paths], np.array([p for _, p in of_paths])
+                yield [path for path, _ in of_paths], [k for _, k in of_paths]
         first += count
 
 
@@ -153,25 +153,31 @@ def _of_series(series: TaylorTrajectories) -> Path:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S)."""
+    """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S).
+
+    ``owners`` (S,) are the positions of their trajectories.
+    """
 
     starts: Array
     lengths: Array
     nodal: Array
     parameters: Array
+    owners: NDArray[np.intp]
 
     @classmethod
-    def of(cls, jumps: Sequence[float], paths: Sequence[Path], points: Array) -> _Steps:
+    def of(
+        cls, jumps: Sequence[float], paths: Sequence[Path], owners: Sequence[int], points: Array
+    ) -> _Steps:
         """All steps of paths; they leave out what is reset at jumps."""
         starts = np.concatenate([path.breaks[:-1] for path in paths])
         ends = np.concatenate([path.breaks[1:] for path in paths])
         nodal = np.concatenate([path.nodal for path in paths])
         before_jump = np.isin(ends, jumps)
         nodal[before_jump, -1] = np.tensordot(nodal[before_jump, :-1], _LAST[0], axes=(1, 0))
-        counts = [path.steps for path in paths]
+        of_steps = np.repeat(owners, [path.steps for path in paths])
         near = insets(starts, ends)
-        parameters = np.ascontiguousarray(np.repeat(points, counts, axis=0).T)
-        return cls(starts + near, ends - starts - 2.0 * near, nodal, parameters)
+        parameters = np.ascontiguousarray(points[of_steps].T)
+        return cls(starts + near, ends - starts - 2.0 * near, nodal, parameters, of_steps)
 
     def time(self, place: _Place) -> float:
         """The time at which rates surprised."""
@@ -201,7 +207,7 @@ class _Pieces:
     length: Array
     expected: Array | None = None
 
-    def some(self, chosen: slice) -> _Pieces:
+    def some(self, chosen: slice | NDArray[np.bool_]) -> _Pieces:
         """Some of them."""
         expected = None if self.expected is None else self.expected[:, :, chosen]
         return _Pieces(self.step[chosen], self.lower[chosen], self.length[chosen], expected)
@@ -232,6 +238,45 @@ class _Place:
 
 
 @dataclass(frozen=True)
+class _Seen:
+    """Where functions surprised, and a place in doubt if there were too many to look at.
+
+    Parts of steps (P,) that were looked at begin at shares ``lower``.
+    """
+
+    surprises: list[_Place]
+    left: _Place | None
+    step: NDArray[np.intp]
+    lower: Array
+
+    def parts(self, step: int) -> Array:
+        """Shares (k,) at which a step was halved, from zero to one."""
+        return np.append(np.unique(self.lower[self.step == step]), 1.0)
+
+    def kinds(self, steps: _Steps) -> list[list[_Place]]:
+        """The largest surprise of each step, those of a kind together.
+
+        Of one kind are surprises of the same function whose steps have the same position among
+        those of their trajectory that surprise. Each kind begins with the largest, and goes on with
+        some that are evenly spread.
+        """
+        by_step = {place.step: place for place in sorted(self.surprises, key=lambda p: p.surprise)}
+        counts: dict[int, int] = {}
+        kinds: dict[tuple[int, int], list[_Place]] = {}
+        for step, place in sorted(by_step.items()):
+            owner = int(steps.owners[step])
+            counts[owner] = counts.get(owner, 0) + 1
+            kinds.setdefault((place.row, counts[owner]), []).append(place)
+        return [_spread(sorted(kind, key=lambda p: -p.surprise)) for kind in kinds.values()]
+
+
+def _spread(places: list[_Place]) -> list[_Place]:
+    """Evenly spread ones first, in order, then the others."""
+    first = np.unique(np.linspace(0, len(places) - 1, min(_TRIED, len(places))).astype(int))
+    return [places[k] for k in [*first, *np.setdiff1d(np.arange(len(places)), first)]]
+
+
+@dataclass(frozen=True)
 class _Look:
     """A look at what functions hide on steps: at most so many tolerances count.
 
@@ -246,26 +291,53 @@ class _Look:
     most: float
     rtol: float = 0.0
 
-    def surprises(self) -> tuple[list[_Place], _Place | None]:
-        """Where functions surprised, and a place in doubt if there were too many to look at."""
+    def seen(self) -> _Seen:
+        """What is seen where steps are halved as long as they are in doubt.
+
+        Where there are too many pieces, every second trajectory that is in doubt goes on.
+        """
         count = self.steps.starts.size
         pieces = _Pieces(np.arange(count), np.zeros(count), np.ones(count))
-        once, each = _MOST_PIECES
         places: list[_Place] = []
+        levels = [pieces]
+        left = None
         tolerated = self._tolerated(pieces)
+        once, each = _MOST_PIECES
+        most = once + each * count
         looked = 0
         for _ in range(_HALVINGS):
             looked += pieces.step.size
             if not pieces.step.size:
                 break
-            if looked > once + each * count:
-                lower, length = float(pieces.lower[0]), float(pieces.length[0])
-                middle = lower + 0.5 * length
-                return places, _Place(int(pieces.step[0]), lower, length, middle)
+            if looked > most:
+                owners = self.steps.owners[pieces.step]
+                distinct = np.unique(owners)
+                if distinct.size <= _LEAST_TRAJECTORIES:
+                    left = self._in_doubt(pieces.some(slice(1)), tolerated)
+                    break
+                pieces = pieces.some(np.isin(owners, distinct[::2]))
+                most += most // 4
             blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
             halves = [self._look_at(pieces.some(block), tolerated, places) for block in blocks]
             pieces = _joined(halves)
-        return places, None
+            levels.append(pieces)
+        step = np.concatenate([each.step for each in levels])
+        return _Seen(places, left, step, np.concatenate([each.lower for each in levels]))
+
+    def _in_doubt(self, piece: _Pieces, tolerated: Array) -> _Place:
+        """A single piece, and the function that is most in doubt there."""
+        rows = self._rows(piece)[1]
+        row = int(self._doubts(rows, 1.0 / tolerated[:, None]).argmax())
+        lower, length = float(piece.lower[0]), float(piece.length[0])
+        return _Place(int(piece.step[0]), lower, length, lower + 0.5 * length, row)
+
+    @staticmethod
+    def _doubts(rows: Sequence[Enclosure], units: Array) -> Array:
+        """Doubts of functions (n, N) in units."""
+        doubts = [0.0 if row.doubt is None else row.doubt for row in rows]
+        return np.stack(
+            [np.broadcast_to(d, units.shape[1:]) * u for d, u in zip(doubts, units, strict=True)]
+        )
 
     def _tolerated(self, pieces: _Pieces) -> Array:
         """What may be wrong of each function, (n,)."""
@@ -295,11 +367,7 @@ class _Look:
                 share = lower + length * float(NODES[node])
                 part = int(pieces.step[k]), lower, length, share
                 places.append(_Place(*part, int(row), float(change[row, node, k])))
-        doubt = np.zeros(pieces.step.size)
-        for enclosure, unit in zip(rows, units, strict=True):
-            if enclosure.doubt is not None:
-                doubt = np.maximum(doubt, enclosure.doubt * unit)
-        doubtful = np.flatnonzero(doubt > self.most)
+        doubtful = np.flatnonzero(self._doubts(rows, units).max(axis=0) > self.most)
         return pieces.halves(doubtful, values[:, :, doubtful])
 
     def _rows(self, pieces: _Pieces) -> tuple[Array, Sequence[Enclosure]]:
@@ -315,15 +383,28 @@ class _Look:
 
 def _missed(look: _Look, tried: _ShortSteps) -> _Place | None:
     """Where a step missed something that changes the trajectory, or doubts remain."""
-    surprises, left = look.surprises()
-    by_step = {place.step: place for place in sorted(surprises, key=lambda p: p.surprise)}
-    worst = sorted(by_step.values(), key=lambda p: -p.surprise)[:_TRIED]
-    return next((place for place in worst if tried.change(place)), left)
+    seen = look.seen()
+    evaluations = 0
+    for k, places in enumerate(itertools.zip_longest(*seen.kinds(tried.steps))):
+        for place in filter(None, places):
+            if evaluations > _ALL_EVALUATIONS:
+                return place if k == 0 else seen.left
+            if k >= _TRIED and evaluations > _FEW_EVALUATIONS:
+                return seen.left
+            change, needed = tried.change(place, seen.parts(place.step))
+            evaluations += needed
+            if change is not None:
+                return change
+    return seen.left
+
+
+class _TooManyError(Exception):
+    """Short steps take too many evaluations."""
 
 
 @dataclass(frozen=True)
 class _ShortSteps:
-    """Tries whether short steps from before a surprise end a step elsewhere."""
+    """Tries whether short steps follow a trajectory over a step that has surprised."""
 
     system: System
     cost: Cost
@@ -331,39 +412,55 @@ class _ShortSteps:
     tolerated: Array
     rtol: float
 
-    def change(self, place: _Place) -> bool:
-        """Whether they end elsewhere, or do not end."""
+    def change(self, place: _Place, parts: Array) -> tuple[_Place | None, int]:
+        """Where they leave it, or do not go on; and how many evaluations that took.
+
+        They begin anew where ``parts``, between shares of the step, become longer or shorter.
+        """
+        lengths = np.diff(parts)
+        firsts = np.flatnonzero(np.append(True, np.abs(np.diff(lengths)) > 0.1 * lengths[1:]))
+        begins, ends = parts[firsts], np.append(parts[firsts[1:]], 1.0)
         start, length = self.steps.starts[place.step], self.steps.lengths[place.step]
-        before = max(place.lower - place.length, 0.0)
-        piece = _Pieces(np.array([place.step]), np.array([before]), np.array([1.0 - before]))
-        states = self.steps.at(piece)[1][:, :, 0]
-        short = place.length / _SHORT_STEPS
-        even = before + short * np.arange(4 * _SHORT_STEPS)
-        growing = even[-1] + short * 2.0 ** np.arange(1.0, _HALVINGS + 10.0)
-        shares = np.append(even[even < 1.0], [*growing[growing < 1.0], 1.0])
-        end = self._end(place.step, start + length * shares, states[:, 0])
-        if end is None:
-            return True
-        return bool((np.abs(end - states[:, -1]) > _DIFFERENCE * self.tolerated).any())
-
-    def _end(self, step: int, times: Array, state: Array) -> Array | None:
-        """The state at the last of times at which steps begin anew; None if there are too many."""
-        p = self.steps.parameters[:, step : step + 1]
-
-        def rates(t: float, y: Array) -> Array:
-            charge(self.cost(1))
-            return np.asarray(self.system.rhs(t, y[:, None], p))[:, 0]
-
-        evaluations = 0
+        whole = _Pieces(np.full(firsts.size, place.step), begins, ends - begins)
+        states = self.steps.at(whole)[1]
+        state = states[:, 0, 0]
+        p = self.steps.parameters[:, place.step : place.step + 1]
         relative = max(_ACCURACY * self.rtol, 1e-12)
         absolute = np.maximum(_ACCURACY * relative * self.tolerated / self.rtol, 1e-300)
-        for a, b in itertools.pairwise(times.tolist()):
-            solved = solve_ivp(rates, (a, b), state, "LSODA", rtol=relative, atol=absolute)
-            evaluations += solved.nfev
-            if not solved.success or evaluations > _MOST_EVALUATIONS:
-                return None
+        evaluations = 0
+
+        def rates(since: float, y: Array, begin: float) -> Array:
+            nonlocal evaluations
+            evaluations += 1
+            if evaluations > _MOST_EVALUATIONS:
+                raise _TooManyError
+            charge(self.cost(1))
+            return np.asarray(self.system.rhs(begin + since, y[:, None], p))[:, 0]
+
+        for k, (a, b) in enumerate(zip(begins, ends, strict=True)):
+            span, shortest = length * (b - a), length * lengths[firsts[k]] / _SHORT_STEPS
+            try:
+                solved = solve_ivp(
+                    rates,
+                    (0.0, span),
+                    state,
+                    "LSODA",
+                    args=(start + length * a,),
+                    rtol=relative,
+                    atol=absolute,
+                    max_step=shortest,
+                )
+            except _TooManyError:
+                return place, evaluations
+            if not solved.success:
+                return place, evaluations
             state = solved.y[:, -1]
-        return state
+            change = np.abs(state - states[:, -1, k]) / self.tolerated
+            if not (change <= _DIFFERENCE).all():
+                row = int(np.nan_to_num(change, nan=np.inf).argmax())
+                share, part = float(a), float(b - a)
+                return _Place(place.step, share, part, share + 0.5 * part, row), evaluations
+        return None, evaluations
 
     def hidden(self, place: _Place) -> HiddenRate:
         """What to say of a place."""
