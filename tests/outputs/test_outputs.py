@@ -421,3 +421,61 @@ def test_an_output_of_many_states_charges_their_evaluation_once(monkeypatch):
     monkeypatch.setattr(sampling.Sampler, "_sources", counted)
     assert bar().output({"q": squares}).success
     assert len(calls) < 80
+
+
+@functools.cache
+def passing():
+    """A state that passes the parameter k at the time k."""
+    problem = ro.Problem.from_strings(
+        {"x": "1 + 0*k", "q": "-k*q"}, {"x": "0", "q": "1"}, {"k": (0.8, 1.2)}, (0, 3)
+    )
+    return ro.solve(problem, rtol=1e-4, effort=0.3)
+
+
+Z = "((x - k)*1e5)"
+FLAT = f"exp(-1/{Z}**2 - {Z}**2)"
+GAP = "Z**2/(exp(Z) + exp(-Z) - 1)".replace("Z", "((x - k)*1e9)")
+
+
+@pytest.mark.parametrize(
+    "narrow",
+    [
+        "integral(1 + Piecewise((1e5, (x > k) & (x < k + 1e-5)), (0, True)))",
+        "integral(1 + 1e5*Max(0, 1 - Abs(x - k)*1e5))",
+        "maximum(Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
+        "maximum(1e-8*Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
+        "maximum(Max(0, 1 - Abs(x - k)*1e5))",
+        "maximum(exp(-1e14*((x + 1)/(k + 1) + (k + 1)/(x + 1) - 2)))",
+        f"integral(1 + 1e5*{FLAT})",
+        f"first_crossing(x - 2 + 10*{GAP}, 0, 1)",
+        f"q*maximum(x) + {FLAT}",
+    ],
+)
+def test_what_is_narrow_between_the_times_of_samples_is_not_missed(narrow):
+    output = passing().output({"m": narrow})
+    assert not output.success
+    assert output.error > output.rtol
+
+
+@pytest.mark.parametrize(
+    "usual",
+    [
+        "maximum(q*tanh(x))",
+        "minimum(x*exp(-x))",
+        "integral(exp(-x))",
+        "integral(q**2.5)",
+        "integral(Piecewise((x, x > 1), (1, True)))",
+        "integral((x - k)/(exp(x - k) - 1))",
+        "integral(Max(x - k, 0))",
+        "duration(x - 1)",
+        "first_crossing(q - 0.5)",
+        "x**3/(1 + x**3)",
+        "sqrt(x**2 + q**2)",
+        "Abs(x - 1)",
+        "q*maximum(tanh(x))",
+        "integral(1/(1 + exp(-50*(x - k))))",
+        f"duration(x - 2 + 10*{GAP})",
+    ],
+)
+def test_usual_outputs_hide_nothing(usual):
+    assert passing().output({"m": usual}).success

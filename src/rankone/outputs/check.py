@@ -18,7 +18,7 @@ from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.verification.coverage import Coverage
 from rankone.verification.search import Climb, climbed
 
-_ROUNDING = 1e-13  # A quantity below this share of its operands is zero except for rounding
+ROUNDING = 1e-13  # A quantity below this share of its operands is zero except for rounding
 _INTERIOR_POINTS = 96  # Points of the interior where an error is measured, as for solutions
 _MAX_CORNERS = 32  # Corners where an error is measured: all of five parameters
 _SCOUTS = 512  # Points where a search begins
@@ -51,7 +51,7 @@ class Check:
     def at(cls, sampler: Sampler, points: Array) -> Check:
         values = sampler(points)
         sizes: Array = np.abs(values).max(axis=(1, 2))
-        nothing = sizes <= _ROUNDING * sampler.largest
+        nothing = sizes <= ROUNDING * sampler.largest
         return cls(points, values, np.where(nothing, sampler.largest or 1.0, sizes))
 
     def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:

@@ -25,6 +25,7 @@ from rankone.ir.verdict import (
     UnknownOutputError,
 )
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
+from rankone.outputs.hidden import hidden_errors
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.outputs.stretch_sampling import ClockSampler, StretchSampler
@@ -144,6 +145,7 @@ class OutputInterpolation:
                 slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
+        missed = np.maximum(missed, hidden_errors(slabs, finer, check, _AIMED_SHARE * rtol))
         if domain.box:
             climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
             missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))

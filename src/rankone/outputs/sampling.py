@@ -204,6 +204,27 @@ class Sampler:
         """The states or derivatives that are needed, at the nodes: shape (sources, T, m)."""
         return self._sources(self.grid.times, points)
 
+    def over(self, grid: TimeGrid) -> Sampler:
+        """The same on another grid, without workers."""
+        own = copy.copy(self)
+        own.grid, own.pool = grid, None
+        return own
+
+    def paired(self, times: Array, points: Array) -> Array:
+        """The clock and the sources at pairs of times (N,) and points (N, d): (1 + sources, N)."""
+        clock = self._paired_clock(times, points)
+        return np.concatenate([clock[None], self._paired(times, points)])
+
+    def reductions(self, points: Array) -> list[Array]:
+        """The reductions at points (m, d): (m,) each, or (T, m) of running integrals."""
+        clock, sources = self.clock(self.grid.times, points), self.sources(points)
+        with np.errstate(all="ignore"):
+            integrands = self.quantities.integrands(clock, sources, points.T)
+            return [
+                self._reduced(reduction, integrands[reduction.integrand], points, None)
+                for reduction in self.quantities.reductions
+            ]
+
     def _functions(self, times: Array, sources: Array, points: Array) -> list[Array]:
         """Integrands and, without reductions, values."""
         with np.errstate(all="ignore"):

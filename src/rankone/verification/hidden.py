@@ -53,6 +53,7 @@ _FEW_EVALUATIONS = 100_000  # Up to these all steps are tried, once those of eac
 _ALL_EVALUATIONS = 1_000_000  # Of all short steps
 _ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
 _CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the rates
+_NOTHING = 1e-280  # Size of functions that are zero at all samples: there any doubt counts
 _TO_NODES = np.vander(2.0 * NODES - 1.0, increasing=True)
 # From values at the nodes of a piece to those that they suggest at the nodes of its halves
 _TO_HALVES = tuple(
@@ -114,6 +115,48 @@ def hidden_times(reference: Reference, observed: Observation, rtol: float) -> Ar
             left = [] if seen.left is None else [seen.left]
             times += [steps.time(place) for place in [*seen.surprises, *left]]
     return np.unique(times)[:: max(len(times) // _MOST_TIMES, 1)]
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """Part of an interval in which functions surprised: its number, where it begins, its length.
+
+    The latter two are shares of the interval.
+    """
+
+    interval: int
+    lower: float
+    length: float
+
+
+def surprises(
+    functions: Callable[..., Sequence[Enclosure]], cost: Cost, intervals: Intervals, rtol: float
+) -> tuple[list[Surprise], int | None]:
+    """Where functions are narrow between samples of intervals; one that remains in doubt."""
+    with unlimited(), np.errstate(all="ignore"):
+        seen = _Look(functions, cost, intervals, None, 1.0, rtol).seen()
+    places = [Surprise(place.step, place.lower, place.length) for place in seen.surprises]
+    return places, None if seen.left is None else seen.left.step
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Intervals from times (S,), their lengths, parameters (d, S), and the points they belong to.
+
+    ``read`` gives states (n, nodes, N) at times (nodes, N) of so many of them, by their numbers.
+    """
+
+    starts: Array
+    lengths: Array
+    parameters: Array
+    owners: NDArray[np.intp]
+    read: Callable[[Array, NDArray[np.intp]], Array]
+
+    def at(self, pieces: _Pieces) -> tuple[Array, Array]:
+        """Times (nodes, N) and states (n, nodes, N) at the nodes of pieces."""
+        shares = pieces.lower + pieces.length * NODES[:, None]
+        times = self.starts[pieces.step] + self.lengths[pieces.step] * shares
+        return times, self.read(times, pieces.step)
 
 
 def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], list[int]]]:
@@ -286,7 +329,7 @@ class _Look:
 
     functions: Callable[..., Sequence[Enclosure]]
     cost: Cost
-    steps: _Steps
+    steps: _Steps | Intervals
     tolerated: Array | None
     most: float
     rtol: float = 0.0
@@ -349,7 +392,7 @@ class _Look:
             for block in blocks
         ]
         sizes = np.max(largest, axis=0)
-        return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, 1.0))
+        return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, _NOTHING))
 
     def _look_at(self, pieces: _Pieces, tolerated: Array, places: list[_Place]) -> _Pieces:
         """The halves of pieces that are in doubt; places where functions surprised are added."""
