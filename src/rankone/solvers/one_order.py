@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,6 +20,8 @@ _STEP = 0.02  # Of a face, outwards, over the width of the whole box
 _INSIDE = 0.1  # Distance of the faces that are told from points of other orders, over the part
 _CHECKED = 48  # Trajectories inside of a part that have to be of one order as well
 _ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
+_UNITS = 20.0  # Units of the last digit in an interval that is told, at least
+_ROUNDING = 1e-6  # Of such a unit
 _LEAST = 0.05  # Width of a part, over that of the box, below which it is of no use
 
 
@@ -49,11 +52,20 @@ def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
 def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> str:
     """Which parameters to narrow, and to what."""
     narrowed = [
-        f"{quote(name)} to [{lower:.3g}, {upper:.3g}]"
-        for name, whole, (lower, upper) in zip(names, bounds.tolist(), part, strict=True)
-        if [lower, upper] != whole
+        f"{quote(name)} to {_inside_text(ends)}"
+        for name, whole, ends in zip(names, bounds.tolist(), part, strict=True)
+        if list(ends) != whole
     ]
     return " and ".join(narrowed)
+
+
+def _inside_text(ends: Interval) -> str:
+    """An interval inside another one, with ends of few digits."""
+    lower, upper = ends
+    unit = 10.0 ** math.floor(math.log10((upper - lower) / _UNITS))
+    low = math.ceil(lower / unit - _ROUNDING) * unit
+    high = math.floor(upper / unit + _ROUNDING) * unit
+    return f"[{low:.12g}, {high:.12g}]"
 
 
 def _largest_part(search: OrderSearch) -> Array | None:

@@ -48,9 +48,17 @@ class MemoryFile:
 
     @classmethod
     def for_workers(cls, executor: ExecutorLike) -> MemoryFile | None:
-        """A file if the workers of an executor are processes that can open it."""
+        """A file if the workers of an executor are processes that can open it, and there is room.
+
+        A process may hold so many files only.
+        """
         of_this_machine = isinstance(executor, int | ProcessPoolExecutor)
-        return cls() if of_this_machine and hasattr(os, "memfd_create") else None
+        if not of_this_machine or not hasattr(os, "memfd_create"):
+            return None
+        try:
+            return cls()
+        except OSError:
+            return None
 
     def answer(self, sent: Filed[Answer] | Answer) -> Answer:
         """What a worker sent; its arrays stay in the file."""

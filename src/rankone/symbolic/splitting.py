@@ -289,7 +289,10 @@ class Splitter:
             powers = (p.exp for p in expression.atoms(sp.Pow) if p.exp.is_Integer)
             if max(map(abs, powers), default=0) > _MOST_FACTORED_POWER:
                 raise self._indivisible(whole)
-            factored = sp.factor(exact(expression))
+            written = exact(expression)
+            if _degree(written) > _MOST_FACTORED_POWER:
+                raise self._indivisible(whole)
+            factored = sp.factor(written)
             if factored.is_Add:
                 raise self._indivisible(whole)
             sums = []
@@ -422,3 +425,17 @@ def _monic(base: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     if leading == 1 or not leading.is_Rational:
         return sp.S.One, base
     return leading, sp.Add(*[exact(term) / leading for term in base.args])
+
+
+def _degree(expression: sp.Expr) -> int:
+    """The largest power by which SymPy factors an expression: ``exp(100*k/3)`` is one of 100."""
+    above_and_below = sp.fraction(sp.together(expression))
+    try:
+        return max(
+            degree
+            for each in above_and_below
+            if each.free_symbols
+            for degree in sp.Poly(each).degree_list()
+        )
+    except sp.PolynomialError:
+        return 0

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import DTypeLike
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -24,8 +23,6 @@ from rankone.tensors.train import Integers
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8
 _LEAST_SPARE_ROWS = 6  # Fewest of them beyond the rank that tell the remainder
 _DIRECT_RATIO = 1.5  # Rows over combinations up to which the rows themselves are taken
-# Tolerance over the norm of a matrix from which rounding errors of single precision are below it
-_SINGLE_PRECISION = 8e-7
 _RANDOM_COST = 1.0  # Operations of a random sign
 _MAX_EXCHANGES = 100  # Most exchanges of columns; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
@@ -61,16 +58,12 @@ def skeleton_of(
     """The skeleton of matrices (m, N) below each other, which misses a tolerance of them.
 
     A Frobenius norm. ``expected`` is about the rank; at most ``max_rank`` columns are taken.
-    Loose tolerances are met in single precision, which takes half as long.
     """
     rows = sum(map(len, matrices))
-    norm = math.hypot(*(float(np.linalg.norm(matrix)) for matrix in matrices))
-    precision: DTypeLike = np.float32 if tolerance > _SINGLE_PRECISION * norm else float
-    precise = [matrix.astype(precision, copy=False) for matrix in matrices]
     count = math.ceil(_ROWS_RATIO * expected) + _MORE_ROWS
     while True:
         direct = rows <= _DIRECT_RATIO * count
-        sketch = np.concatenate(precise) if direct else _combined(precise, count)
+        sketch = np.concatenate(matrices) if direct else _combined(matrices, count)
         found = _pivoted(sketch, tolerance, max_rank, combined=not direct)
         if found is not None:
             return _of_larger_volume(found)
@@ -79,14 +72,13 @@ def skeleton_of(
 
 def _combined(matrices: Sequence[Array], count: int) -> Array:
     """So many random combinations of the rows of all matrices, of about the same norm."""
-    generator, precision = np.random.default_rng(count), matrices[0].dtype
-    combined = np.zeros((count, matrices[0].shape[1]), dtype=precision)
+    generator, combined = np.random.default_rng(count), np.zeros((count, matrices[0].shape[1]))
     for matrix in matrices:
         m, n = matrix.shape
         charge(product(count, m, n) + _RANDOM_COST * count * m)
         bits = np.frombuffer(generator.bytes(-(-count * m // 8)), dtype=np.uint8)
-        signs = np.unpackbits(bits, count=count * m).reshape(count, m).astype(precision)
-        combined += (2.0 * signs - 1.0) @ matrix
+        signs = 2.0 * np.unpackbits(bits, count=count * m).reshape(count, m) - 1.0
+        combined += signs @ matrix
     return np.asarray(combined / math.sqrt(count))
 
 
@@ -100,7 +92,7 @@ def _pivoted(rows: Array, tolerance: float, max_rank: int, combined: bool) -> Sk
     m, n = rows.shape
     charge(qr(m, n))
     factor, pivots = scipy.linalg.qr(rows, mode="r", pivoting=True, check_finite=False)
-    squares = np.square(factor[: min(m, n)]).sum(axis=1, dtype=float)
+    squares = np.square(factor[: min(m, n)]).sum(axis=1)
     remainder = np.sqrt(np.append(np.cumsum(squares[::-1])[::-1], 0.0))
     if combined:
         remainder = remainder[: m - _LEAST_SPARE_ROWS]
