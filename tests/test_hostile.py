@@ -347,6 +347,15 @@ def test_numbers_beyond_all_reason_are_refused_at_once(call):
         ro.compile(call(huge))
 
 
-@pytest.mark.parametrize("rate", ["1/(1 + (k/x)**300) - x", "1/(1 + (x/k)**-200) - x"])
-def test_high_powers_of_quotients_are_not_factored(rate):
-    ro.compile(text(rate, box={"k": (0.5, 1)}, initial="0.8"))
+@pytest.mark.parametrize(
+    "rate",
+    [
+        "1/(1 + (k/x)**300) - x",
+        "1/(1 + (x/k)**-200) - x",
+        "1/(1 + exp((k + c + d)/0.03)) - x",
+        "1/(1 + exp((t - k)/0.013712345678901234)) - x",
+        "1/(exp((t - k)/0.0137) + exp((k - t)/0.0137) - 1) - x",
+    ],
+)
+def test_high_powers_are_not_factored(rate):
+    ro.compile(text(rate, box={"k": (0.5, 1), "c": (0, 1), "d": (0, 1)}, initial="0.8"))

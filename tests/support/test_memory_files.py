@@ -35,6 +35,14 @@ def test_arrays_come_back_as_they_were_and_can_be_written():
     assert back["f"].flags.f_contiguous
 
 
+def test_there_is_none_where_a_process_may_open_no_more(monkeypatch):
+    def none_left(name):
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(os, "memfd_create", none_left)
+    assert MemoryFile.for_workers(2) is None
+
+
 def test_small_answers_are_sent_as_they_are():
     file = MemoryFile()
     assert filed([1.0], file.place) == [1.0]

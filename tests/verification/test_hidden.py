@@ -26,7 +26,7 @@ def solved(rate, start="1", rtol=1e-3, **options):
 def test_hidden_peaks_are_no_success(rate):
     try:
         solution = solved(rate)
-    except ro.RankoneError:
+    except ro.ConvergenceError:  # a blow-up, or steps that shrink without end
         return
     sure = np.exp(-0.29) + np.exp(-0.1 * (2.91 - 1.01))  # if it is solved, the area counts
     assert not solution.success or solution(t=2.9, k=1.01)[1] > 0.5 * sure + 0.4

@@ -9,10 +9,12 @@ polynomial in the number of terms.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import sympy as sp
+from sympy.polys.rings import sring
 
 from rankone.expressions.admissible import largest, sign
 from rankone.expressions.notation import exact
@@ -429,13 +431,9 @@ def _monic(base: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
 
 def _degree(expression: sp.Expr) -> int:
     """The largest power by which SymPy factors an expression: ``exp(100*k/3)`` is one of 100."""
-    above_and_below = sp.fraction(sp.together(expression))
+    above, below = sp.fraction(sp.together(expression))
     try:
-        return max(
-            degree
-            for each in above_and_below
-            if each.free_symbols
-            for degree in sp.Poly(each).degree_list()
-        )
+        powers = [sring(each)[1].degrees() for each in (above, below) if each.free_symbols]
     except sp.PolynomialError:
         return 0
+    return max(map(int, itertools.chain(*powers)))
