@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import rankone as ro
 from rankone.ir.verdict import HiddenRate, Status
@@ -117,3 +118,28 @@ def test_many_removable_singularities_hide_nothing():
     rates = {"v": "k*sin(5*t) - v", "n": gate}
     problem = ro.Problem.from_strings(rates, {"v": "0", "n": "0.3"}, {"k": (0.8, 1.2)}, (0, 5))
     assert ro.solve(problem, 1e-3, effort=0.3).success
+
+
+def test_powers_of_powers_hide_nothing():
+    peak = "(1 - (x - k)**2)"
+    for _ in range(12):
+        peak = f"({peak}**8 + e)"
+    problem = ro.Problem.from_strings(
+        {"x": "1", "y": f"{8.0**6}*{peak} - y/10"},
+        {"x": "0.1", "y": "1"},
+        {"k": (0.8, 1.2), "e": (0, 1e-30)},
+        (0, 1.8),
+    )
+    assert ro.solve(problem, 1e-3, effort=0.3).status is Status.NARROW
+
+
+@pytest.mark.parametrize("function", [lambda z: sp.besselk(0, z), lambda z: sp.expint(1, z)])
+def test_special_functions_hide_nothing(function):
+    t, k = sp.symbols("t k")
+    x, y = sp.Function("x")(t), sp.Function("y")(t)
+    width = sp.Integer(10) ** -9
+    peak = function(1 + ((x - k) / width) ** 2) / width
+    rates = [sp.Eq(x.diff(t), 1), sp.Eq(y.diff(t), peak - y / 10)]
+    starts = {x: sp.Rational(1, 100), y: 1}
+    solution = ro.solve(ro.Problem(rates, (t, 0, 3), {k: (0.8, 1.2)}, starts), 1e-3, effort=0.3)
+    assert solution.status is Status.NARROW

@@ -3,11 +3,13 @@
 A generated function is evaluated on :class:`Enclosure` in place of arrays, by the same text. Sums
 and products of what samples show hide nothing, however large they are. A function of one argument
 may hide something where that varies by more than the function's own scale, or across its
-singularity; then the range of the function bounds it. So a peak of width 1e-9 shows by its height,
+singularity; then the range of the function bounds it. The same holds for powers of powers, whose
+degree is carried along. So a peak of width 1e-9 shows by its height,
 wherever it is, and stiff differences of large numbers do not.
 
-Ranges are computed without outward rounding. Functions of the user, tables, and those of
-``scipy.special`` that are not listed here show what their samples show.
+Ranges are computed without outward rounding. Those of functions of ``scipy.special`` that are not
+listed here are by samples over the ranges of their arguments. Functions of the user and tables show
+what their samples show.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ Function: TypeAlias = Callable[..., Any]
 _BETWEEN = 0.15  # How far values go beyond samples of a smooth function, in ranges of the samples
 _STEEPEST = 8.0  # Largest slope of a function within its scale, over its mean slope, about
 _SMOOTH_DEGREE = 8  # Whole powers up to this hide nothing
+_MOST_DEGREE = 24.0  # Products up to this degree hide nothing
 _NEAR = 4.0  # Ratio of an argument's ends that a singularity at zero leaves resolved
 _POWER_RANGE = 6.0  # The same for powers, as a logarithm of their values
 _SCALE = 2.0  # Half a range of exponentials and waves that samples resolve
@@ -39,6 +42,10 @@ _NEWTON_STEPS = 8  # To a zero of the curve through samples
 _SHARED = 1e-3  # Distance of two zeros, in lengths of a piece, below which they may be one
 _LOGARITHM = 40.0  # Of a piece over rounding
 _FAR = 1e9  # Longest argument of a sine of which the extrema are told
+# Shares of ranges of several arguments at which functions are sampled, with all corners of three
+_SHARES = np.concatenate(
+    [np.indices((2, 2, 2)).reshape(3, -1), np.random.default_rng(7).random((3, 89))], axis=1
+)
 _TABLES = "f_"  # First letters of tables and functions of the user in generated text
 
 
@@ -50,20 +57,30 @@ class Enclosure:
     """Values (K, N) at K places of N pieces, and bounds (N,) of all values on each piece.
 
     No value differs by more than the ``doubt`` (N,) from what the samples suggest, a smooth curve
-    through them; None stands for zero. Bounds that follow from those of parts are computed when
-    they are asked for, which is seldom: samples bound what is not in doubt.
+    through them; None stands for zero. The ``degree`` counts how often what is resolved is
+    multiplied by what is: where it is large, values that vary by much are in doubt. Bounds that
+    follow from those of parts are computed when they are asked for, which is seldom: samples bound
+    what is not in doubt.
     """
 
     __array_ufunc__ = None  # arrays and NumPy's numbers leave operations to it
-    __slots__ = ("_bounds", "doubt", "values")
+    __slots__ = ("_bounds", "degree", "doubt", "values")
 
     def __init__(
         self,
         values: Array,
         bounds: Callable[[], tuple[Array, Array]] | tuple[Array, Array],
         doubt: Array | None = None,
+        degree: float = 1.0,
     ) -> None:
         self.values, self._bounds, self.doubt = values, bounds, None
+        self.degree = degree if values.ndim > 1 else 0.0
+        if self.degree > _MOST_DEGREE:
+            low, high = self.bounds
+            steep = np.where(
+                _away_from(0.0, float(np.exp(_POWER_RANGE)))(low, high), 0.0, _width(low, high)
+            )
+            doubt = steep if doubt is None else np.maximum(doubt, steep)
         if doubt is not None and doubt.any():
             self.doubt = np.fmin(_known(doubt), _width(*self.bounds))
 
@@ -117,7 +134,7 @@ class Enclosure:
             low, high = self.bounds
             return -high, -low
 
-        return Enclosure(-self.values, bounds, self.doubt)
+        return Enclosure(-self.values, bounds, self.doubt, self.degree)
 
     def __add__(self, other: Any) -> Enclosure:
         other = Enclosure.of(other)
@@ -126,7 +143,8 @@ class Enclosure:
             (low, high), (below, above) = self.bounds, other.bounds
             return low + below, high + above
 
-        return Enclosure(self.values + other.values, bounds, _sum(self.doubt, other.doubt))
+        doubt = _sum(self.doubt, other.doubt)
+        return Enclosure(self.values + other.values, bounds, doubt, max(self.degree, other.degree))
 
     __radd__ = __add__
 
@@ -283,7 +301,7 @@ def _product(a: Enclosure, b: Enclosure, values: Array) -> Enclosure:
 
     doubt = None if b.doubt is None else _times(a.largest, b.doubt)
     doubt = _sum(doubt, None if a.doubt is None else _times(b.largest, a.doubt))
-    return Enclosure(values, bounds, doubt)
+    return Enclosure(values, bounds, doubt, a.degree + b.degree)
 
 
 def _applied(a: Enclosure, values: Array, bounds: Bounds, resolved: Resolved) -> Enclosure:
@@ -480,7 +498,7 @@ def _power(a: Enclosure, exponent: float) -> Enclosure:
         doubt = a.doubt
         if doubt is not None:
             doubt = _times(exponent * a.largest ** (exponent - 1.0), doubt)
-        return Enclosure(power(a.values), bounds, doubt)
+        return Enclosure(power(a.values), bounds, doubt, exponent * a.degree)
     resolved = _away_from(0.0, min(_NEAR, float(np.exp(_POWER_RANGE / abs(exponent)))))
     if even:
         return _applied(a, power(a.values), _even_bounds(power), resolved)
@@ -574,6 +592,59 @@ def _by_samples(function: Function) -> Function:
     return of
 
 
+def _of_scale_one(function: Function) -> Function:
+    """A function of scale one that may be singular at zero: samples over ranges tell its range."""
+
+    def of(*arguments: Any) -> Any:
+        if not any(isinstance(argument, Enclosure) for argument in arguments):
+            return function(*arguments)
+        enclosures = [Enclosure.of(argument) for argument in arguments]
+        sampled = function(*np.broadcast_arrays(*(each.values for each in enclosures)))
+        if not isinstance(sampled, tuple):
+            return _over_ranges(function, enclosures, sampled)
+        return tuple(
+            _over_ranges(lambda *a, k=k: function(*a)[k], enclosures, values)
+            for k, values in enumerate(sampled)
+        )
+
+    return of
+
+
+def _over_ranges(function: Function, arguments: Sequence[Enclosure], sampled: Array) -> Enclosure:
+    """In doubt by its range where an argument varies by more than its scale, or is in doubt."""
+    values = np.real(sampled)
+    varying = [each for each in arguments if each.values.ndim > 1]
+    clear = all(each.doubt is None and _of_one_scale(*each.hull()).all() for each in varying)
+    if clear or values.ndim < 2:
+        return Enclosure.of_samples(values)
+    shares = iter(_SHARES[: len(varying)] if len(varying) > 1 else [np.linspace(0.0, 1.0, 49)])
+    inside = [
+        each.values if each.values.ndim < 2 else _inside_range(*each.range(), next(shares))
+        for each in arguments
+    ]
+    beside = np.real(function(*np.broadcast_arrays(*inside)))
+    low, high = _without_nan(*_around(np.concatenate([values, beside]), _BETWEEN))
+    in_doubt = np.zeros(low.shape)
+    for each in varying:
+        below, above = each.range()
+        in_doubt = np.where(_of_one_scale(below, above), in_doubt, 1.0)
+        if each.doubt is not None:
+            share = _known(_STEEPEST * each.doubt / np.where(above > below, above - below, 1.0))
+            in_doubt = np.maximum(in_doubt, np.minimum(share, 1.0))
+    return Enclosure(values, (low, high), _times(_width(low, high), in_doubt))
+
+
+def _of_one_scale(low: Array, high: Array) -> NDArray[np.bool_]:
+    return np.asarray(_within(1.0)(low, high) & _away_from(0.0)(low, high))
+
+
+def _inside_range(low: Array, high: Array, shares: Array) -> Array:
+    """Places at shares (M,) of ranges, evenly spaced near zero and by their logarithms afar."""
+    begin, end = (np.arcsinh(10.0 * np.clip(each, -1e100, 1e100)) for each in (low, high))
+    places = np.sinh(begin + (end - begin) * shares[:, None]) / 10.0
+    return np.asarray(np.clip(places, low, high))
+
+
 class _Rows(list[Any]):
     """The rows of what a generated function returns."""
 
@@ -593,7 +664,7 @@ class _Names:
 
     def __getattr__(self, name: str) -> Any:
         original = getattr(self._module, name)
-        return _by_samples(original) if callable(original) else original
+        return _of_scale_one(original) if callable(original) else original
 
 
 def _no_shape(*_: Any) -> tuple[int, ...]:
