@@ -131,6 +131,51 @@ def test_a_state_that_falls_below_floating_point_numbers_and_grows_again_is_refu
 
 
 @pytest.mark.slow
+def test_a_state_that_is_nothing_and_stays_so_beside_one_that_grows_again():
+    rates = {"a": "-200*a", "x": "k*(t - 5)*x + 1e-3*a"}
+    problem = ro.Problem.from_strings(rates, {"a": "1", "x": "1"}, {"k": (4, 6)}, (0, 10))
+    points = np.array([[4.0], [5.0], [6.0]])
+    reference = integrate_reference(ro.compile(problem).system, points, (0.0, 10.0), 1e-6)
+    at_end = reference(np.array([0.0, 10.0]))[:, :, 1]
+    assert (np.abs(at_end[0]) < 1e-250).all()
+    np.testing.assert_allclose(at_end[1], 1.0, rtol=0.01)
+
+
+@pytest.mark.parametrize("rate", ["0", "-on"])
+def test_a_latch_that_is_reset_to_zero_is_not_said_to_grow_again(rate):
+    """What falls beside it is small, and grows again; the latch cannot."""
+    rates = {"on": rate, "x": "k*(t - 5)*x + 0*on"}
+    system = ro.compile(
+        ro.Problem.from_strings(rates, {"on": "1", "x": "1"}, {"k": (4, 6)}, (0, 10))
+    ).system
+    times = np.linspace(0.0, 10.0, 65)
+
+    def states(at):
+        latch = np.where(at < 2.0, 1.0, 0.0)
+        return np.stack([latch, np.exp(2.5 * ((at - 5.0) ** 2 - 25.0))])[:, None]
+
+    class Sampled:
+        end, state, largest = 10.0, np.ones((2, 1)), np.ones((2, 1))
+
+        def samples(self, count):
+            return [(time, states(np.array([time]))[:, :, 0]) for time in times.tolist()]
+
+        def __call__(self, later):
+            return states(later)
+
+    box = Resolution(system, np.full((1, 1), 5.0), 0.0, 10.0, 1e-6, np.ones((2, 1)))
+    assert box._grows_again(Sampled())[1, 0]
+
+
+@pytest.mark.slow
+def test_of_several_lost_states_the_one_that_grows_again_is_named():
+    rates = {"a": "-200*a", "x": "k*(t - 5)*x"}
+    problem = ro.Problem.from_strings(rates, {"a": "1", "x": "1"}, {"k": (60, 61)}, (0, 10))
+    with pytest.raises(ro.ConvergenceError, match="`x` falls below 1e-250 and may grow again"):
+        integrate_reference(ro.compile(problem).system, np.array([[60.0]]), (0.0, 10.0), 1e-3)
+
+
+@pytest.mark.slow
 def test_states_from_zero_that_are_amplified_take_two_integrations(monkeypatch):
     """Each is made by the one before it, so that it is as small at first as steps are short."""
     rates = {
@@ -170,7 +215,7 @@ def test_a_state_that_passes_through_zero_is_no_dip(small, dips):
     states[small] = 1e-12
 
     class Sampled:
-        end, state = 90.0, np.ones((1, 1))
+        end, state, largest = 90.0, np.ones((1, 1)), np.ones((1, 1))
 
         def samples(self, count):
             return list(zip(times.tolist(), states, strict=True))

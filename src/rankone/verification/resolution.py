@@ -37,6 +37,7 @@ _MARGIN = 0.1  # Absolute tolerances of all trajectories over those that a few o
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
+_PART = 1e-10  # Least part of a state in an eigenvector: others are rounding
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _UNSEEN = 1e-100  # Size of a state that nobody asks for, over the largest, that is not resolved
 _LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
@@ -201,7 +202,7 @@ class Resolution:
         return float(min(relative, absolute + ratio))
 
     def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
-        """States (n, 1) that fall to a negligible part of what they were, and may grow again.
+        """States (n, 1) that fall to a negligible part of what they were, of which some grow again.
 
         They stay there from one sample to the next: others pass through zero. They grow by their
         own block of the Jacobian, whatever the others do. An integration that does not resolve them
@@ -212,14 +213,18 @@ class Resolution:
             return dips[:, None]
         later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
+        lost, grows = dips & (least < _LEAST_SIZE), np.zeros_like(dips)
+        sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
             blocks = jacobian_blocks(self.system, self.points, time, at, small)
             if np.isfinite(blocks).all():
                 charge(len(blocks) * eigenvalues(small.size))
                 growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
-        if growth * (dense.end - first) <= MOST_GROWTH:
+                if lost.any():
+                    grows[small] |= _growing(blocks * (sizes / sizes[:, None]), slowest)
+        if growth <= slowest:
             return np.zeros_like(dips)[:, None]
-        lost = dips & (least < _LEAST_SIZE)
+        lost &= grows
         if lost.any():
             name = self.system.states[int(np.argmax(lost))]
             raise ConvergenceError(
@@ -244,6 +249,17 @@ class Resolution:
             return np.full((len(self.size), 1), np.inf)
         begun = dense(np.array([start + _BEGUN / growth]))
         return np.asarray(np.abs(begun).max(axis=(1, 2))[:, None])
+
+
+def _growing(blocks: Array, slowest: float) -> NDArray[np.bool_]:
+    """States (r,) that are in an eigenvector which grows faster, of some Jacobian (m, r, r).
+
+    One that a reset sets to zero, and whose rate is zero, is in none.
+    """
+    charge(len(blocks) * eigenvalues(blocks.shape[1]))
+    values, vectors = np.linalg.eig(blocks)
+    parts = np.abs(vectors) * (values.real > slowest)[:, None]
+    return np.asarray((parts > _PART).any(axis=(0, 2)))
 
 
 def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
