@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import rankone as ro
 from rankone.ir.events import SystemEvent
@@ -210,3 +211,78 @@ def test_a_small_bounce_within_a_long_step_is_met(integrator):
     """After the first bounce the ball is up for 2e-4, and integrated for about one."""
     (each,) = trajectories(ball(2.0), [[1.0]], [bounce(1e-4)], integrator)
     assert each.times_of(0)[:2] == pytest.approx([1.0, 1.0002], rel=1e-8)
+
+
+def full(direction, then):
+    return SystemEvent(lambda t, u, p: u[0] - 2.0, direction, then)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("direction", [1, 0])
+@pytest.mark.parametrize("level", [None, 2.0], ids=["stays", "reset"])
+def test_a_trajectory_that_stays_on_the_surface_of_its_event(level, direction, integrator):
+    def then(t, u, p):
+        return np.stack([u[0] if level is None else np.full_like(u[0], level), 0.0 * u[1]])
+
+    rates = np.array([0.1234, 0.3, 0.77, 1.0])
+    for sign, start, side in [(1.0, 1.0, direction), (-1.0, 3.0, -direction)]:
+        system = system_of(
+            {"v": f"{sign}*on*f", "on": "0"},
+            {"v": str(start), "on": "1"},
+            {"f": (0.1, 1.0)},
+            20.0,
+        )
+        with limited(3e8):
+            results = trajectories(system, rates[:, None], [full(side, then)], integrator)
+        for rate, each in zip(rates, results, strict=True):
+            np.testing.assert_allclose(each.times_of(0), [1.0 / rate], rtol=1e-9)
+            assert each.end == 20.0
+            np.testing.assert_allclose(each.state, [2.0, 0.0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize(("begins", "turn", "count"), [(2, 1, 0), (1, -1, 0), (1, 1, 1)])
+def test_a_surface_on_which_a_trajectory_stayed_before_it_leaves(begins, turn, count, integrator):
+    """It is crossed where the trajectory leaves it for the other side, if it came from one."""
+    system = system_of({"x": "0*k"}, {"x": "2 + 1e-16*k"}, {"k": (1, 2)}, 20.0)
+
+    def when(t, u, p):
+        came = (begins - 2.0) * np.exp(-8.0 * p[0] * t)
+        return (u[0] + came + turn * np.maximum(0.0, t - 10.0)) * np.cos(1e-16 * t) - 2.0
+
+    for direction in (1, 0):
+        [each] = trajectories(system, [[1.5]], [SystemEvent(when, direction)], integrator)
+        times = each.times_of(0)
+        assert times.size == count
+        np.testing.assert_allclose(times, 10.0, atol=1e-2)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_ball_that_is_thrown_from_a_floor_far_from_zero_comes_back(integrator):
+    system = system_of({"y": "v", "v": "-2 + 0*y"}, {"y": "3", "v": "s"}, {"s": (1, 2)}, 4.0)
+    landed = SystemEvent(
+        lambda t, u, p: u[0] - 3.0, -1, lambda t, u, p: np.stack([u[0], -0.5 * u[1]])
+    )
+    [each] = trajectories(system, [[1.0]], [landed], integrator)
+    np.testing.assert_allclose(each.times_of(0)[:4], [1.0, 1.5, 1.75, 1.875], rtol=1e-8)
+    rest = SystemEvent(landed.when, -1, lambda t, u, p: np.stack([u[0], 0.0 * u[1]]))
+    if integrator == "stack":  # at rest on it
+        [each] = trajectories(system, [[1.0]], [rest], integrator)
+        assert each.stuck
+        np.testing.assert_allclose(each.times_of(0), 1.0, rtol=1e-6)
+
+
+def test_a_tank_that_fills_until_it_is_full_is_solved():
+    t, f = sp.symbols("t f")
+    v, on = (sp.Function(name)(t) for name in ("v", "on"))
+    problem = ro.Problem(
+        equations=[sp.Eq(v.diff(t), on * f), sp.Eq(on.diff(t), 0)],
+        time=(t, 0, 10),
+        parameters={f: (0.15, 0.2)},
+        initial={v: 1, on: 1},
+        events=[ro.Event(v - 2, "rising", then={on: 0}, name="full")],
+    )
+    solution = ro.solve(problem, rtol=1e-4, max_seconds=60)
+    assert solution.success
+    np.testing.assert_allclose(solution.event_times("full", f=0.16), [6.25], rtol=1e-4)
+    np.testing.assert_allclose(solution(9, f=0.16), [2.0, 0.0], atol=1e-4)

@@ -16,6 +16,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
 from rankone.trajectories.defects import roots_or_jumps
+from rankone.trajectories.events.instants import SAME_INSTANT
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
@@ -33,6 +34,10 @@ _LOW = 0.5  # Least value on a step, over its size, above which it comes nowhere
 _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
 _BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
+_STAYS = 1e-3  # Part of the horizon for which heights are rounding, from which paths stay there
+_ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
+_BESIDE = 1e-100  # Height on the side from which a path came to a surface on which it stays
+_CHANGES = 3  # Random changes by as much, which tell what becomes of them
 
 
 # From values at the nodes of a step to the coefficients of the powers of shares
@@ -101,23 +106,84 @@ class _Steps:
         far &= np.diff(self.owner, prepend=-1) == 0
         return self._chosen(np.flatnonzero(~far))
 
-    def resolved(self, event: SystemEvent) -> tuple[_Steps, Array]:
+    def _stays(self, event: SystemEvent, at_nodes: Array, least: float) -> NDArray[np.bool_]:
+        """Steps (S,) on which paths stay on the surface, for a ``least`` time.
+
+        Heights (S, nodes) are what rounding makes of them there. What leaves a surface smoothly is
+        there for less.
+        """
+        stays = np.zeros(self.begin.size, dtype=bool)
+        if event.marker is not None:
+            return stays
+        roundings = self._roundings(event, at_nodes[:, 0])
+        near = np.flatnonzero(np.abs(at_nodes).max(axis=1) <= roundings)
+        if not near.size:
+            return stays
+        some = self._chosen(near)
+        between = some.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, some.nodal))
+        near = near[np.abs(between).max(axis=1) <= roundings[near]]
+        apart = (np.diff(self.owner[near]) != 0) | (self.begin[near][1:] != self.end[near][:-1])
+        runs = np.split(near, 1 + np.flatnonzero(apart))
+        for run in runs:
+            if run.size and self.end[run[-1]] - self.begin[run[0]] >= least:
+                stays[run] = True
+        return stays
+
+    def _roundings(self, event: SystemEvent, heights: Array) -> Array:
+        """By how much heights (S,) where steps begin change if what they are made of is rounded."""
+        sizes = np.abs(self.nodal).max(axis=1).T
+        random, largest = np.random.default_rng(3061), np.zeros(self.begin.size)
+        for _ in range(_CHANGES):
+            parts = [random.uniform(0.5, 1.0, k) for k in (1, len(sizes), len(self.parameters))]
+            time, states, parameters = (
+                (_ROUNDINGS * part * random.choice([-1.0, 1.0], part.size))[:, None]
+                for part in parts
+            )
+            changed = _heights(
+                event,
+                self.begin * (1.0 + time[0]),
+                self.nodal[:, 0].T + states * sizes,
+                self.parameters * (1.0 + parameters),
+            )
+            with np.errstate(all="ignore"):
+                largest = np.fmax(largest, np.abs(changed - heights))
+        return largest
+
+    def resolved(self, event: SystemEvent, least: float) -> tuple[_Steps, Array]:
         """Steps divided until polynomials resolve what crosses zero, where it may do so.
 
-        What crosses zero is given at their nodes, (S, nodes).
+        What crosses zero is given at their nodes, (S, nodes); it is zero where a path stays there
+        for a ``least`` time.
         """
-        steps, done = self, list[tuple[_Steps, Array]]()
+        steps, done, stayed = self, list[tuple[_Steps, Array]](), False
         for divisions in range(_MOST_DIVISIONS + 1):
             at_nodes = steps.heights(event, NODES, steps.nodal)
             with np.errstate(all="ignore"):  # what is not a number is no crossing
+                stays = steps._stays(event, at_nodes, least)
+                at_nodes[stays] = 0.0
                 shares = steps._shares_to_divide(event, at_nodes)
-            hides = np.isfinite(shares)
+            stayed |= bool(stays.any())
+            hides = np.isfinite(shares) & ~stays
             if divisions == _MOST_DIVISIONS or not hides.any():
                 break
             if not hides.all():
                 done.append((steps._chosen(~hides), at_nodes[~hides]))
             steps = steps._chosen(hides)._divided(shares[hides])
-        return _in_order([*done, (steps, at_nodes)])
+        steps, at_nodes = _in_order([*done, (steps, at_nodes)])
+        if stayed:  # short parts beside others as well
+            stays = steps._stays(event, at_nodes, least)
+            roundings = steps._roundings(event, at_nodes[:, 0])[:, None]
+            rounded = steps._besides(stays)[:, None] & (np.abs(at_nodes) <= roundings)
+            at_nodes[stays[:, None] | rounded] = 0.0
+        return steps, at_nodes
+
+    def _besides(self, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Steps that some of them are before or after, on the same path."""
+        same = np.diff(self.owner) == 0
+        besides = np.zeros_like(some)
+        besides[1:] |= some[:-1] & same
+        besides[:-1] |= some[1:] & same
+        return besides
 
     def _shares_to_divide(self, event: SystemEvent, at_nodes: Array) -> Array:
         """Where to divide steps in which what crosses zero may do so unseen, (S,), NaN elsewhere.
@@ -247,7 +313,9 @@ class Crossings:
         again at once if it was reset, goes on to the same side as before, and does not cross the
         surface on its way: a ball that comes to rest falls again.
         """
-        steps, heights = self._steps.telling(event).resolved(event)
+        horizon = self.instant / SAME_INSTANT
+        steps, heights = self._steps.telling(event).resolved(event, _STAYS * horizon)
+        _keep_sides(steps, heights)
         instants = [steps.begin[:0]] * len(self.paths)
         firsts = np.searchsorted(steps.owner, np.arange(len(self.paths)))
         was_here = np.array([k in fired for fired in self.fired])
@@ -260,7 +328,8 @@ class Crossings:
         began = began[np.abs(heights[began, 0]) <= _ON_SURFACE * moved]
         if began.size:
             heights[began, 0] = heights[began, 1]
-            back = began[np.sign(heights[began, 0]) == event.direction]
+            sides = np.sign(heights[began, 0])
+            back = began[(sides == event.direction) & (sides != 0.0)]
             if event.then is not None and back.size:
                 through = self.first[steps.owner[back]] & self._crosses(event, steps, back)
                 for start in back[~through]:
@@ -305,6 +374,22 @@ class Crossings:
         return np.asarray(event.direction * slope > _CROSSING * np.abs(mean))
 
 
+def _keep_sides(steps: _Steps, heights: Array) -> None:
+    """Let paths be on the side they came from while they stay on a surface: heights (S, nodes).
+
+    They cross it where they leave it for the other side. Where they begin on it they have no side.
+    """
+    flat = (heights == 0.0).all(axis=1)
+    if not flat.any():
+        return
+    on_surface = (flat | steps._besides(flat))[:, None] & (heights == 0.0)
+    owners = np.repeat(steps.owner, NODES.size)
+    last = np.maximum.accumulate(np.where(on_surface.ravel(), -1, np.arange(owners.size)))
+    came = (last >= 0) & (owners[last] == owners)
+    sides = np.where(came, np.sign(heights.ravel()[last]), 0.0).reshape(heights.shape)
+    heights[on_surface] = _BESIDE * sides[on_surface]
+
+
 def _arrives(steps: _Steps, heights: Array) -> NDArray[np.bool_]:
     """Which paths begin on a surface but for rounding, and go on to where heights are positive.
 
@@ -342,7 +427,9 @@ def _roots(
             states = states * x + coefficient
         return _heights(event, begin + length * places, states.T, parameters)
 
-    shares = roots_or_jumps(height, heights[rows, nodes], heights[rows, nodes + 1])
+    before = heights[rows, nodes]
+    shares = roots_or_jumps(height, before, heights[rows, nodes + 1])
+    shares[np.abs(before) == _BESIDE] = 0.0
     return np.asarray(begin + length * (a + width * shares))
 
 
