@@ -7,6 +7,10 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
+from rankone.ir.request import Domain
+from rankone.solvers.cross import CrossOptions
+from rankone.solvers.cross.engine import CrossMarcher
+from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import NORMAL
 
 
@@ -236,3 +240,17 @@ def test_a_front_within_a_millionth_of_the_only_interval_is_resolved():
     assert solution.success, solution.message
     k = np.geomspace(0.1, 1e3, 50)
     np.testing.assert_allclose(solution["x"](t=0.7, k=k), np.exp(-0.7 * k), atol=5e-3)
+
+
+def test_a_trajectory_that_ends_leaves_a_narrower_box_untold():
+    class Ends:
+        def uncounted(self, points):
+            raise TrajectoryEnds(0.5, points[0])
+
+    class Whole:
+        domain = Domain((0.0, 1.0), ((0.0, 1.0), (0.0, 1.0)))
+
+    marcher = object.__new__(CrossMarcher)
+    marcher.trajectories, marcher.reference_set = Ends(), Whole()
+    marcher.options, marcher.rtol = CrossOptions(), 1e-3
+    assert marcher.modes_on_lines() == []

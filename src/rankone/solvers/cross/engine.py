@@ -362,7 +362,10 @@ class CrossMarcher:
         lines = Lines(columns, LinePoints(domain.box, scales))
         for j, ((lower, upper), scale) in enumerate(zip(domain.box, scales, strict=True)):
             basis = kind(lower, upper, count, scale=scale)
-            (on_line,) = lines([(j, basis.nodes)])
+            try:
+                (on_line,) = lines([(j, basis.nodes)])
+            except TrajectoryEnds:
+                return []
             modes.append((basis, LineColumns(basis, on_line).spectrum))
         return modes
 
