@@ -6,6 +6,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.ir.verdict import HiddenRate, Status
+from rankone.solvers import attempts
 
 HIDDEN = {
     "gap": "1e9*Z**2/(exp(Z) + exp(-Z) - 1)",
@@ -31,6 +32,14 @@ def test_hidden_peaks_are_no_success(rate):
         return
     sure = np.exp(-0.29) + np.exp(-0.1 * (2.91 - 1.01))  # if it is solved, the area counts
     assert not solution.success or solution(t=2.9, k=1.01)[1] > 0.5 * sure + 0.4
+
+
+def test_no_success_where_the_limit_leaves_no_look(monkeypatch):
+    assert solved("exp(-x)").success
+    monkeypatch.setattr(attempts, "EXPLANATION_OPERATIONS", 1e3)
+    solution = solved("exp(-x)")
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert solution.error < 1e-3
 
 
 def test_the_message_says_where():

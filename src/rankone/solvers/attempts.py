@@ -232,8 +232,13 @@ def solve_in_attempts(
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
             cause = None
-        if status is Status.CONVERGED and (hidden := reference_set.hidden_rate()) is not None:
-            status, cause = Status.NARROW, hidden
+        if status is Status.CONVERGED:
+            try:
+                hidden = reference_set.hidden_rate()
+            except OutOfBudgetError as out:  # whether steps missed something is not known
+                status = Status.of_limit(out)
+            else:
+                status, cause = (status, cause) if hidden is None else (Status.NARROW, hidden)
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
     notes: list[Note] = []
     if status is not Status.NARROW:

@@ -34,9 +34,7 @@ from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.enclosures import Enclosure, UnsuitableError, enclosed
 from rankone.verification.reference import Reference
 
-_DOUBT = (
-    10.0  # What a piece may hide, times its length, over the tolerance: less is left to samples
-)
+_DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
 _DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
@@ -70,7 +68,7 @@ def hidden_rate(
     """Where steps of a reference miss something narrow, if they do.
 
     ``sizes`` (n,) are those of the states. Polynomials of low degree hide nothing. Array code, for
-    many states, is not looked at; nor are trajectories of forced orders.
+    many states, is not looked at; nor are trajectories of forced orders. Limits of the solve hold.
     """
     system = system if system.clock is None else system.clock.system
     if has_smooth_rates(system, reference.start):
@@ -80,7 +78,7 @@ def hidden_rate(
     except UnsuitableError:
         return None
     tolerated = rtol * np.append(sizes, np.ones(system.n_differential))[: system.n_differential]
-    with unlimited(), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         for paths, owners in _taken_apart(reference):
             steps = _Steps.of(system.jumps.times, paths, owners, reference.points)
             cost = function_cost(system.rhs, system.user_functions)
