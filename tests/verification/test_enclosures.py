@@ -6,7 +6,8 @@ import sympy as sp
 
 import rankone as ro
 from rankone.trajectories.paths import NODES
-from rankone.verification.enclosures import Enclosure, UnsuitableError, enclosed
+from rankone.verification.enclosures.enclosure import Enclosure
+from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 
 FUNCTIONS = [
     "exp(x)",

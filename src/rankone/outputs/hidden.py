@@ -24,7 +24,8 @@ from rankone.outputs.sampling import Sampler
 from rankone.support.arrays import Array
 from rankone.support.costs import Cost, function_cost
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.enclosures import Enclosure, UnsuitableError, enclosed
+from rankone.verification.enclosures.enclosure import Enclosure
+from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 from rankone.verification.hidden import Intervals, Surprise, surprises
 
 _MOST_POINTS = 32  # Points at which functions are looked at, at most

@@ -31,7 +31,8 @@ from rankone.trajectories.groups import GroupedTrajectories
 from rankone.trajectories.integrator import DenseTrajectories
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 from rankone.trajectories.stacks.integrator import has_smooth_rates
-from rankone.verification.enclosures import Enclosure, UnsuitableError, enclosed
+from rankone.verification.enclosures.enclosure import Enclosure
+from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 from rankone.verification.reference import Reference
 
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
