@@ -108,8 +108,11 @@ def _function_of(member: object) -> object:
 
 def _globals_read(function: FunctionType) -> list[tuple[str, object]]:
     """The global variables that a function reads, by name, as they are now."""
-    known = function.__globals__
-    return [(name, known[name]) for name in sorted(_names_read(function.__code__) & known.keys())]
+    variables = function.__globals__
+    return [
+        (name, variables[name])
+        for name in sorted(_names_read(function.__code__) & variables.keys())
+    ]
 
 
 def _names_read(code: CodeType) -> set[str]:

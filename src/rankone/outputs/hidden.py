@@ -95,9 +95,11 @@ def _functions(sampler: Sampler) -> tuple[Functions | None, Cost]:
         sources: Sequence[Enclosure], p: Sequence[Enclosure], reduced: Sequence[Enclosure]
     ) -> list[Enclosure]:
         clock = Enclosure.of_samples(sources[0].values, 0.0)
-        given = clock, sources[1:], p
+        arguments = clock, sources[1:], p
         rows = [
-            function(*given) if function.__code__.co_argcount == 3 else function(*given, reduced)
+            function(*arguments)
+            if function.__code__.co_argcount == 3
+            else function(*arguments, reduced)
             for function in kept
         ]
         return [Enclosure.of(row) for of_function in rows for row in of_function]

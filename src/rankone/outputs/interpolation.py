@@ -197,8 +197,10 @@ class OutputInterpolation:
         times = np.linspace(*timeline.horizon, _CLOCK_TIMES)
         exact, compared = sampler.at_clock(times, check.points)
         points = np.ascontiguousarray(check.points.T)
-        found = timeline_evaluator(slabs, timeline).curves(times[:, None], points, slice(0, -2))
-        errors = np.nan_to_num(np.abs(found - exact), nan=np.inf)
+        interpolated = timeline_evaluator(slabs, timeline).curves(
+            times[:, None], points, slice(0, -2)
+        )
+        errors = np.nan_to_num(np.abs(interpolated - exact), nan=np.inf)
         errors = np.where(compared, errors, 0.0).max(axis=1)
         missed[:-2] = np.maximum(missed[:-2], errors / check.sizes[:-2, None])
         return missed
@@ -327,8 +329,8 @@ class OutputInterpolation:
         total, time_error = missed + from_solution, None
         if self._timeline is not None:  # behind the quantities are the clock and the length
             before = self.solution.outcome.measured
-            known = 0.0 if before is None else before.time_error or 0.0
-            time_error = known + float(missed[-2].max())
+            error_before = 0.0 if before is None else before.time_error or 0.0
+            time_error = error_before + float(missed[-2].max())
             total, missed, from_solution = (each[:-2] for each in (total, missed, from_solution))
         measured = Measured(
             interior=tuple(map(float, total.max(axis=1))),

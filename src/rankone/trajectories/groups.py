@@ -204,13 +204,13 @@ class GroupedTrajectories:
         """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
         counts = [group.state.shape[1] for group in self.groups]
         first, end, _ = trajectories.indices(sum(counts))
-        parts = list[StackedTrajectories]()
+        selected = list[StackedTrajectories]()
         for group, count in zip(self.groups, counts, strict=True):
             a, b = max(first, 0), min(end, count)
             if a < b:
-                parts.append(group if b - a == count else group.of(slice(a, b)))
+                selected.append(group if b - a == count else group.of(slice(a, b)))
             first, end = first - count, end - count
-        return replace(self, groups=tuple(parts))
+        return replace(self, groups=tuple(selected))
 
     def samples(self, count: int) -> Iterator[tuple[float, Array]]:
         """Ends of steps of the first group, with all states there."""

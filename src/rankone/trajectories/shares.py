@@ -44,14 +44,14 @@ def part_by_part(part: Callable[[Spans], Sequence[Path]], spans: Spans) -> list[
     """The paths of spans, of which ``part`` gives one from each time between them to the next."""
     if spans.between is None:
         return [*part(spans)]
-    parts = list[Sequence[Path]]()
+    paths_of_parts = list[Sequence[Path]]()
     starts, states = spans.starts, spans.states
     for ends in [*spans.between.T, spans.ends]:
-        parts.append(part(Spans(starts, states, ends)))
-        if any(path.end < end for path, end in zip(parts[-1], ends, strict=True)):
+        paths_of_parts.append(part(Spans(starts, states, ends)))
+        if any(path.end < end for path, end in zip(paths_of_parts[-1], ends, strict=True)):
             break
-        starts, states = ends, np.stack([path.state for path in parts[-1]], axis=1)
-    return [joined(each) for each in zip(*parts, strict=True)]
+        starts, states = ends, np.stack([path.state for path in paths_of_parts[-1]], axis=1)
+    return [joined(each) for each in zip(*paths_of_parts, strict=True)]
 
 
 def share_paths(

@@ -80,9 +80,9 @@ def clock_errors(
     begins = np.arange(clock.order.stretches)[:, None]
     pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
     exact = np.swapaxes(reference(pseudo), 1, 2)
-    found = evaluator.trains.curves(pseudo[:, None], columns, rows)
+    solved = evaluator.trains.curves(pseudo[:, None], columns, rows)
     before = exact[n] <= clock.horizon[1]  # the row behind the states is the clock
-    at_shares = np.where(before, np.abs(found - exact[:n]), 0.0).max(axis=1)
+    at_shares = np.where(before, np.abs(solved - exact[:n]), 0.0).max(axis=1)
     return ClockErrors(errors, largest, at_shares, time_error, off)
 
 

@@ -28,8 +28,8 @@ def narrow_times(reference: Reference, observed: Observation | None, end: float)
         places |= {(s, i, first + k) for s, i, k in _crossings(surfaces)}
     kept = sorted(places, key=lambda place: (place[2], *place))
     spread = np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST_TIMES)).astype(int))
-    found = [_refined(reference, observed, kept[k], times) for k in spread]
-    return np.unique(np.array(found, dtype=float))
+    crossing_times = [_refined(reference, observed, kept[k], times) for k in spread]
+    return np.unique(np.array(crossing_times, dtype=float))
 
 
 def _blocks(reference: Reference, times: Array) -> Iterator[tuple[Array, int]]:

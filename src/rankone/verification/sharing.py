@@ -48,12 +48,12 @@ def reference_set_of(
     kept, count = _KEPT.get(), 0 if lines is None else len(lines)
     if kept is None or request.limits.memory < math.inf:
         return ReferenceSet.of(system, request, lines, workers)
-    found = kept.reference_set
-    if found is not None and kept.system is system and kept.request is request:
-        if count == found.on_lines:
-            return replace(found, workers=workers)
-        if not count and found.reference.blown is None:
-            return replace(found.without_lines(), workers=workers)
+    reference_set = kept.reference_set
+    if reference_set is not None and kept.system is system and kept.request is request:
+        if count == reference_set.on_lines:
+            return replace(reference_set, workers=workers)
+        if not count and reference_set.reference.blown is None:
+            return replace(reference_set.without_lines(), workers=workers)
     kept.reference_set = None  # two are not held at once
     made = ReferenceSet.of(system, request, lines, workers)
     kept.system, kept.request, kept.reference_set = system, request, made

@@ -201,19 +201,19 @@ class SchurInverse:
     ) -> Array:
         """Solutions for right-hand sides (n * K, m), block after block."""
         n, count = self._shape
-        known = np.tensordot(self._vectors.T, x.reshape(n, count, -1), (1, 1))  # (K, n, m)
-        found = np.zeros_like(known)
+        transformed = np.tensordot(self._vectors.T, x.reshape(n, count, -1), (1, 1))  # (K, n, m)
+        solutions = np.zeros_like(transformed)
         mass = self._mass[:, None]
         done: list[int] = []
         for block in blocks:
-            right = known[block.rows]
+            right = transformed[block.rows]
             if done:
                 right = right - mass * np.tensordot(
-                    triangular[np.ix_(block.rows, done)], found[done], 1
+                    triangular[np.ix_(block.rows, done)], solutions[done], 1
                 )
-            found[block.rows] = block.solve(right, adjoint)
+            solutions[block.rows] = block.solve(right, adjoint)
             done += block.rows
-        return np.asarray(np.tensordot(self._vectors, found, 1).swapaxes(0, 1).reshape(x.shape))
+        return np.asarray(np.tensordot(self._vectors, solutions, 1).swapaxes(0, 1).reshape(x.shape))
 
     def cost(self, columns: int) -> float:
         n, count = self._shape

@@ -134,10 +134,10 @@ class _Steps:
         sizes = np.abs(self.nodal).max(axis=1).T
         random, largest = np.random.default_rng(3061), np.zeros(self.begin.size)
         for _ in range(_CHANGES):
-            parts = [random.uniform(0.5, 1.0, k) for k in (1, len(sizes), len(self.parameters))]
+            factors = [random.uniform(0.5, 1.0, k) for k in (1, len(sizes), len(self.parameters))]
             time, states, parameters = (
-                (_ROUNDINGS * part * random.choice([-1.0, 1.0], part.size))[:, None]
-                for part in parts
+                (_ROUNDINGS * factor * random.choice([-1.0, 1.0], factor.size))[:, None]
+                for factor in factors
             )
             changed = _heights(
                 event,

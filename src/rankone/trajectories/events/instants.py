@@ -165,10 +165,10 @@ class Instants:
                     remedy="let it be a time that is not negative, everywhere in the box",
                 )
             for trajectory, due in zip(some, (times[met] + delays).tolist(), strict=True):
-                known = trajectory.due.get(event.starts, [])
-                if known and not event.overlapping:
+                planned = trajectory.due.get(event.starts, [])
+                if planned and not event.overlapping:
                     raise overlap(self.events[event.starts].name, f"t = {trajectory.end:.6g}")
-                trajectory.put_off(event.starts, [*known, due])
+                trajectory.put_off(event.starts, [*planned, due])
 
     def _triggered(
         self,

@@ -242,8 +242,8 @@ def _steepest(
         _candidate(system, paths, points, state, span, _TRANSVERSAL, share) for share in _LEVELS
     ]
     middle, *others = candidates
-    known = [each for each in others if each is not None]
-    best = max(known, key=lambda each: each.steepness, default=None)
+    levels = [each for each in others if each is not None]
+    best = max(levels, key=lambda each: each.steepness, default=None)
     if middle is None or best is None:
         return middle or best
     return best if best.steepness > _MUCH_STEEPER * middle.steepness else middle

@@ -234,8 +234,8 @@ def _ahead(
     if not clock.steep or further.min() != further.max() or further[0] < 1:
         return None
     each_ahead = [each.marks_ahead(int(further[0])) for each in some]
-    known = [marks for marks in each_ahead if marks is not None]
-    return Ahead(np.array(known)) if len(known) == len(some) else None
+    foreseen_marks = [marks for marks in each_ahead if marks is not None]
+    return Ahead(np.array(foreseen_marks)) if len(foreseen_marks) == len(some) else None
 
 
 def repeats(trajectory: EventTrajectory, accuracy: float, period: int) -> bool:
@@ -277,12 +277,12 @@ def _agree(
 
 def _over(paths: Sequence[Path], start: float, end: float) -> Array:
     """States (N, n) at the nodes of the steps from one time to another."""
-    parts = list[Array]()
+    nodal = list[Array]()
     for path in paths:
         if path.steps and path.breaks[0] <= end and start < path.end:
             first, last = np.searchsorted(path.breaks, [start, end], side="right") - 1
-            parts.append(path.nodal[max(first, 0) : last + 1].reshape(-1, path.state.size))
-    return np.concatenate(parts)
+            nodal.append(path.nodal[max(first, 0) : last + 1].reshape(-1, path.state.size))
+    return np.concatenate(nodal)
 
 
 def repeated(trajectory: EventTrajectory, marks: int, count: int, end: float) -> EventTrajectory:

@@ -264,11 +264,11 @@ class StretchIntegrator:
         alone = replace(self, integrator=integrator.integrator)
         groups = integrator.groups(system.clock.system, points)
         tasks = [(alone, group, tolerances) for group in groups]
-        parts = integrator.map(_followed, system, tasks, ConvergenceError)
-        trajectories = [each for some, _ in parts for each in some]
-        if integrator.sends(system) and len(parts) > 1:
+        results = integrator.map(_followed, system, tasks, ConvergenceError)
+        trajectories = [each for some, _ in results for each in some]
+        if integrator.sends(system) and len(results) > 1:
             hold_all([path for each in trajectories for path in each.paths])
-        return trajectories, np.concatenate([borders for _, borders in parts])
+        return trajectories, np.concatenate([borders for _, borders in results])
 
     def followed(
         self, clock: Clock, points: Array, tolerances: Tolerances

@@ -233,13 +233,15 @@ class SteadyStates:
         larger on its way may still pass by.
         """
         columns = np.ascontiguousarray(points.T)
-        found = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS)
+        consistent = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
-        away = np.abs(found - states)
-        found = np.where(np.abs(found) > _NOISE * np.abs(found).max(axis=0), found, 0.0)
+        away = np.abs(consistent - states)
+        consistent = np.where(
+            np.abs(consistent) > _NOISE * np.abs(consistent).max(axis=0), consistent, 0.0
+        )
         near = (away <= distance * np.where(units > 0.0, units, 1.0)).all(axis=0)
-        sure = np.asarray((away <= distance * np.abs(found)).all(axis=0))
-        return np.where(near, found, np.nan), sure
+        sure = np.asarray((away <= distance * np.abs(consistent)).all(axis=0))
+        return np.where(near, consistent, np.nan), sure
 
     def _integrated(
         self, states: Array, points: Array, start: float, end: float
@@ -265,8 +267,8 @@ class SteadyStates:
     def _not_settled(self, points: Array) -> ConvergenceError:
         """The error for trajectories at points (m, d) that have not come to rest."""
         states = np.array([self._last[point.tobytes()] for point in points]).T
-        found = self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
-        unstable = np.isfinite(found).all(axis=0) & ~self.decays(found, points)
+        consistent = self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
+        unstable = np.isfinite(consistent).all(axis=0) & ~self.decays(consistent, points)
         which = int(np.argmax(unstable))
         message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
         if unstable[which]:
