@@ -12,7 +12,6 @@ from rankone.ir.forms import Coordinate
 from rankone.ir.request import Domain
 from rankone.support.budget import limited
 from rankone.symbolic.features import features_of
-from rankone.trajectories.defects import roots
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.explicit import StackedDOP853
@@ -227,18 +226,6 @@ def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monke
     )
     assert reference.stiff
     assert len(steps) < 60
-
-
-def test_roots_are_found_in_few_evaluations():
-    calls = []
-
-    def functions(x):
-        calls.append(1)
-        return np.array([np.tanh(30 * (x[0] - 0.3)), x[1] ** 3 - 0.2, np.exp(9 * x[2]) - 40])
-
-    places = roots(functions, functions(np.zeros(3)), functions(np.ones(3)))
-    np.testing.assert_allclose(places, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
-    assert len(calls) < 20
 
 
 def test_rounded_times_of_an_ignition_miss_nothing():

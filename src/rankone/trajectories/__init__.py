@@ -15,6 +15,7 @@ Read in this order:
 ``dense_paths``      dense trajectories made of them, and the control of their steps
 ``shares``           a stack whose trajectories each begin and end at a time of their own
 ``defects``          defect control: whether a step missed something
+``roots``            roots of functions that change sign, many at once
 ``spectra``          how fast small changes grow and decay
 ``events``           events on the way, and systems over stretches from event to event
 ``steady``           steady states that trajectories reach, and starts at them

@@ -15,14 +15,12 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
+from rankone.trajectories.roots import roots
 
 SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
 _MOST_CROSSING_DEFECT = 100.0  # At crossings, times the step, in tolerances; smooth: to 40
 _MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
 _DIFFERENT_RATES = 0.5  # Defect over the rates from which a step missed something
-_MOST_ROOT_ITERATIONS = 30  # Most iterations for the time of a crossing; about ten suffice
-_JUMP = 1e-3  # Value at a root, over those at the ends, from which the function jumps there
-_ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
 _GRAZING = 0.1  # Least height of a parabola on a step, over those at its ends, that may be zero
 _TURNING_WIDTHS = (0.1, 0.02, 0.002)  # Widths of the parabolas that tell where a height turns
 _ROUNDINGS = 100.0  # Of a time or a state, that may be one of a slope times the step
@@ -243,41 +241,3 @@ def _tolerated(solver: Steps, states: Array) -> Array:
     """The tolerance for the largest of the absolute values (n, c) of each state, (n, 1)."""
     absolute = solver.atol.reshape(len(states), -1).max(axis=1)
     return np.asarray(absolute + solver.rtol * np.abs(states).max(axis=1))[:, None]
-
-
-def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
-    """Roots in [0, 1] of functions that change sign from ``start`` to ``end`` (Illinois method)."""
-    a, b, start, end = _brackets(function, start, end)
-    return np.asarray(np.clip((a * end - b * start) / (end - start), a, b))
-
-
-def roots_or_jumps(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
-    """The same; where the function jumps to the other sign, the place is behind the jump."""
-    a, b, low, high = _brackets(function, start, end)
-    places = np.clip((a * high - b * low) / (high - low), a, b)
-    jumps = np.abs(function(places)) > _JUMP * np.minimum(np.abs(start), np.abs(end))
-    return np.where(jumps, b, places)
-
-
-def _brackets(
-    function: Callable[[Array], Array], start: Array, end: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Intervals around the roots, and values at their ends, of which some are weighted."""
-    a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
-    side: NDArray[np.bool_] | None = None
-    for _ in range(_MOST_ROOT_ITERATIONS):
-        before, x = x, np.clip((a * end - b * start) / (end - start), a, b)
-        if np.all(np.abs(x - before) <= _ROOT_ACCURACY):
-            break
-        height = function(x)
-        left = height * start > 0.0
-        weight = 1.0 if side is None else np.where(left == side, 0.5, 1.0)
-        side = left
-        a, b, old_start, old_end = np.where(left, x, a), np.where(left, b, x), start, end
-        start = np.where(left, height, weight * old_start)
-        end = np.where(left, weight * old_end, height)
-        exact = height == 0.0
-        if exact.any():
-            a, b = np.where(exact, x, a), np.where(exact, x, b)
-            start, end = np.where(exact, -1.0, start), np.where(exact, 1.0, end)
-    return a, b, start, end

@@ -15,9 +15,9 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
-from rankone.trajectories.defects import roots_or_jumps
 from rankone.trajectories.events.instants import SAME_INSTANT
 from rankone.trajectories.paths import NODES, Path, step_coefficients
+from rankone.trajectories.roots import roots_or_jumps
 
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
