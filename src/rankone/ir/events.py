@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
+import numpy as np
+
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
@@ -15,6 +17,17 @@ RISING, FALLING, BOTH = 1, -1, 0
 
 # Maps times (N,), states (n, N) and parameters (d, N) to numbers (N,), or to states (n, N)
 OfTrajectory: TypeAlias = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a generated function."""
+
+    function: OfTrajectory
+    row: int
+
+    def __call__(self, times: Array, states: Array, parameters: Array) -> Array:
+        return np.asarray(self.function(times, states, parameters)[self.row])
 
 
 CROSSINGS = 2

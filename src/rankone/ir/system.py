@@ -48,6 +48,7 @@ from rankone.ir.events import (
     Marker,
     OfMarks,
     OfTrajectory,
+    Row,
     SystemEvent,
 )
 from rankone.ir.features import (
@@ -425,10 +426,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     coefficients = dict(rows)
 
     def row(function: str, i: int) -> OfTrajectory:
-        def value(t: Array, u: Array, p: Array) -> Array:
-            return np.asarray(cast(OfStates, names[function])(t, u, p)[i])
-
-        return value
+        return Row(cast(OfTrajectory, names[function]), i)
 
     def event(k: int, name: str, direction: int, terminal: bool, resets: bool) -> SystemEvent:
         def at(p: Array) -> Array:

@@ -234,6 +234,22 @@ class HiddenRate(Cause):
 
 
 @dataclass(frozen=True)
+class HiddenEvent(Cause):
+    """Steps of a reference trajectory pass over an event, at a time and parameters."""
+
+    event: str
+    time: float
+    at: tuple[tuple[str, float], ...]
+
+    def sentence(self, status: Status) -> str:
+        place = "".join(f", {name} = {value:.6g}" for name, value in self.at)
+        return (
+            f"the condition of {quote(self.event)} crosses zero so briefly near "
+            f"t = {self.time:.9g}{place} that steps pass over it: the error is not known"
+        )
+
+
+@dataclass(frozen=True)
 class DerivativeOf(Cause):
     """The solution is a derivative of another one."""
 

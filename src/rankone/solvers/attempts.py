@@ -20,6 +20,7 @@ from rankone.ir.verdict import (
     AccurateUnknowns,
     Budget,
     Cause,
+    HiddenEvent,
     MeasuredError,
     MemoryNeeded,
     Note,
@@ -74,6 +75,8 @@ _REMEDIES = {
     Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
     Status.NARROW: "make it wider, or replace it by an event that resets the states",
 }
+HIDDEN_EVENT_REMEDY = "give it a condition with the same zeros that varies more slowly"
+"""What to do where steps pass over an event."""
 # Limits that a later attempt may meet, although an earlier one is the best
 _LIMITS_OF_THE_SOLVE = (
     Status.WORK_LIMIT,
@@ -234,12 +237,13 @@ def solve_in_attempts(
             cause = None
         if status is Status.CONVERGED:
             try:
-                hidden = reference_set.hidden_rate()
+                hidden = reference_set.hidden()
             except OutOfBudgetError as out:  # whether steps missed something is not known
                 status = Status.of_limit(out)
             else:
                 status, cause = (status, cause) if hidden is None else (Status.NARROW, hidden)
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
+    remedy = HIDDEN_EVENT_REMEDY if isinstance(cause, HiddenEvent) else remedy
     notes: list[Note] = []
     if status is not Status.NARROW:
         notes += error_notes(request.rtol, best.measured, reference_set.names)

@@ -19,8 +19,9 @@ from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Timeline
-from rankone.ir.verdict import MeasuredError, Note, Status, UndecidedShare
+from rankone.ir.verdict import MeasuredError, Note, Remedy, Status, UndecidedShare
 from rankone.solution.branches import branch_evaluator
+from rankone.solvers.attempts import HIDDEN_EVENT_REMEDY
 from rankone.solvers.one_order import narrowing_text, one_order
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
@@ -41,6 +42,7 @@ from rankone.verification.branches import (
     undecided_share,
 )
 from rankone.verification.coverage import Coverage
+from rankone.verification.hidden_events import hidden_event
 from rankone.verification.measure import SAFE_QUANTILE
 from rankone.verification.points import FEW_PARAMETERS, check_points, covers_corners
 from rankone.verification.reference import reference_accuracy
@@ -96,7 +98,8 @@ def solve_in_branches(
             if len(further):
                 search = with_points(search, further)
                 continue
-            if outcome.status in _SOLVED or not outcome.error < _MOST_MISSED * request.rtol:
+            missed = outcome.status is Status.TOLERANCE
+            if not missed or not outcome.error < _MOST_MISSED * request.rtol:
                 return outcome
             share = next(shares, 0.0)
             if not share:
@@ -334,7 +337,10 @@ class _BranchSolve:
             return joined, points[np.array(others)]
         measured = _measured(errors, self.request, points, corners, self._whole_box)
         undecided = undecided_share(evaluator, Coverage.of_domain(self.request.domain))
-        return _judged(joined, timeline, measured, undecided, rtol), nothing
+        judged = _judged(joined, timeline, measured, undecided, rtol)
+        if judged.status is Status.CONVERGED:
+            judged = _looked_at(judged, checked, rtol)
+        return judged, nothing
 
     @property
     def _whole_box(self) -> bool:
@@ -373,6 +379,20 @@ def _judged(
         status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
     timeline = replace(timeline, undecided=undecided)
     return replace(joined, status=status, measured=measured, notes=tuple(notes), timeline=timeline)
+
+
+def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:
+    """The outcome, without success where steps of checked trajectories miss something narrow."""
+    try:
+        hidden = hidden_event(
+            checked.system, checked.trajectories, checked.points, checked.horizon, rtol
+        )
+    except OutOfBudgetError as out:  # whether steps missed something is not known
+        return replace(outcome, status=Status.of_limit(out))
+    if hidden is None:
+        return outcome
+    notes = (Remedy(HIDDEN_EVENT_REMEDY),)
+    return replace(outcome, status=Status.NARROW, cause=hidden, notes=notes)
 
 
 def _measured(

@@ -2,21 +2,22 @@
 
 Read in this order:
 
-================  =================================================================================
-``measure``       the reference set of a solve, and the error measured against it
-``sharing``       one reference set for all engines that a solve tries
-``growth``        how much errors grow that are made on the way
-``clock``         errors at clock times, where slabs are over stretches between events
-``branches``      errors where several orders of events hold, and the share left undecided
-``hidden``        what is narrow in the rates between the steps of reference trajectories
-``enclosures``    what samples of a function may hide, by its range
-``narrow``        times at which narrow outputs are checked
-``worst_points``  where the error is expected to be above the tolerance
-``reference``     reference trajectories, and the intervals on which they reach the end
-``resolution``    how far down their states are resolved
-``coverage``      coordinates in which the points of a box are spread, decades included
-``points``        where they begin: the points of the box at which a solution is checked
-``cuts``          where known functions of one coordinate are not smooth or narrow
-``search``        climbing, by which the others find points
-================  =================================================================================
+=================  ================================================================================
+``measure``        the reference set of a solve, and the error measured against it
+``sharing``        one reference set for all engines that a solve tries
+``growth``         how much errors grow that are made on the way
+``clock``          errors at clock times, where slabs are over stretches between events
+``branches``       errors where several orders of events hold, and the share left undecided
+``hidden``         what is narrow in the rates between the steps of reference trajectories
+``hidden_events``  events that take place between those steps
+``enclosures``     what samples of a function may hide, by its range
+``narrow``         times at which narrow outputs are checked
+``worst_points``   where the error is expected to be above the tolerance
+``reference``      reference trajectories, and the intervals on which they reach the end
+``resolution``     how far down their states are resolved
+``coverage``       coordinates in which the points of a box are spread, decades included
+``points``         where they begin: the points of the box at which a solution is checked
+``cuts``           where known functions of one coordinate are not smooth or narrow
+``search``         climbing, by which the others find points
+=================  ================================================================================
 """

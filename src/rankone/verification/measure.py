@@ -14,17 +14,19 @@ from rankone.ir.outcome import Measured
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
-from rankone.ir.verdict import HiddenRate, NumericallyZero
+from rankone.ir.verdict import HiddenEvent, HiddenRate, NumericallyZero
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import following
+from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
 from rankone.verification.hidden import hidden_rate, hidden_times
+from rankone.verification.hidden_events import hidden_event
 from rankone.verification.narrow import narrow_times
 from rankone.verification.points import (
     FEW_PARAMETERS,
@@ -454,9 +456,27 @@ class ReferenceSet:
             NumericallyZero(names[0], *numbers, len(names) - 1) for numbers, names in alike.items()
         )
 
-    def hidden_rate(self) -> HiddenRate | None:
+    def hidden(self) -> HiddenRate | HiddenEvent | None:
         """Where steps of the trajectories miss something narrow, if they do."""
-        return hidden_rate(self.reference, self.system, self.of_states, self.rtol)
+        rate = hidden_rate(self.reference, self.system, self.of_states, self.rtol)
+        return rate or self._hidden_event()
+
+    def _hidden_event(self) -> HiddenEvent | None:
+        """Where they miss an event, if they do."""
+        clock, points = self.system.clock, self.reference.points
+        if clock is None:
+            return None
+        first = 0
+        for batch in self.reference.batches:
+            count = batch.state.shape[1]
+            own, first = points[first : first + count], first + count
+            if isinstance(batch, StretchTrajectories):
+                event = hidden_event(
+                    clock.system, batch.trajectories, own, clock.horizon, self.rtol
+                )
+                if event is not None:
+                    return event
+        return None
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

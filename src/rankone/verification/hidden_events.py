@@ -1,0 +1,385 @@
+"""Events that take place so briefly that no step of a reference trajectory saw them.
+
+Each step is looked at through :mod:`enclosures <rankone.verification.enclosures>` of the heights of
+events, which cross zero there. Where they may hide a zero, the step is halved, and only the halves
+in doubt are looked at again. The crossings that samples show there are compared with those that the
+trajectory met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.events import BOTH, Row, SystemEvent
+from rankone.ir.system import System
+from rankone.ir.verdict import HiddenEvent
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import Cost, function_cost
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.paths import NODES, step_coefficients
+from rankone.verification.enclosures.enclosure import Enclosure
+from rankone.verification.enclosures.generated import UnsuitableError, enclosed
+from rankone.verification.enclosures.ranges import Function
+
+_HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
+_MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
+_LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
+_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
+_MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
+_ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
+_CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the heights
+_LEAST_DOUBT = 1e-12  # Doubt over the largest height of an event that may hide a zero
+_ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
+_NEAR = 0.01  # Distance in time from an event that is not told from it, in horizons, over rtol
+_CHANGES = 3  # Random changes by as much, which tell what becomes of heights
+
+
+def hidden_event(
+    system: System,
+    trajectories: Sequence[EventTrajectory],
+    points: Array,
+    horizon: tuple[float, float],
+    rtol: float,
+) -> HiddenEvent | None:
+    """An event that a trajectory at one of the points (m, d) misses before the end, if it does.
+
+    Events at known times are never missed. Array code, for many states, is not looked at. Limits of
+    the solve hold.
+    """
+    conditions = _Conditions.of(system)
+    if conditions is None:
+        return None
+    near = _NEAR * rtol * (horizon[1] - horizon[0])
+    for some in _parts(trajectories):
+        steps = _Steps.of(trajectories[some], points[some], horizon[1])
+        look = _Look(conditions, steps)
+        with np.errstate(all="ignore"):
+            samples, left = look.samples()
+            met = _Met(conditions, steps, trajectories[some], near)
+            place = next(filter(None, map(met.missed, samples.groups())), left)
+        if place is not None:
+            at = zip(system.parameters, steps.parameters[:, place.step].tolist(), strict=True)
+            time = float(steps.times(place.step, np.array(place.share)))
+            return HiddenEvent(system.events[place.event].name, time, tuple(at))
+    return None
+
+
+def _parts(trajectories: Sequence[EventTrajectory]) -> Iterator[slice]:
+    """Trajectories whose steps are held together, those with steps alone."""
+    first, numbers = 0, 0
+    for k, each in enumerate(trajectories):
+        own = sum(path.nodal.size for path in each.paths)
+        if numbers and numbers + own > _MOST_NUMBERS:
+            yield slice(first, k)
+            first, numbers = k, 0
+        numbers += own
+    if numbers:
+        yield slice(first, len(trajectories))
+
+
+@dataclass(frozen=True)
+class _Conditions:
+    """What crosses zero at some ``events``, by their positions: rows of a generated function."""
+
+    events: dict[int, SystemEvent]
+    rows: list[int]
+    function: Function
+    cost: Cost
+
+    @classmethod
+    def of(cls, system: System) -> _Conditions | None:
+        """Those of a system at times that are not known, None where there are none to look at."""
+        events = {k: e for k, e in enumerate(system.events) if e.at is None}
+        rows = {k: e.when for k, e in events.items() if isinstance(e.when, Row)}
+        if not rows:
+            return None
+        generated = next(iter(rows.values())).function
+        try:
+            function = enclosed(generated)
+        except UnsuitableError:
+            return None
+        cost = function_cost(generated, system.user_functions)
+        numbers = [row.row for row in rows.values()]
+        return cls({k: events[k] for k in rows}, numbers, function, cost)
+
+    def enclosed(self, times: Array, states: Array, parameters: Array) -> list[Enclosure]:
+        """Heights on pieces, at times (nodes, N), states (n, nodes, N), parameters (d, N)."""
+        charge(_CALL(0) + _ENCLOSURES * self.cost(times.size))
+        all_rows = self.function(
+            Enclosure.of_samples(times, 0.0),
+            [Enclosure.of_samples(state) for state in states],
+            [Enclosure.of(parameter) for parameter in parameters],
+        )
+        return [Enclosure.of(all_rows[row]) for row in self.rows]
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S).
+
+    ``owners`` (S,) are the positions of their trajectories.
+    """
+
+    starts: Array
+    lengths: Array
+    nodal: Array
+    parameters: Array
+    owners: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, trajectories: Sequence[EventTrajectory], points: Array, end: float) -> _Steps:
+        """All steps of trajectories that begin before an end."""
+        paths = [(path, k) for k, each in enumerate(trajectories) for path in each.paths]
+        starts = np.concatenate([path.breaks[:-1] for path, _ in paths])
+        ends = np.concatenate([path.breaks[1:] for path, _ in paths])
+        nodal = np.concatenate([path.nodal for path, _ in paths])
+        owners = np.repeat([k for _, k in paths], [path.steps for path, _ in paths])
+        early = starts < end
+        return cls(
+            starts[early],
+            (ends - starts)[early],
+            nodal[early],
+            np.ascontiguousarray(points[owners[early]].T),
+            owners[early],
+        )
+
+    def times(self, step: NDArray[np.intp] | int, shares: Array) -> Array:
+        """Times (..., N) at shares (..., N) of steps (N,), or of one step."""
+        return np.asarray(self.starts[step] + self.lengths[step] * shares)
+
+    def at(self, step: NDArray[np.intp], shares: Array) -> tuple[Array, Array]:
+        """Times (K, N) and states (n, K, N) at shares (K, N) of steps (N,)."""
+        powers = np.vander((2.0 * shares - 1.0).ravel(), NODES.size, increasing=True)
+        powers = powers.reshape(*shares.shape, -1)
+        states = np.einsum("kpq,qpn->nkp", powers, step_coefficients(self.nodal[step]))
+        return self.times(step, shares), states
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Parts of steps, by the share where each begins and its length, all (N,).
+
+    For each event it is told whether it is in doubt there, (events, N).
+    """
+
+    step: NDArray[np.intp]
+    lower: Array
+    length: Array
+    doubtful: NDArray[np.bool_]
+
+    def some(self, chosen: slice | NDArray[np.bool_]) -> _Pieces:
+        """Some of them."""
+        return _Pieces(
+            self.step[chosen], self.lower[chosen], self.length[chosen], self.doubtful[:, chosen]
+        )
+
+    @property
+    def shares(self) -> Array:
+        """Shares (nodes, N) of steps at the nodes of pieces."""
+        return np.asarray(self.lower + self.length * NODES[:, None])
+
+    def halves(self, doubtful: NDArray[np.bool_]) -> _Pieces:
+        """Both halves of those in doubt: (events, N)."""
+        chosen = doubtful.any(axis=0)
+        half, lower = 0.5 * self.length[chosen], self.lower[chosen]
+        return _Pieces(
+            np.tile(self.step[chosen], 2),
+            np.concatenate([lower, lower + half]),
+            np.tile(half, 2),
+            np.tile(doubtful[:, chosen], 2),
+        )
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Samples of the heights of an event on a step, at ascending shares (k,), with their signs.
+
+    None of the ``signs`` (k,) is zero.
+    """
+
+    event: int
+    step: int
+    shares: Array
+    signs: Array
+
+    def of(self, chosen: NDArray[np.bool_]) -> _Group:
+        """Some of the samples."""
+        return _Group(self.event, self.step, self.shares[chosen], self.signs[chosen])
+
+    def crossings(self, direction: int) -> Array:
+        """Shares about where heights cross zero in a direction."""
+        change = np.sign(np.diff(self.signs))
+        crossed = change != 0.0 if direction == BOTH else change == direction
+        return np.asarray(0.5 * (self.shares[:-1] + self.shares[1:])[crossed])
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Signs of heights of events at shares of steps, all (N,)."""
+
+    event: NDArray[np.intp]
+    step: NDArray[np.intp]
+    share: Array
+    sign: Array
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Samples]) -> _Samples:
+        """All samples of several parts."""
+        each = ([p.event, p.step, p.share, p.sign] for p in parts)
+        return cls(*map(np.concatenate, zip(*each, strict=True)))
+
+    def groups(self) -> Iterator[_Group]:
+        """Those of an event on a step together, where signs differ."""
+        order = np.lexsort((self.share, self.step, self.event))
+        order = order[np.abs(self.sign[order]) == 1.0]  # neither zero nor not a number
+        event, step = self.event[order], self.step[order]
+        share, sign = self.share[order], self.sign[order]
+        borders = 1 + np.flatnonzero((np.diff(event) != 0) | (np.diff(step) != 0))
+        for places in np.split(np.arange(order.size), borders):
+            if places.size and (sign[places] != sign[places[0]]).any():
+                first = places[0]
+                yield _Group(int(event[first]), int(step[first]), share[places], sign[places])
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A share of a step where an event is missed."""
+
+    event: int
+    step: int
+    share: float
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A look at what the heights of events hide on steps."""
+
+    conditions: _Conditions
+    steps: _Steps
+
+    def samples(self) -> tuple[_Samples, _Place | None]:
+        """Samples where heights were in doubt, and a place if there are too many to look at.
+
+        Where there are too many, every second trajectory that is in doubt goes on.
+        """
+        count = self.steps.starts.size
+        everywhere = np.ones((len(self.conditions.events), count), dtype=bool)
+        pieces = _Pieces(np.arange(count), np.zeros(count), np.ones(count), everywhere)
+        seen, left, looked, most = list[_Samples](), None, 0, _MOST_PIECES[0]
+        most += _MOST_PIECES[1] * count
+        least: Array | None = None
+        for _ in range(_HALVINGS):
+            looked += pieces.step.size
+            if looked > most:
+                owners = self.steps.owners[pieces.step]
+                distinct = np.unique(owners)
+                if distinct.size <= _LEAST_TRAJECTORIES:
+                    left = self._first_of(pieces)
+                    break
+                pieces = pieces.some(np.isin(owners, distinct[::2]))
+                most += most // 4
+            values, hidden = self._heights(pieces)
+            if least is None:
+                sizes = np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=(1, 2))
+                least = _LEAST_DOUBT * sizes[:, None]
+            doubtful = pieces.doubtful & (hidden > least)
+            seen.append(self._samples_of(pieces, values, pieces.doubtful if seen else doubtful))
+            pieces = pieces.halves(doubtful)
+            if not pieces.step.size:
+                break
+        return _Samples.joined(seen), left
+
+    def _heights(self, pieces: _Pieces) -> tuple[Array, Array]:
+        """Heights of events (events, nodes, N), and how much may hide a zero there (events, N)."""
+        blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
+        parts = [self._block(pieces.some(block)) for block in blocks]
+        values, hidden = zip(*parts, strict=True)
+        return np.concatenate(values, axis=2), np.concatenate(hidden, axis=1)
+
+    def _block(self, pieces: _Pieces) -> tuple[Array, Array]:
+        shares = pieces.shares
+        times, states = self.steps.at(pieces.step, shares)
+        rows = self.conditions.enclosed(times, states, self.steps.parameters[:, pieces.step])
+        values = np.stack([np.broadcast_to(row.values, shares.shape) for row in rows])
+        hidden = np.stack([np.broadcast_to(_hidden(row), shares.shape[1:]) for row in rows])
+        return values, np.where(np.isnan(values).all(axis=1), 0.0, hidden)
+
+    def _first_of(self, pieces: _Pieces) -> _Place:
+        """The middle of the first piece."""
+        event = [*self.conditions.events][int(pieces.doubtful[:, 0].argmax())]
+        return _Place(event, int(pieces.step[0]), float(pieces.lower[0] + 0.5 * pieces.length[0]))
+
+    def _samples_of(self, pieces: _Pieces, values: Array, chosen: NDArray[np.bool_]) -> _Samples:
+        """Samples at the nodes of pieces of the events chosen there, (events, N)."""
+        row, piece = np.nonzero(chosen)
+        event = np.array([*self.conditions.events])[row]
+        nodes = NODES.size
+        return _Samples(
+            np.repeat(event, nodes),
+            np.repeat(pieces.step[piece], nodes),
+            pieces.shares[:, piece].T.ravel(),
+            np.sign(values[row, :, piece]).ravel(),
+        )
+
+
+def _hidden(height: Enclosure) -> Array | float:
+    """The doubt (N,) about a height where its range holds zero, else zero."""
+    if height.doubt is None:
+        return 0.0
+    low, high = height.range()
+    return np.where((low <= 0.0) & (high >= 0.0), height.doubt, 0.0)
+
+
+@dataclass(frozen=True)
+class _Met:
+    """What trajectories have met of what samples of heights show: not what is ``near`` to it."""
+
+    conditions: _Conditions
+    steps: _Steps
+    trajectories: Sequence[EventTrajectory]
+    near: float
+
+    def missed(self, group: _Group) -> _Place | None:
+        """Where a trajectory passes an event more often than it has met it."""
+        event = self.conditions.events[group.event]
+        begin, end = self.steps.times(group.step, np.array([0.0, 1.0]))
+        met = self.trajectories[self.steps.owners[group.step]].times_of(group.event)
+        inside = (met > begin + self.near) & (met < end - self.near)
+        times = self.steps.times(group.step, group.shares)
+        apart = np.abs(times[:, None] - met).min(axis=1, initial=np.inf) > self.near
+        group = group.of(apart)
+        if group.crossings(event.direction).size <= inside.sum():
+            return None
+        group = group.of(self._beyond_rounding(event, group))
+        crossings = group.crossings(event.direction)
+        if crossings.size <= inside.sum():
+            return None
+        times = self.steps.times(group.step, crossings)
+        unmet = np.abs(times[:, None] - met[inside]).min(axis=1, initial=np.inf).argmax()
+        return _Place(group.event, group.step, float(crossings[unmet]))
+
+    def _beyond_rounding(self, event: SystemEvent, group: _Group) -> NDArray[np.bool_]:
+        """Whether signs of samples (k,) stay as they are if what heights are made of is rounded."""
+        step = np.full(group.shares.size, group.step)
+        times, states = self.steps.at(step, group.shares[None])
+        sizes = np.abs(self.steps.nodal[group.step]).max(axis=0)[:, None]
+        parameters = self.steps.parameters[:, step]
+        random, same = np.random.default_rng(3061), np.ones(step.size, dtype=bool)
+        charge(_CHANGES * self.conditions.cost(step.size))
+        for _ in range(_CHANGES):
+            time, state, parameter = (
+                _ROUNDINGS * random.choice([-1.0, 1.0], (k, 1))
+                for k in (1, len(sizes), len(parameters))
+            )
+            changed = event.when(
+                times[0] * (1.0 + time[0]),
+                states[:, 0] + state * sizes,
+                parameters * (1.0 + parameter),
+            )
+            same &= np.sign(changed) == group.signs
+        return same
