@@ -58,6 +58,8 @@ FUNCTIONS = [
     "Si(5*x)",
     "expint(1, 3.5 + 3*x)",
     "gamma(3 + x)",
+    "gamma(x)",
+    "digamma(x)",
 ]
 """Functions of x on (-2.9, 2.9), with a parameter k."""
 
@@ -68,7 +70,7 @@ for _ in range(16):
     NESTED = f"(({NESTED})**8 + k*1e-30)"
 
 
-UNKNOWN_IN_TEXT = ("bessel", "airy", "Si(", "expint")
+UNKNOWN_IN_TEXT = ("bessel", "airy", "Si(", "expint", "digamma", "polygamma")
 
 
 def rates(text):
@@ -121,6 +123,9 @@ def test_enclosures_hold_all_values(text):
         "exp(-exp(((x - 0.3)/1e-9)**2))",
         "besselk(0, 1 + ((x - 0.3)/1e-9)**2)",
         "2*expint(1, 1 + ((x - 0.3)/1e-9)**2)",
+        "1e-9*gamma(x - 1.3)",
+        "1e-9*digamma(x - 3.3)",
+        "1e-9*polygamma(1, x - 2.3)",
         "powers",
     ],
 )

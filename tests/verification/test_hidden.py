@@ -80,6 +80,24 @@ def test_stretches_between_events_are_looked_at():
     assert solution.status is Status.NARROW
 
 
+@pytest.mark.parametrize("narrow", [True, False])
+def test_branches_of_the_timeline_are_looked_at(narrow):
+    hidden = HIDDEN["flat"].replace("Z", "((x - k)*1e9)")
+    problem = ro.Problem.from_strings(
+        {"x": "k", "y": f"1 + {hidden if narrow else 'exp(-x**2)'}"},
+        {"x": 0.2, "y": 0},
+        {"k": (0.8, 1.2)},
+        (0, 2),
+        events=[
+            {"when": "y - 0.6", "direction": "rising", "then": {"y": "y + 0.1"}, "name": "dose"},
+            {"when": "x - 0.8", "direction": "rising", "then": {"y": "y/2"}, "name": "wash"},
+        ],
+    )
+    solution = ro.solve(problem, 1e-4)
+    assert len(solution.timeline.branches) == 2
+    assert solution.status is (Status.NARROW if narrow else Status.CONVERGED)
+
+
 def test_hidden_peaks_of_outputs_are_no_success():
     problem = ro.Problem.from_strings({"x": "1"}, {"x": "0.01"}, {"k": (0.8, 1.2)}, (0, 3))
     peak = "exp(-1e12*(x/k + k/x - 2))"

@@ -221,6 +221,7 @@ class MovingFeatures(Cause):
 class HiddenRate(Cause):
     """A rate is narrow between the steps of a reference trajectory, at a time and parameters."""
 
+    remedy: ClassVar[str] = "make it wider, or replace it by an event that resets the states"
     state: str
     time: float
     at: tuple[tuple[str, float], ...]
@@ -237,6 +238,7 @@ class HiddenRate(Cause):
 class HiddenEvent(Cause):
     """Steps of a reference trajectory pass over an event, at a time and parameters."""
 
+    remedy: ClassVar[str] = "give it a condition with the same zeros that varies more slowly"
     event: str
     time: float
     at: tuple[tuple[str, float], ...]

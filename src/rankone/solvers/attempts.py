@@ -21,6 +21,7 @@ from rankone.ir.verdict import (
     Budget,
     Cause,
     HiddenEvent,
+    HiddenRate,
     MeasuredError,
     MemoryNeeded,
     Note,
@@ -73,10 +74,7 @@ _REMEDIES = {
     Status.WORK_LIMIT: "raise effort",
     Status.TIME_LIMIT: "give more time by max_seconds",
     Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
-    Status.NARROW: "make it wider, or replace it by an event that resets the states",
 }
-HIDDEN_EVENT_REMEDY = "give it a condition with the same zeros that varies more slowly"
-"""What to do where steps pass over an event."""
 # Limits that a later attempt may meet, although an earlier one is the best
 _LIMITS_OF_THE_SOLVE = (
     Status.WORK_LIMIT,
@@ -243,7 +241,7 @@ def solve_in_attempts(
             else:
                 status, cause = (status, cause) if hidden is None else (Status.NARROW, hidden)
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
-    remedy = HIDDEN_EVENT_REMEDY if isinstance(cause, HiddenEvent) else remedy
+    remedy = cause.remedy if isinstance(cause, HiddenRate | HiddenEvent) else remedy
     notes: list[Note] = []
     if status is not Status.NARROW:
         notes += error_notes(request.rtol, best.measured, reference_set.names)

@@ -19,9 +19,16 @@ from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Timeline
-from rankone.ir.verdict import MeasuredError, Note, Remedy, Status, UndecidedShare
+from rankone.ir.verdict import (
+    HiddenEvent,
+    HiddenRate,
+    MeasuredError,
+    Note,
+    Remedy,
+    Status,
+    UndecidedShare,
+)
 from rankone.solution.branches import branch_evaluator
-from rankone.solvers.attempts import HIDDEN_EVENT_REMEDY
 from rankone.solvers.one_order import narrowing_text, one_order
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
@@ -42,6 +49,7 @@ from rankone.verification.branches import (
     undecided_share,
 )
 from rankone.verification.coverage import Coverage
+from rankone.verification.hidden import hidden_rate_along
 from rankone.verification.hidden_events import hidden_event
 from rankone.verification.measure import SAFE_QUANTILE
 from rankone.verification.points import FEW_PARAMETERS, check_points, covers_corners
@@ -383,16 +391,16 @@ def _judged(
 
 def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:
     """The outcome, without success where steps of checked trajectories miss something narrow."""
+    trajectories, points, system = checked.trajectories, checked.points, checked.system
+    hidden: HiddenRate | HiddenEvent | None
     try:
-        hidden = hidden_event(
-            checked.system, checked.trajectories, checked.points, checked.horizon, rtol
-        )
+        hidden = hidden_rate_along(trajectories, points, system, checked.sizes, rtol)
+        hidden = hidden or hidden_event(system, trajectories, points, checked.horizon, rtol)
     except OutOfBudgetError as out:  # whether steps missed something is not known
         return replace(outcome, status=Status.of_limit(out))
     if hidden is None:
         return outcome
-    notes = (Remedy(HIDDEN_EVENT_REMEDY),)
-    return replace(outcome, status=Status.NARROW, cause=hidden, notes=notes)
+    return replace(outcome, status=Status.NARROW, cause=hidden, notes=(Remedy(hidden.remedy),))
 
 
 def _measured(

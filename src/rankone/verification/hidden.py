@@ -11,7 +11,7 @@ of a step are left to the defects at random places of :mod:`rankone.trajectories
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.compiled import TaylorTrajectories
+from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.groups import GroupedTrajectories
 from rankone.trajectories.integrator import DenseTrajectories
@@ -74,14 +75,38 @@ def hidden_rate(
     system = system if system.clock is None else system.clock.system
     if has_smooth_rates(system, reference.start):
         return None
+    return _hidden(_taken_apart(reference), reference.points, system, sizes, rtol)
+
+
+def hidden_rate_along(
+    trajectories: Sequence[EventTrajectory],
+    points: Array,
+    system: System,
+    sizes: Array,
+    rtol: float,
+) -> HiddenRate | None:
+    """The same for trajectories at points (m, d) that each follow their own events."""
+    if has_smooth_rates(system, system.horizon[0]):
+        return None
+    return _hidden(_of_each(trajectories), points, system, sizes, rtol)
+
+
+def _hidden(
+    parts: Iterable[tuple[list[Path], list[int]]],
+    points: Array,
+    system: System,
+    sizes: Array,
+    rtol: float,
+) -> HiddenRate | None:
+    """Where steps of paths miss something narrow, with the positions of their trajectories."""
     try:
         rates = enclosed(system.rhs)
     except UnsuitableError:
         return None
     tolerated = rtol * np.append(sizes, np.ones(system.n_differential))[: system.n_differential]
     with np.errstate(all="ignore"):
-        for paths, owners in _taken_apart(reference):
-            steps = _Steps.of(system.jumps.times, paths, owners, reference.points)
+        for paths, owners in parts:
+            steps = _Steps.of(system.jumps.times, paths, owners, points)
             cost = function_cost(system.rhs, system.user_functions)
             look = _Look(rates, cost, steps, tolerated, _DOUBT)
             tried = _ShortSteps(system, cost, steps, tolerated, rtol)
@@ -172,6 +197,14 @@ def _taken_apart(reference: Reference) -> Iterator[tuple[list[Path], list[int]]]
             if of_paths:
                 yield [path for path, _ in of_paths], [k for _, k in of_paths]
         first += count
+
+
+def _of_each(trajectories: Sequence[EventTrajectory]) -> Iterator[tuple[list[Path], list[int]]]:
+    """Paths with the position of their trajectory, as many as are held at once."""
+    for some in held_together(trajectories):
+        each = enumerate(trajectories[some], some.start)
+        of_paths = [(path, k) for k, own in each for path in own.paths]
+        yield [path for path, _ in of_paths], [k for _, k in of_paths]
 
 
 def _paths(dense: DenseTrajectories) -> list[Sequence[Path]]:

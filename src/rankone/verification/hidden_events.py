@@ -20,7 +20,7 @@ from rankone.ir.verdict import HiddenEvent
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
-from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
 from rankone.trajectories.paths import NODES, step_coefficients
 from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.generated import UnsuitableError, enclosed
@@ -30,7 +30,6 @@ _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
 _LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
 _TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
-_MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
 _CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the heights
 _LEAST_DOUBT = 1e-12  # Doubt over the largest height of an event that may hide a zero
@@ -55,7 +54,7 @@ def hidden_event(
     if conditions is None:
         return None
     near = _NEAR * rtol * (horizon[1] - horizon[0])
-    for some in _parts(trajectories):
+    for some in held_together(trajectories):
         steps = _Steps.of(trajectories[some], points[some], horizon[1])
         look = _Look(conditions, steps)
         with np.errstate(all="ignore"):
@@ -67,19 +66,6 @@ def hidden_event(
             time = float(steps.times(place.step, np.array(place.share)))
             return HiddenEvent(system.events[place.event].name, time, tuple(at))
     return None
-
-
-def _parts(trajectories: Sequence[EventTrajectory]) -> Iterator[slice]:
-    """Trajectories whose steps are held together, those with steps alone."""
-    first, numbers = 0, 0
-    for k, each in enumerate(trajectories):
-        own = sum(path.nodal.size for path in each.paths)
-        if numbers and numbers + own > _MOST_NUMBERS:
-            yield slice(first, k)
-            first, numbers = k, 0
-        numbers += own
-    if numbers:
-        yield slice(first, len(trajectories))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from rankone.support.arrays import Array
 from rankone.trajectories.paths import Path, joined
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
+_MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
 
@@ -154,3 +156,16 @@ def folded(times: Array, ends: float | Array, periods: float | Array) -> Array:
     later = (np.asarray(periods) > 0.0) & (times > ends)
     rounds = np.ceil((times - ends) / np.where(later, periods, 1.0))
     return np.where(later, times - rounds * periods, times)
+
+
+def held_together(trajectories: Sequence[EventTrajectory]) -> Iterator[slice]:
+    """Trajectories with steps, as many as are held at once."""
+    first, numbers = 0, 0
+    for k, each in enumerate(trajectories):
+        own = sum(path.nodal.size for path in each.paths)
+        if numbers and numbers + own > _MOST_NUMBERS:
+            yield slice(first, k)
+            first, numbers = k, 0
+        numbers += own
+    if numbers:
+        yield slice(first, len(trajectories))

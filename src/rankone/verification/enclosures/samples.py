@@ -1,7 +1,7 @@
 """Functions of which enclosures are made by samples: those of the user, tables and the unlisted.
 
-Functions of ``scipy.special`` have a scale of about one. Of functions of the user and of tables
-nothing is known: they show what their samples show.
+Functions of ``scipy.special`` have a scale of about one, and poles at integers, if any. Of
+functions of the user and of tables nothing is known: they show what their samples show.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.trajectories.paths import NODES
 from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.ranges import (
     BETWEEN,
@@ -26,6 +27,7 @@ from rankone.verification.enclosures.ranges import (
     without_nan,
 )
 
+_MIDDLE = NODES.size // 2  # The sample in the middle of a piece
 # Shares of ranges of several arguments at which functions are sampled, with all corners of three
 _SHARES = np.concatenate(
     [np.indices((2, 2, 2)).reshape(3, -1), np.random.default_rng(7).random((3, 89))], axis=1
@@ -48,7 +50,7 @@ def by_samples(function: Function) -> Function:
 
 
 def of_scale_one(function: Function) -> Function:
-    """A function of scale one that may be singular at zero: samples over ranges tell its range."""
+    """A function of scale one that may be singular at integers: its range is told by samples."""
 
     def of(*arguments: Any) -> Any:
         if not any(isinstance(argument, Enclosure) for argument in arguments):
@@ -70,7 +72,10 @@ def _over_ranges(function: Function, arguments: Sequence[Enclosure], sampled: Ar
     values = np.real(sampled)
     varying = [each for each in arguments if each.values.ndim > 1]
     clear = all(each.doubt is None and _of_one_scale(*each.hull()).all() for each in varying)
-    if clear or values.ndim < 2:
+    if values.ndim < 2:
+        return Enclosure.of_samples(values)
+    poles = _poles(function, arguments)
+    if clear and not poles.any():
         return Enclosure.of_samples(values)
     shares = iter(_SHARES[: len(varying)] if len(varying) > 1 else [np.linspace(0.0, 1.0, 49)])
     inside = [
@@ -79,13 +84,32 @@ def _over_ranges(function: Function, arguments: Sequence[Enclosure], sampled: Ar
     ]
     beside = np.real(function(*np.broadcast_arrays(*inside)))
     low, high = without_nan(*around(np.concatenate([values, beside]), BETWEEN))
-    in_doubt = np.zeros(low.shape)
+    low, high = np.where(poles, -np.inf, low), np.where(poles, np.inf, high)
+    in_doubt = np.where(poles, 1.0, 0.0)
     for each in varying:
         below, above = each.range()
         in_doubt = np.where(_of_one_scale(below, above), in_doubt, 1.0)
         if each.doubt is not None:
             in_doubt = np.maximum(in_doubt, share_in_doubt(each.doubt, below, above))
     return Enclosure(values, (low, high), times(width_of(low, high), in_doubt))
+
+
+def _poles(function: Function, arguments: Sequence[Enclosure]) -> NDArray[np.bool_]:
+    """Whether a function is infinite, or no number, at an integer in the range of an argument.
+
+    There are the poles of gamma, digamma and zeta functions, of elliptic and of hypergeometric
+    ones. A range within one scale holds three integers at most.
+    """
+    middles = [each.values[_MIDDLE] if each.values.ndim > 1 else each.values for each in arguments]
+    poles = np.zeros(1, dtype=bool)
+    for k, each in enumerate(arguments):
+        if each.values.ndim < 2:
+            continue
+        low, high = each.hull()
+        integers = np.stack([np.ceil(low), np.rint(0.5 * (low + high)), np.floor(high)])
+        places = [*middles[:k], np.clip(integers, low, high), *middles[k + 1 :]]
+        poles = poles | ~np.isfinite(function(*np.broadcast_arrays(*places))).all(axis=0)
+    return poles
 
 
 def _of_one_scale(low: Array, high: Array) -> NDArray[np.bool_]:
