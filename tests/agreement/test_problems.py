@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
+from rankone.agreement.comparison import NoValueError, Program, number
 from rankone.agreement.problems import check_problem
 from rankone.codegen.loading import load_module
 from tests.problems import MEASURED
@@ -170,3 +171,18 @@ def test_terms_of_equal_states_that_cancel_are_rounding():
             rhs=rates, initial=dict.fromkeys(rates, 0.0), parameters={"k": (0.5, 1.0)}, time=(0, 1)
         )
     )
+
+
+def test_special_functions_of_huge_arguments_have_no_value():
+    """At `exp(1e18)` mpmath would need that many digits of pi."""
+    program = Program([sp.besselk(a, x)], [a, x])
+    (height,) = program([number(0.5), number(2.0)])
+    assert height[1] > 0.0
+    with pytest.raises(NoValueError):
+        program([number(0.5), number(1e200)])
+
+
+def test_rates_with_special_functions_of_huge_arguments_compile():
+    peak = sp.besselk(a, sp.exp((sp.Integer(10) ** 9 * (x - a)) ** 2) + 1)
+    rates = [sp.Eq(x.diff(t), 1), sp.Eq(y.diff(t), peak - y)]
+    ro.compile(ro.Problem(rates, (t, 0, 3), {a: (0.5, 1)}, {x: sp.Rational(1, 100), y: 1}))

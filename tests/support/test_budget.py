@@ -6,6 +6,7 @@ import contextvars
 
 import numpy as np
 import pytest
+from scipy import special
 
 from rankone.support.budget import (
     NORMAL,
@@ -108,6 +109,13 @@ def test_the_cost_of_generated_functions():
     assert nested.each > plain.each
     assert function_cost(outer, frozenset({"slow"})).once > 10.0 * nested.once
     assert Cost(1.0, 2.0) + Cost(3.0, 4.0) == Cost(4.0, 6.0)
+
+
+def test_slow_functions_cost_more():
+    names = {"special": special, "np": np}
+    texts = {name: f"lambda t, u, p: special.{name}(p, u)" for name in ("jv", "hyp0f1")}
+    slow, quick = (function_cost(eval(text, names)) for text in texts.values())
+    assert slow.each > 10.0 * quick.each
 
 
 def test_stacks_are_divided_where_they_take_long():

@@ -43,6 +43,7 @@ PRECISION = 336
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
 _LARGEST_ARGUMENT = 1e300  # Of growing functions, and of logarithms: mpmath takes forever beyond
+_LARGEST_OF_SPECIAL = 1e100  # The same of special functions: there it takes seconds
 _MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
 _STEP = from_float(1e-35)  # Of difference quotients: half of the digits remain in the difference
 # Residuals below this share of the terms are rounding. A larger one is compared with the effect of
@@ -232,10 +233,13 @@ def _called(function: Callable[..., mpmath.mpf], *, growing: bool = False) -> Op
 
 
 def _by_sympy(function: Callable[..., sp.Expr]) -> Operation:
-    """A function that SymPy evaluates."""
+    """A function that SymPy evaluates, of arguments up to a limit."""
 
     def call(*arguments: Number) -> Number:
-        floats = [sp.Float(_CONTEXT.make_mpf(argument), _DIGITS) for argument in arguments]
+        wrapped = [_CONTEXT.make_mpf(argument) for argument in arguments]
+        if any(abs(argument) > _LARGEST_OF_SPECIAL for argument in wrapped):
+            raise NoValueError
+        floats = [sp.Float(argument, _DIGITS) for argument in wrapped]
         return _real(sp.N(function(*floats), _DIGITS))
 
     return call

@@ -48,6 +48,10 @@ class Cost:
 _ENTRY = Cost(3e3, 0.0)
 _TERM = Cost(500.0, 0.5)  # An arithmetic operation on arrays
 _FUNCTION = Cost(900.0, 7.0)  # A call of a NumPy function such as exp
+_SLOW_FUNCTION = Cost(900.0, 1e3)  # A call of one of those of SciPy that take about as long
+_SLOW_FUNCTIONS = frozenset(
+    ["airy", "expn", "iv", "jv", "kv", "lambertw", "polygamma", "yv", "gammainc", "gammaincc"]
+)
 _POWER = Cost(900.0, 14.0)  # A power
 _STORED = 0.8  # A number of a sparse matrix, for each column, and what is gathered for it
 _USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
@@ -71,6 +75,8 @@ def function_cost(function: Callable[..., object], users: frozenset[str] = froze
     terms, powers, calls = _operations(function)
     stored = Cost(0.0, _STORED * getattr(function, "stored", 0))
     total = stored + _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
+    slow = _SLOW_FUNCTIONS.intersection(function.__code__.co_names)
+    total += len(slow) * _SLOW_FUNCTION
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
         if name in users:
