@@ -111,6 +111,22 @@ def test_stiff_systems_are_left_to_radau():
     assert np.allclose(trajectories(system, np.array([[1.0, 0.9]]), 1e-7).state[0], exact, 1e-2)
 
 
+def test_a_decay_with_few_steps_left_is_not_begun_anew_by_radau():
+    problem = ro.Problem.from_strings({"x": "-k*(x - 1)"}, {"x": "0"}, {"k": (25, 30)}, (0, 6))
+    points, edges = np.array([[25.0], [30.0]]), [0.0, 6.0]
+    system, tolerances = ro.compile(problem).system, Tolerances(1e-5, 1e-9)
+    dense = StackedIntegrator().run(system, points, edges, tolerances)
+    assert (dense.method, dense.avoided) == ("Taylor", 0.0)
+    assert dense.steps < 30
+    times = np.array([0.02, 6.0, 0.3, 0.02])
+    exact = 1.0 - np.exp(-points * times)
+    np.testing.assert_allclose(dense(times)[0], exact, rtol=0.0, atol=1e-5)
+    part = dense.of(slice(1, 2))
+    for (time, states), (_, some) in zip(dense.samples(8), part.samples(8), strict=True):
+        np.testing.assert_allclose(states[0], 1.0 - np.exp(-points[:, 0] * time), atol=1e-5)
+        np.testing.assert_allclose(some[:, 0], states[:, 1], atol=1e-12)
+
+
 def test_a_smooth_decay_is_not_stiff():
     system = system_of({"x": "-20*a*x"}, {"x": "1"}, 4.0)
     dense = trajectories(system, points_of(3), 1e-8, floor=1e-40)

@@ -40,9 +40,12 @@ def legendre_values(xi: Array, count: int) -> Array:
     rows = np.empty((count, xi.size))
     rows[0] = 1.0
     rows[1:2] = xi
+    degrees = np.arange(count)
+    ascending = ((2.0 * degrees + 1.0) / (degrees + 1.0))[:, None] * xi
     for m in range(1, count - 1):
-        rows[m + 1] = ((2 * m + 1) * xi * rows[m] - m * rows[m - 1]) / (m + 1)
-    rows *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
+        np.multiply(ascending[m], rows[m], out=rows[m + 1])
+        rows[m + 1] -= m / (m + 1) * rows[m - 1]
+    rows *= np.sqrt(2.0 * degrees + 1.0)[:, None]
     return rows.T
 
 
@@ -66,8 +69,9 @@ def chebyshev_values(xi: Array, count: int) -> Array:
     rows = np.empty((count, xi.size))
     rows[0] = 1.0
     rows[1:2] = xi
+    twice = 2.0 * xi
     for m in range(1, count - 1):
-        np.multiply(2.0 * xi, rows[m], out=rows[m + 1])
+        np.multiply(twice, rows[m], out=rows[m + 1])
         rows[m + 1] -= rows[m - 1]
     rows[1:] *= np.sqrt(2.0)
     return rows.T
@@ -331,6 +335,7 @@ class LegendreBasis(Basis1D):
     _slopes = staticmethod(legendre_derivative)
 
     @staticmethod
+    @lru_cache(maxsize=64)
     def _rule(count: int) -> tuple[Array, Array]:
         xi, weights = leggauss(count)
         return xi, 0.5 * weights
@@ -349,6 +354,7 @@ class ChebyshevBasis(Basis1D):
     _slopes = staticmethod(chebyshev_derivative)
 
     @staticmethod
+    @lru_cache(maxsize=64)
     def _rule(count: int) -> tuple[Array, Array]:
         xi = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
         return xi, np.full(count, 1.0 / count)

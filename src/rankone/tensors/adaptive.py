@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -409,8 +410,7 @@ class LinePoints:
         scaled = [scale.to_scale(np.array(ends)) for scale, ends in zip(scales, box, strict=True)]
         lower, upper = np.array(scaled, dtype=float).reshape(-1, 2).T
         centre = 0.5 * (lower + upper)
-        sides = np.random.default_rng(SEED).choice([-1.0, 1.0], centre.size)
-        points = [centre, centre + SECOND_LINE_OFFSET * sides * (upper - lower)]
+        points = [centre, centre + SECOND_LINE_OFFSET * _sides(centre.size) * (upper - lower)]
         points = [
             np.array([scale.from_scale(s) for scale, s in zip(scales, point, strict=True)])
             for point in points
@@ -428,6 +428,12 @@ class LinePoints:
                 line[:, j] = coordinates
                 points.append(line)
         return np.concatenate(points)
+
+
+@lru_cache(64)
+def _sides(d: int) -> Array:
+    """Random signs, on whose side of the centre the second line is: (d,)."""
+    return np.random.default_rng(SEED).choice([-1.0, 1.0], d)
 
 
 @dataclass(frozen=True)

@@ -313,7 +313,7 @@ class GrowingBasis:
             return coefficients
         remainder = columns - self.vectors @ coefficients
         for most in (_MOST_SPANNED, columns.shape[1]):
-            sizes = np.linalg.norm(remainder, axis=0)
+            sizes = np.sqrt(_squares(remainder))
             held = self.vectors.shape[1]
             if held == length or (held and sizes.max(initial=0.0) <= tolerance):
                 break

@@ -17,8 +17,9 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
 
-# Ratio of the ends of an interval below which all coordinates are much the same
-_LEAST_RATIO = 3.0
+# Ratio of the ends of an interval up to which all coordinates are much the same: a parameter that
+# may be half as large or half as large again is left as it is, whatever its ends are rounded to
+_LEAST_RATIO = 3.001
 # Nodes predicted, over those of the lines, above which a single parameter is drawn again: with
 # several parameters fewer nodes save more than lines cost
 _REDRAWN_ALONE_RATIO = 2.0

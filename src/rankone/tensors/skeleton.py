@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg.lapack import dgeqp3, dtrtrs
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -23,6 +23,7 @@ from rankone.tensors.train import Integers
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8
 _LEAST_SPARE_ROWS = 6  # Fewest of them beyond the rank that tell the remainder
 _DIRECT_RATIO = 1.5  # Rows over combinations up to which the rows themselves are taken
+_QR_BLOCK = 32  # Columns that a QR decomposition takes together
 _RANDOM_COST = 1.0  # Operations of a random sign
 _MAX_EXCHANGES = 100  # Most exchanges of columns; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
@@ -91,8 +92,9 @@ def _pivoted(rows: Array, tolerance: float, max_rank: int, combined: bool) -> Sk
     """
     m, n = rows.shape
     charge(qr(m, n))
-    factor, pivots = scipy.linalg.qr(rows, mode="r", pivoting=True, check_finite=False)
-    squares = np.square(factor[: min(m, n)]).sum(axis=1)
+    packed, pivots, *_ = dgeqp3(rows, lwork=_QR_BLOCK * (n + 1) + 2 * n)
+    factor, pivots = np.triu(packed[: min(m, n)]), pivots - 1
+    squares = np.square(factor).sum(axis=1)
     remainder = np.sqrt(np.append(np.cumsum(squares[::-1])[::-1], 0.0))
     if combined:
         remainder = remainder[: m - _LEAST_SPARE_ROWS]
@@ -108,8 +110,7 @@ def _pivoted(rows: Array, tolerance: float, max_rank: int, combined: bool) -> Sk
     coefficients = np.zeros((rank, n))
     coefficients[:, columns] = np.eye(rank)
     if factor[0, 0]:
-        upper = factor[:rank, :rank], factor[:rank, rank:]
-        coefficients[:, pivots[rank:]] = scipy.linalg.solve_triangular(*upper, check_finite=False)
+        coefficients[:, pivots[rank:]], _ = dtrtrs(factor[:rank, :rank], factor[:rank, rank:])
     return Skeleton(columns, coefficients)
 
 

@@ -127,7 +127,8 @@ class SlabTrain:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
         states, rank = len(self.cores[0]), len(columns)
         charge(50.0 * CALL + product(states * times.size, rank, columns.shape[1]))
-        return np.asarray(np.einsum("ntr,rm->nmt", self.in_time(times), columns, optimize=True))
+        at_times = self.in_time(times).reshape(-1, rank) @ columns
+        return at_times.reshape(states, times.size, -1).swapaxes(1, 2)
 
     def in_time(self, times: Array) -> Array:
         """The first core at times (T,): (states, T, r_1)."""

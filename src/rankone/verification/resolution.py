@@ -273,11 +273,12 @@ def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
     for time, states in dense.samples(_DIP_SAMPLES):
         sizes = np.abs(states)
         lowest = sizes.min(axis=1)
-        low = np.flatnonzero(lowest < NEGLIGIBLE * highest)  # few if any
-        staying = np.maximum(before[low], sizes[low])
-        below = (staying < NEGLIGIBLE * largest[low]).any(axis=1)
-        if below.any():
-            first, dips[low[below]] = min(first, earlier), True
+        if (lowest < NEGLIGIBLE * highest).any():
+            low = np.flatnonzero(lowest < NEGLIGIBLE * highest)  # few if any
+            staying = np.maximum(before[low], sizes[low])
+            below = (staying < NEGLIGIBLE * largest[low]).any(axis=1)
+            if below.any():
+                first, dips[low[below]] = min(first, earlier), True
         before, earlier, largest = sizes, time, np.maximum(largest, sizes)
-        least, highest = np.minimum(least, lowest), largest.max(axis=1)
+        least, highest = np.minimum(least, lowest), np.maximum(highest, sizes.max(axis=1))
     return dips, least, first

@@ -50,7 +50,7 @@ class DividedPiece(NestedPiece):
     """A step of DOP853 that some trajectories divide at a kink."""
 
     def __init__(self, piece: NestedPiece, divided: DividedInterpolant) -> None:
-        super().__init__(piece.t_old, piece.t, piece.y_old, piece.rows)
+        super().__init__((piece.t_old, piece.t), (piece.y_old, piece.y), piece.rows)
         self.divided = divided
 
     def at(self, times: Array, out: Array | None = None) -> Array:
@@ -181,7 +181,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
             np.subtract(h * slopes[0], rows[0], out=rows[1])
             rows[2] = 2.0 * rows[0] - h * (self.f + slopes[0])
             np.dot(h * self.D, slopes, out=rows[3:])
-            piece = NestedPiece(self.t_old, self.t, before, rows)
+            piece = NestedPiece((self.t_old, self.t), (before, self.y), rows)
             divided = None if self._divided is None else self._divided.interpolant()
             self._dense = piece if divided is None else DividedPiece(piece, divided)
         return self._dense

@@ -22,7 +22,7 @@ from rankone.support.arrays import Array
 from rankone.trajectories.defects import DefectControl, Interpolant
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices
-from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
@@ -107,7 +107,7 @@ class PowerPiece(Piece):
     method = "Radau"
 
     def weights(self, shares: Array) -> Array:
-        return shares[:, None] ** self.exponents
+        return powers_of(shares, len(self.rows))
 
     @property
     def exponents(self) -> NDArray[np.intp]:
@@ -232,8 +232,8 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             elif 1.0 <= factor < _KEPT_FACTOR and self._newton.keep(h, iterations, factor):
                 factor = 1.0
             self.h_abs_old, self.error_norm_old, self.h_abs = h, error, h * factor
-            self.sol = PowerPiece(t, end, y, self._scheme.to_powers @ states)
             self.t_old, self.t, self.y = t, end, y + states[-1]
+            self.sol = PowerPiece((t, end), (y, self.y), self._scheme.to_powers @ states)
             self.f = self.fun(end, self.y)
             return True, None
         return False, self.TOO_SMALL_STEP
@@ -261,16 +261,20 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         """
         scheme, most = self._scheme, self._scheme.most_iterations
         y, times, relaxation = self.y, self.t + h * scheme.nodes, 2.0 / (1.0 + newton.h / h)
-        of_slopes, of_modes = relaxation * scheme.to_modes, relaxation / h * scheme.of_modes
+        to_right = relaxation * np.hstack([scheme.to_modes, scheme.of_modes / -h])
         scale = self.atol + np.abs(y) * self.rtol
-        modes = self._predicted(times)
-        states = scheme.to_nodes @ modes
+        slopes, modes = both = np.empty((2, scheme.stages, self.n))
+        modes[:] = self._predicted(times)
+        states = np.dot(scheme.to_nodes, modes)
         corrections, before, rate = np.empty_like(modes), 0.0, 0.0
         for iteration in range(1, most + 1):
-            right = of_slopes @ self.fun.at(times, y + states) - of_modes @ modes
+            slopes[:] = self.fun.at(times, y + states)
+            right = np.dot(to_right, both.reshape(-1, self.n))
             corrections[0] = newton.real.solve(right[0])
             for k, matrices in zip(range(1, scheme.stages, 2), newton.paired, strict=True):
-                paired = matrices.solve(right[k] + 1j * right[k + 1])
+                paired = np.empty(self.n, dtype=complex)
+                paired.real, paired.imag = right[k], right[k + 1]
+                paired = matrices.solve(paired)
                 corrections[k], corrections[k + 1] = paired.real, paired.imag
             size = _mean(corrections / scale)
             if not math.isfinite(size):
@@ -281,7 +285,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
                 if rate >= 1.0 or rate**left / (1.0 - rate) * size > self.newton_tol:
                     return None
             modes += corrections
-            states = scheme.to_nodes @ modes
+            states = np.dot(scheme.to_nodes, modes)
             if not size or (iteration > 1 and rate / (1.0 - rate) * size < self.newton_tol):
                 newton.count(iteration)
                 return states, iteration

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from operator import itemgetter
 from typing import TypeAlias
 
 import numpy as np
@@ -202,15 +201,15 @@ class StackedTrajectories:
 
     def __call__(self, times: Array) -> Array:
         """States at times (T,), after a jump at its time: shape (n, m, T)."""
-        order = np.argsort(times, kind="stable")
-        ascending = times[order]
-        indices = np.searchsorted(self.times, ascending, side="right") - 1
-        indices = np.clip(indices, 0, len(self.pieces) - 1)
+        descends = bool((times[1:] < times[:-1]).any())
+        order = np.argsort(times, kind="stable") if descends else None
+        ascending = times if order is None else times[order]
         stacked = np.empty((times.size, self.state.size))
-        first = np.flatnonzero(np.diff(indices, prepend=-1, append=-1))
-        for a, b in itertools.pairwise(first.tolist()):
-            self.pieces[indices[a]].at(ascending[a:b], stacked[a:b])
-        if (np.diff(times) < 0.0).any():
+        ends = [*np.searchsorted(ascending, self.times[1:-1]).tolist(), times.size]
+        for piece, a, b in zip(self.pieces, [0, *ends[:-1]], ends, strict=True):
+            if a < b:
+                piece.at(ascending[a:b], stacked[a:b])
+        if order is not None:
             stacked[order] = stacked.copy()
         return stacked.T.reshape(*self.state.shape, -1)
 
@@ -238,12 +237,14 @@ class StackedTrajectories:
 
     def samples(self, count: int) -> Iterator[tuple[float, Array]]:
         """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
-        ends = [(i, end) for i, piece in enumerate(self.pieces) for end in piece.ends.tolist()]
+        ends = [
+            (i, part, end)
+            for i, piece in enumerate(self.pieces)
+            for part, end in enumerate(piece.ends.tolist())
+        ]
         chosen = ends[:: max(1, len(ends) // count)]
-        for i, group in itertools.groupby(chosen, key=itemgetter(0)):
-            times = [end for _, end in group]
-            states = self.pieces[i].at(np.array(times)).reshape(-1, *self.state.shape)
-            yield from zip(times, states, strict=True)
+        for i, part, end in chosen:
+            yield end, self.pieces[i].at_ends[part].reshape(self.state.shape)
 
 
 class _DenseRecord:
@@ -268,8 +269,7 @@ class _DenseRecord:
         hold(piece, piece.nbytes, self._steps_left(solver) * piece.nbytes)
         self.times.append(solver.t)
         self.steps.append(piece)
-        sizes = np.abs(solver.y if piece.parts == 1 else piece.at(piece.ends))
-        sizes = sizes.reshape(-1, *self.shape).max(axis=0)
+        sizes = np.abs(piece.at_ends).max(axis=0).reshape(self.shape)
         self.largest, self.parts = np.maximum(self.largest, sizes), self.parts + piece.parts
         if self.parts <= EARLY_STEPS:
             self.early = self.largest
@@ -494,7 +494,7 @@ class _Stack:
             return 0.0
         longest, ahead = solver.longest_tried(), self.edges[-1] - solver.t
         left = float(ahead / solver.step_size)
-        bearable = max(self.options.bearable_steps, self._cheaper_steps)
+        bearable = max(self.options.bearable_steps, self._cheaper_steps, solver.steps_kept)
         early = count == _EARLY_PROBE
         if left <= (max(bearable, _POINTLESS_STEPS) if early else bearable):
             return 0.0

@@ -8,8 +8,8 @@ trajectories cross state surfaces, and at random places.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -42,15 +42,19 @@ class Rates(Protocol):
 class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
     """A step as a function of time: its start, and ``rows`` (k, n m) weighted by polynomials.
 
-    ``method`` is the name of what made it. A long step is looked at in several ``parts``.
+    It goes over ``times`` and from the first to the second of the ``states`` (n m,). ``method`` is
+    the name of what made it. A long step is looked at in several ``parts``.
     """
 
     method: str
     parts = 1
 
-    def __init__(self, t_old: float, t: float, y_old: Array, rows: Array) -> None:
-        super().__init__(t_old, t)
-        self.h, self.y_old, self.rows = t - t_old, y_old, rows
+    def __init__(
+        self, times: tuple[float, float], states: tuple[Array, Array], rows: Array
+    ) -> None:
+        super().__init__(*times)
+        (self.y_old, self.y), self.rows = states, rows
+        self.h = self.t - self.t_old
 
     def kept(self) -> Piece:
         """The piece with rows of its own, which the next step does not overwrite."""
@@ -58,18 +62,25 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its arrays."""
-        return int(self.y_old.nbytes + self.rows.nbytes)
+        """Bytes of its arrays, but for the state that the next step begins with."""
+        inside = self.parts if self.parts > 1 else 0
+        return int((1 + inside) * self.y_old.nbytes + self.rows.nbytes)
 
     def weights(self, shares: Array) -> Array:
         """Weights (T, k) of the rows at shares (T,) of a step."""
         raise NotImplementedError
 
-    @property
+    @cached_property
     def ends(self) -> Array:
         """Ends of the parts, ascending: (parts,)."""
-        shares = np.arange(1, self.parts) / self.parts
-        return np.append(self.t_old + (self.t - self.t_old) * shares, self.t)
+        ends = self.t_old + (self.t - self.t_old) / self.parts * np.arange(1.0, self.parts + 1.0)
+        ends[-1] = self.t
+        return np.asarray(ends)
+
+    @cached_property
+    def at_ends(self) -> Array:
+        """States at the ends of the parts, stacked: (parts, n m)."""
+        return self.y[None] if self.parts == 1 else self.at(self.ends)
 
     def at(self, times: Array, out: Array | None = None) -> Array:
         """States at times (T,), stacked: (T, n m); into ``out`` if it is given."""
@@ -79,14 +90,24 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
 
     def of(self, trajectories: slice, n: int) -> Piece:
         """The step of some of the trajectories, which have n states each."""
-        part = copy.copy(self)
-        part.y_old = np.ascontiguousarray(self.y_old.reshape(n, -1)[:, trajectories]).ravel()
-        rows = self.rows.reshape(len(self.rows), n, -1)[:, :, trajectories]
-        part.rows = rows.reshape(len(rows), -1)
+        part = object.__new__(type(self))
+        part.__dict__.update(self.__dict__)
+        part.__dict__.pop("at_ends", None)
+        for name in ("y_old", "y", "rows"):
+            whole = getattr(self, name)
+            some = whole.reshape(*whole.shape[:-1], n, -1)[..., trajectories]
+            setattr(part, name, some.reshape(*whole.shape[:-1], -1))
         return part
 
     def _call_impl(self, t: Array) -> Array:
         return self.at(np.atleast_1d(t)).T.reshape(-1, *t.shape)
+
+
+def powers_of(shares: Array, count: int) -> Array:
+    """The first powers of shares (T,), from the shares themselves: (T, count)."""
+    powers = np.empty((count, shares.size))
+    powers[:] = shares
+    return np.multiply.accumulate(powers, axis=0, out=powers).T
 
 
 class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
@@ -94,10 +115,12 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
     The stacked state is in the order (state, trajectory); ``states`` (n, m) are those at the start.
     ``refusals`` counts the steps made again since the last call of :meth:`longest_tried`.
-    ``stiff_product`` is the step times a decay rate from which stability limits explicit steps.
+    ``stiff_product`` is the step times a decay rate from which stability limits explicit steps. So
+    many ``steps_kept`` are made to the end all the same.
     """
 
     stiff_product = 3.0  # DOP853 is unstable from about 6
+    steps_kept = 0
 
     def __init__(
         self,

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,7 +25,7 @@ from rankone.support.budget import charge
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.paths import NODES
 from rankone.trajectories.stacks.newton import SPARSE_STATES
-from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper
+from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
 _STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides
@@ -40,12 +40,14 @@ _FIRST_TRIALS = 12  # Trials of a first step whose coefficients are not finite
 _STEPS_RATIO, _DOP853_POWER = 4.2, 0.125
 # Parts of a step, and the largest product of the distances of a share from all nodes of a path
 _LEAST_PARTS, _MOST_PARTS = 4, 64
+_NO_ERROR = 1e-300  # Smaller than any error that is allowed, but not zero
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
 _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 # Step times decay rate from which stability limits a step, over the one at which the last
 # coefficient is as large as the state
 _STIFF_SHARE = 0.7
+_STEPS_KEPT = 20  # Steps to the end that cost less than implicit ones from the start
 _SAME_RATES = 1e-9  # Difference between the series and the rates, over the terms: rounding
 _ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
 _TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
@@ -109,12 +111,18 @@ class TaylorSeries:
 
     def agrees(self, states: Array, rates: Array) -> bool:
         """Whether rates (n, m) at states are those of the series, but for rounding."""
-        slopes = self.coefficients(states, 1.0, 1)[1]
-        sums = replace(self, constant=np.abs(self.constant), sums=abs(self.sums))
-        if self.factors is not None:
-            sums = replace(sums, factors=np.abs(self.factors))
-        terms = sums.coefficients(np.abs(states), 1.0, 1)[1]
-        return bool((np.abs(slopes - rates) <= _SAME_RATES * terms).all())
+        flows = self._flows(states)
+        missed = np.abs(self.sums @ flows + self.constant - rates)
+        terms = abs(self.sums) @ np.abs(flows) + np.abs(self.constant)
+        return bool((missed <= _SAME_RATES * terms).all())
+
+    def _flows(self, states: Array) -> Array:
+        """What the sums are of, at states (n, m): (flows, m) or (variables, m)."""
+        variables = np.empty((self.size, states.shape[1]))
+        variables[: len(states)] = states
+        for level in self.products:
+            variables[level.places] = variables[level.left] * variables[level.right]
+        return variables if self.factors is None else variables[self.variables] * self.factors
 
     def cost(self, order: int) -> float:
         """Operations of a step."""
@@ -318,16 +326,21 @@ def _halved(monomial: tuple[int, ...]) -> list[tuple[int, ...]]:
 class TaylorPiece(Piece):
     """A step of a Taylor series: powers of the time since its start, in units of a trial step.
 
-    On each of its parts the polynomials of paths are within the ``allowed`` errors (n m,) of it.
+    On each of its parts the polynomials of paths are within the ``tolerances`` of it.
     """
 
     method = "Taylor"
 
     def __init__(
-        self, t_old: float, t: float, y_old: Array, rows: Array, unit: float, allowed: Array
+        self,
+        times: tuple[float, float],
+        states: tuple[Array, Array],
+        rows: Array,
+        unit: float,
+        tolerances: tuple[float, Array],
     ) -> None:
-        super().__init__(t_old, t, y_old, rows)
-        self.h, self.order, self.allowed = unit, len(rows), allowed
+        super().__init__(times, states, rows)
+        self.h, self.order, self.tolerances = unit, len(rows), tolerances
 
     def kept(self) -> TaylorPiece:
         self.rows = self.rows.copy()
@@ -335,16 +348,15 @@ class TaylorPiece(Piece):
 
     @cached_property
     def parts(self) -> int:  # type: ignore[override]
-        missed = interpolation_errors((self.t - self.t_old) / self.h, self.rows)
-        shares = np.divide(missed, self.allowed, out=np.zeros_like(missed), where=missed > 0.0)
-        self.allowed = np.zeros(0)  # needed no more, and as large as a row
-        enough = min(_MOST_PARTS, float(shares.max(initial=0.0)) ** (1.0 / NODES.size))
+        share, (relative, absolute) = (self.t - self.t_old) / self.h, self.tolerances
+        sizes = np.maximum(np.abs(self.y_old), np.abs(self.y))
+        allowed = absolute + relative * np.maximum(sizes, share * np.abs(self.rows[0]))
+        missed = interpolation_errors(share, self.rows) / np.maximum(allowed, _NO_ERROR)
+        enough = min(_MOST_PARTS, float(missed.max(initial=0.0)) ** (1.0 / NODES.size))
         return int(max(_LEAST_PARTS, math.ceil(enough)))
 
     def weights(self, shares: Array) -> Array:
-        powers = np.empty((self.order, shares.size))
-        powers[:] = shares
-        return np.multiply.accumulate(powers, axis=0, out=powers).T
+        return powers_of(shares, self.order)
 
 
 def interpolation_errors(share: float, rows: Array) -> Array:
@@ -353,11 +365,17 @@ def interpolation_errors(share: float, rows: Array) -> Array:
     The ``rows`` (order, n m) are coefficients of powers, from the first. The error is that of the
     first derivative which the polynomial misses, at a few places.
     """
-    missing = np.arange(NODES.size, len(rows) + 1)
+    missing, weights = _missed_derivatives(len(rows))
+    return np.asarray(np.abs((weights * share**missing) @ rows[NODES.size - 1 :]).max(axis=0))
+
+
+@cache
+def _missed_derivatives(order: int) -> tuple[NDArray[np.intp], Array]:
+    """Powers whose derivative a path misses, and what they add to it at a few places, weighted."""
+    missing = np.arange(NODES.size, order + 1)
     binomials = np.array([math.comb(power, NODES.size) for power in missing.tolist()], dtype=float)
     places = _DERIVATIVE_SHARES[:, None] ** (missing - NODES.size)
-    weights = places * binomials * share**missing * _NODE_PRODUCT
-    return np.asarray(np.abs(weights @ rows[NODES.size - 1 :]).max(axis=0))
+    return missing, places * binomials * _NODE_PRODUCT
 
 
 class _TaylorSolver(scipy.integrate.OdeSolver):  # type: ignore[misc]
@@ -390,6 +408,7 @@ class StackedTaylor(Stepper, _TaylorSolver):
     y_old: Array
     rtol: float
     atol: Array
+    steps_kept = _STEPS_KEPT
 
     def __init__(
         self,
@@ -458,15 +477,11 @@ class StackedTaylor(Stepper, _TaylorSolver):
     def _at(self, powers: Array, share: float) -> tuple[Array, Array]:
         """States at a share of the trial step, and their slopes over it."""
         exponents = np.arange(self.order + 1)
-        weights = np.zeros((2, exponents.size))
-        weights[0] = share**exponents
-        weights[1, 1:] = exponents[1:] * weights[0, :-1]
-        y_new, slope = np.dot(weights, powers)
-        return y_new, slope
+        weights = share**exponents
+        of_slopes = exponents[1:] * weights[:-1]
+        return np.dot(weights, powers), np.dot(of_slopes, powers[1:])
 
     def dense_output(self) -> TaylorPiece:
         """The last step as a function of time."""
-        slopes = np.abs(self.powers[1]) * ((self.t - self.t_old) / self.unit)
-        sizes = np.maximum(np.maximum(np.abs(self.y_old), np.abs(self.y)), slopes)
-        step = self.t_old, self.t, self.y_old, self.powers[1:]
-        return TaylorPiece(*step, self.unit, self.atol + self.rtol * sizes)
+        times, states = (self.t_old, self.t), (self.y_old, self.y)
+        return TaylorPiece(times, states, self.powers[1:], self.unit, (self.rtol, self.atol))
