@@ -15,11 +15,14 @@ import rankone as ro
 from rankone.ir.events import SystemEvent
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.timeline import BranchedTimeline
+from rankone.ir.verdict import Status
 from rankone.solution.branches import branch_evaluator
 from rankone.solvers.branches import order_search
+from rankone.solvers.registry import ENGINES
 from rankone.solvers.stretches import timed_system
 from rankone.statistics import timeline_statistics
 from rankone.statistics.line_averages import Accuracy
+from rankone.support.budget import limited, work_done
 from rankone.verification.branches import points_with_other_events
 from rankone.verification.coverage import Coverage
 
@@ -485,3 +488,21 @@ def test_points_at_which_a_branch_passes_an_event_that_its_order_lacks():
     assert len(others)
     for a, b, k in others:
         assert exact(np.array([a]), a, b, k)[0] > 1.55
+
+
+def test_stages_count_the_search_for_orders():
+    system, rtol = ro.compile(WASHED).system, 1e-3
+    with limited(1e12):
+        outcome = ENGINES["cross"].run(system, rtol)
+        spent = work_done()
+    assert outcome.status is Status.CONVERGED
+    assert sum(outcome.work.values()) == pytest.approx(spent, rel=0.05)
+
+
+def test_the_limit_in_a_search_for_orders_names_an_event():
+    solution = ro.solve(WASHED, RTOL, effort=0.003)
+    assert solution.status is Status.WORK_LIMIT
+    assert "while the orders of events over the box were looked for: " in solution.message
+    assert "`wash`" in solution.message
+    assert "raise effort, or narrow the box" in solution.message
+    assert "reference" not in solution.message

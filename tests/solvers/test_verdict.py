@@ -4,7 +4,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.outcome import Measured
-from rankone.ir.verdict import Budget, ReferenceLimit, Remedy, Status, Verdict
+from rankone.ir.verdict import Budget, ReferenceLimit, Remedy, Status, UndecidedOrder, Verdict
 from rankone.solvers.attempts import error_notes, unknowns_notes
 
 STATES = ("x", "x_t", "y", "y_t")
@@ -111,3 +111,11 @@ def test_a_reference_without_a_step_is_said():
         "the budget of work was reached by the reference trajectories before they had made one step"
     )
     assert "at t = 0.5 after 7 steps" in str(Verdict(Status.WORK_LIMIT, ReferenceLimit(0.5, 7)))
+
+
+def test_the_share_of_the_box_that_is_undecided():
+    message = str(Verdict(Status.TOLERANCE, UndecidedOrder(1.0), (Remedy("narrow the box"),)))
+    assert message == (
+        "in 100 % of the box it is undecided in which order events come, and values are NaN; "
+        "narrow the box"
+    )

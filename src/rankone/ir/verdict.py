@@ -150,6 +150,27 @@ class ReferenceLimit(Cause):
 
 
 @dataclass(frozen=True)
+class OrderSearchLimit(Cause):
+    """A limit was reached while orders of events were looked for, since they differ.
+
+    The ``reason`` says where they do.
+    """
+
+    reason: str
+    text = "{status} while the orders of events over the box were looked for: {reason}"
+
+
+@dataclass(frozen=True)
+class UndecidedOrder(Cause):
+    """The share of the box in which it is undecided in which order events come is too large."""
+
+    share: float
+
+    def sentence(self, status: Status) -> str:
+        return UndecidedShare(self.share).sentence(status)
+
+
+@dataclass(frozen=True)
 class TrajectoryStops(Cause):
     """A sampled trajectory that cannot be integrated to the end."""
 
@@ -451,6 +472,11 @@ class NumericallyZero(Note):
         return super().sentence(status) + same
 
 
+def _percent(share: float) -> str:
+    """A share in percent, with two digits."""
+    return f"{100.0 * share:.{2 if share < 0.1 else 3}g}"
+
+
 @dataclass(frozen=True)
 class UndecidedShare(Note):
     """The share of the box in which it is undecided in which order events come."""
@@ -459,7 +485,7 @@ class UndecidedShare(Note):
 
     def sentence(self, status: Status) -> str:
         return (
-            f"in {100.0 * self.share:.2g} % of the box it is undecided in which order events come, "
+            f"in {_percent(self.share)} % of the box it is undecided in which order events come, "
             "and values are NaN"
         )
 
@@ -515,7 +541,8 @@ class SwitchingTerm(Note):
     def sentence(self, status: Status) -> str:
         return (
             f"the term {quote(self.term)} in {self.place} switches at {quote(self.boundary)} = 0: "
-            f"smooth it, for example by {quote(self.smooth)} with a width w too small to matter"
+            "narrow the box to where all trajectories cross that in the same order, or smooth the "
+            f"switch, for example by {quote(self.smooth)} with a width w too small to matter"
         )
 
 

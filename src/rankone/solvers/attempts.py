@@ -175,6 +175,23 @@ class Stages:
             self.timings[stage] += clock.perf_counter() - began
             self.work[stage] += work_done() - done
 
+    @contextmanager
+    def if_it_fails(self, stage: str) -> Iterator[None]:
+        """Add what was spent inside to a stage if it ends in an error: no outcome tells of it."""
+        inside = Stages()
+        try:
+            with inside.of(stage):
+                yield
+        except Exception:
+            self.add(inside.timings, inside.work)
+            raise
+
+    def add(self, timings: Mapping[str, float], work: Mapping[str, float]) -> None:
+        """Add seconds and operations by stage."""
+        for stage in self.timings:
+            self.timings[stage] += timings[stage]
+            self.work[stage] += work[stage]
+
 
 class Marcher(Protocol):
     """The part of an engine: marches over the horizon, each finer than the one before."""

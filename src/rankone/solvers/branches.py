@@ -23,12 +23,16 @@ from rankone.ir.verdict import (
     HiddenEvent,
     HiddenRate,
     MeasuredError,
+    MemoryNeeded,
     Note,
+    OrderSearchLimit,
     Remedy,
     Status,
+    UndecidedOrder,
     UndecidedShare,
 )
 from rankone.solution.branches import branch_evaluator
+from rankone.solvers.attempts import Stages, out_at_reference
 from rankone.solvers.one_order import narrowing_text, one_order
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
@@ -86,25 +90,30 @@ class _Branch:
 
 
 def solve_in_branches(
-    solve: Solve, system: System, request: SolveRequest, error: OrderError
+    solve: Solve, system: System, request: SolveRequest, error: OrderError, stages: Stages
 ) -> Outcome:
     """The outcome of branches for the orders of a system.
 
     ``error`` says that it has several ones; it is raised again where events are put off by delays.
-    An OrderError says where an order cannot be continued.
+    An OrderError says where an order cannot be continued. ``stages`` count what the search takes,
+    besides the solves of branches.
     """
     timed, cuts = timed_system(system, request.domain)
     put_off = any(e.starts is not None or e.cancels is not None for e in timed.events)
     if put_off or timed.constraints.names or not request.domain.box:
         raise error
     try:
-        search = order_search(timed, request)
+        with stages.of("reference"):
+            search = order_search(timed, request)
         shares = iter(_SHARES)
         share = next(shares)
         for _ in range(_MOST_SOLVES):
-            outcome, further = _BranchSolve(search, request, cuts, share).outcome(solve)
+            outcome, further = _BranchSolve(search, request, cuts, share, stages).outcome(solve)
+            stages.add(outcome.timings, outcome.work)
+            outcome = replace(outcome, timings={**stages.timings}, work={**stages.work})
             if len(further):
-                search = with_points(search, further)
+                with stages.of("reference"):
+                    search = with_points(search, further)
                 continue
             missed = outcome.status is Status.TOLERANCE
             if not missed or not outcome.error < _MOST_MISSED * request.rtol:
@@ -112,6 +121,10 @@ def solve_in_branches(
             share = next(shares, 0.0)
             if not share:
                 return outcome
+    except OutOfBudgetError as out:
+        if out.reached is not None and out.reached.chattering is not None:
+            return out_at_reference(out, timed, stages)
+        return _out_at_search(out, error, stages)
     except TrajectoryEndError:
         raise error from None
     except OrderError as failure:
@@ -119,6 +132,16 @@ def solve_in_branches(
     if len(further):  # each check meets yet another order
         raise error
     return outcome
+
+
+def _out_at_search(out: OutOfBudgetError, error: OrderError, stages: Stages) -> Outcome:
+    """The outcome when a limit is met by the search for orders, which differ by an error."""
+    status, notes = Status.of_limit(out), list[Note]()
+    if (memory_needed := MemoryNeeded.of(out)) is not None:
+        notes.append(memory_needed)
+    ended = Outcome((), status, None, (), stages.timings, stages.work)
+    notes.append(Remedy(f"raise effort, or {REMEDY}" if status is Status.WORK_LIMIT else REMEDY))
+    return replace(ended, cause=OrderSearchLimit(error.message), notes=tuple(notes))
 
 
 def _with_part(failure: OrderError, search: OrderSearch) -> OrderError:
@@ -176,10 +199,12 @@ class _BranchSolve:
     request: SolveRequest
     cuts: tuple[float, ...]
     share: float
+    stages: Stages
 
     def outcome(self, solve: Solve) -> tuple[Outcome, Array]:
         """The outcome, and points (m, d) at which other orders hold than those of its branches."""
-        parted = self._with_grazings(self._with_forks(self._branches()))
+        with self.stages.of("reference"):
+            parted = self._with_grazings(self._with_forks(self._branches()))
         branches = parted.branches
         outcomes, timelines = list[Outcome](), list[Timeline]()
         most = _MOST_OF_ONE * work_left()
@@ -188,9 +213,11 @@ class _BranchSolve:
             with limited(min(share * work_left(), most), share * seconds_left()):
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:
+                self.stages.add(outcome.timings, outcome.work)
+                errors = tuple(note for note in outcome.notes if isinstance(note, MeasuredError))
                 raise OrderError(
                     f"{self.search.named(branch.order)}, which holds in a part of the box, is not "
-                    f"resolved: {outcome.message}",
+                    f"resolved: {replace(outcome, notes=errors).message}",
                     remedy=REMEDY,
                 )
             outcomes.append(outcome)
@@ -204,7 +231,8 @@ class _BranchSolve:
             tuple(timelines), guards, parted.forks, _WIDTH * rtol, tolerances, 0.0, parted.grazings
         )
         orders = [*(branch.order for branch in branches), *parted.grazed]
-        return self._checked(outcomes, branched, orders, len(branches))
+        with self.stages.of("check"):
+            return self._checked(outcomes, branched, orders, len(branches))
 
     def _branches(self) -> _Branches:
         """The orders, without those that a longer one goes on from or that are only grazed."""
@@ -380,13 +408,16 @@ def _judged(
     joined: Outcome, timeline: BranchedTimeline, measured: Measured, undecided: float, rtol: float
 ) -> Outcome:
     """The outcome with its status: by its error, and by the share of the box left undecided."""
+    judged = replace(joined, measured=measured, timeline=replace(timeline, undecided=undecided))
+    if measured.error <= rtol and undecided > MOST_UNDECIDED:
+        remedy = (Remedy(REMEDY),)
+        cause = UndecidedOrder(undecided)
+        return replace(judged, status=Status.TOLERANCE, cause=cause, notes=remedy)
     notes: list[Note] = [MeasuredError(measured.error, rtol)]
-    status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
-    if undecided:
-        notes.append(UndecidedShare(undecided))
-        status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
-    timeline = replace(timeline, undecided=undecided)
-    return replace(joined, status=status, measured=measured, notes=tuple(notes), timeline=timeline)
+    notes += [UndecidedShare(undecided)] if undecided else []
+    if measured.error <= rtol:
+        return replace(judged, status=Status.CONVERGED, notes=tuple(notes))
+    return replace(judged, status=Status.TOLERANCE, notes=(*notes, Remedy(REMEDY)))
 
 
 def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:

@@ -117,10 +117,7 @@ class Engine:
             if self.name != "cross" or isinstance(error, TrajectoryEndError):
                 raise
             first = error
-        try:
-            return solve_in_branches(solve, system, request, first)
-        except OutOfBudgetError as out:
-            return out_at_reference(out, system, stages)
+        return solve_in_branches(solve, system, request, first, stages)
 
     def _solve_in_order(
         self,
@@ -142,7 +139,8 @@ class Engine:
                 if crossed and not clock.order.instants:
                     raise OrderError("no trajectory crosses a kink")
                 stretched, request_there = over_stretches(clock, request)
-                outcome = self._solve(stretched, request_there, report)
+                with stages.if_it_fails("reference"):
+                    outcome = self._solve(stretched, request_there, report)
                 return replace(
                     outcome,
                     slabs=without_last(outcome.slabs, stretched),
