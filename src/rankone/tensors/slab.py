@@ -55,7 +55,7 @@ class SlabTrain:
         The plain way, without any preparation; :class:`~rankone.tensors.evaluator.TrainEvaluator`
         serves many calls.
         """
-        modes = self._time_modes(times)
+        modes = self.time_modes(times)
         products = np.multiply(modes.T[:, None], self.over_parameters(points))
         core = self.cores[0]
         return np.asarray(core.reshape(len(core), -1) @ products.reshape(-1, times.size))
@@ -123,16 +123,20 @@ class SlabTrain:
             products = columns
         return products
 
-    def on_grid(self, times: Array, columns: Array) -> Array:
-        """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
+    def on_grid(self, times: Array, columns: Array, modes: Array | None = None) -> Array:
+        """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T).
+
+        ``modes`` are those of :meth:`time_modes`, if they are there already.
+        """
         states, rank = len(self.cores[0]), len(columns)
         charge(50.0 * CALL + product(states * times.size, rank, columns.shape[1]))
-        at_times = self.in_time(times).reshape(-1, rank) @ columns
-        return at_times.reshape(states, times.size, -1).swapaxes(1, 2)
+        modes = self.time_modes(times) if modes is None else modes
+        at_times = np.matmul(modes, self.cores[0]).reshape(-1, rank) @ columns
+        return np.asarray(at_times.reshape(states, times.size, -1).swapaxes(1, 2))
 
     def in_time(self, times: Array) -> Array:
         """The first core at times (T,): (states, T, r_1)."""
-        return np.asarray(np.matmul(self._time_modes(times), self.cores[0]))
+        return np.asarray(np.matmul(self.time_modes(times), self.cores[0]))
 
     def with_first(self, first: Array) -> SlabTrain:
         """The same slab with another first core."""
@@ -149,9 +153,21 @@ class SlabTrain:
         same = all(one is two or np.array_equal(one, two) for one, two in pairs)
         return same and self.bases == other.bases
 
-    def _time_modes(self, times: Array) -> Array:
-        xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
-        return legendre_values(xi, self.cores[0].shape[1])
+    def time_modes(self, times: Array) -> Array:
+        """Modes of the first core at times (T,): (T, modes)."""
+        return legendre_values(self._places(times), self.cores[0].shape[1])
+
+    def _places(self, times: Array) -> Array:
+        """Times on [-1, 1]."""
+        return (2.0 * times - (self.start + self.end)) / (self.end - self.start)
+
+
+def modes_in_time(slabs: Sequence[SlabTrain], times: Sequence[Array]) -> list[Array]:
+    """For each slab :meth:`SlabTrain.time_modes` at as many times (T,) of its own, made at once."""
+    count = max(slab.cores[0].shape[1] for slab in slabs)
+    places = [slab._places(each) for slab, each in zip(slabs, times, strict=True)]
+    modes = np.split(legendre_values(np.concatenate(places), count), len(slabs))
+    return [each[:, : len(slab.cores[0][0])] for slab, each in zip(slabs, modes, strict=True)]
 
 
 def _entries(core: Array) -> int:

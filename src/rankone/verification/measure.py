@@ -19,7 +19,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, modes_in_time
 from rankone.trajectories.choice import following
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.workers import Workers
@@ -333,11 +333,12 @@ class ReferenceSet:
                 for block in reference.blocks(np.concatenate(all_times), count)
                 for exact in np.split(block, block.shape[2] // count, axis=2)
             )
-            for (slab, contraction), times, exact in zip(
-                carried, all_times, all_exact, strict=True
+            all_modes = modes_in_time(slabs, all_times)
+            for (slab, contraction), times, modes, exact in zip(
+                carried, all_times, all_modes, all_exact, strict=True
             ):
                 exact = self.seen(times, exact)
-                states = slab.on_grid(times, contraction)
+                states = slab.on_grid(times, contraction, modes)
                 errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
                 off = np.maximum(off, self._off_constraints(times, states))
                 at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)

@@ -119,8 +119,10 @@ class _WorstPoints:
         """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
         system, units = self.reference_set.system, self.reference_set.states[:, None, None]
         times = slab.start + (slab.end - slab.start) * _RESIDUAL_SHARES
+        modes = slab.time_modes(times)
         states, slopes = (
-            each.on_grid(times, contraction).swapaxes(1, 2) for each in (slab, slab.derivative())
+            each.on_grid(times, contraction, modes).swapaxes(1, 2)
+            for each in (slab, slab.derivative())
         )
         cost = function_cost(system.rhs, system.user_functions)
         charge(cost(len(times) * len(points)) + 2.0 * states.size)

@@ -93,10 +93,11 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
         part = object.__new__(type(self))
         part.__dict__.update(self.__dict__)
         part.__dict__.pop("at_ends", None)
-        for name in ("y_old", "y", "rows"):
-            whole = getattr(self, name)
-            some = whole.reshape(*whole.shape[:-1], n, -1)[..., trajectories]
-            setattr(part, name, some.reshape(*whole.shape[:-1], -1))
+        part.y_old, part.y = (
+            state.reshape(n, -1)[:, trajectories].ravel() for state in (self.y_old, self.y)
+        )
+        count = len(self.rows)
+        part.rows = self.rows.reshape(count, n, -1)[:, :, trajectories].reshape(count, -1)
         return part
 
     def _call_impl(self, t: Array) -> Array:
