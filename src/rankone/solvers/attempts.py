@@ -274,7 +274,7 @@ def solve_in_attempts(
         notes.append(made.memory_needed)
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
-        notes += Budget.of(stages.named, stages.budget)
+        notes += () if status is Status.NARROW else Budget.of(stages.named, stages.budget)
         if not (isinstance(cause, SteepParameter) and cause.jump):
             notes += narrower
         notes += [] if remedy is None else [Remedy(remedy)]

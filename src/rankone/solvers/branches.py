@@ -153,8 +153,8 @@ def _with_part(failure: OrderError, search: OrderSearch) -> OrderError:
         part = None
     if part is None:
         return failure
-    remedy = f"narrow {narrowing_text(search.system.parameters, search.bounds, part)}"
-    return OrderError(f"{failure.message}; {remedy}: events come in one order there", remedy=REMEDY)
+    narrowed = narrowing_text(search.system.parameters, search.bounds, part)
+    return OrderError(failure.message, remedy=f"narrow {narrowed}: events come in one order there")
 
 
 def order_search(timed: System, request: SolveRequest) -> OrderSearch:

@@ -85,7 +85,7 @@ class Engine:
         except ConvergenceError as error:
             raise failure or error from None
         if failure is not None and outcome.status not in _SOLVED:
-            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(failure.message)))
+            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(str(failure))))
         return held if held is not None and _is_better(held, outcome) else outcome
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:

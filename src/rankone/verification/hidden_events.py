@@ -47,8 +47,8 @@ def hidden_event(
 ) -> HiddenEvent | None:
     """An event that a trajectory at one of the points (m, d) misses before the end, if it does.
 
-    Events at known times are never missed. Array code, for many states, is not looked at. Limits of
-    the solve hold.
+    Events at known times are never missed. Conditions that call helpers of a generated module are
+    not looked at. Limits of the solve hold.
     """
     conditions = _Conditions.of(system)
     if conditions is None:
