@@ -376,14 +376,6 @@ def _saturated(start):
     return (2.0 * x + v) * np.exp(-rest) - (x + v) * np.exp(-2.0 * rest)
 
 
-def test_an_order_that_grazes_is_refused_with_its_event():
-    """Some oscillations reach the level, and others just miss it."""
-    kick = {"when": "x - 1", "direction": "rising", "then": {"v": "-v"}, "name": "kick"}
-    grazing = text({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, {"a": (0.7, 1.4)}, 4, kick)
-    with pytest.raises(ro.ConvergenceError, match=r"cannot be continued: .* `kick` at a = "):
-        ro.solve(grazing, RTOL)
-
-
 @pytest.mark.slow
 def test_a_sliver_is_undecided_in_whichever_stretch_it_falls():
     """The kick comes before, between or after two doses that swap."""

@@ -362,7 +362,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=6), "version 6 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=7), "version 7 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),

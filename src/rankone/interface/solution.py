@@ -82,7 +82,8 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
 
         They are those of the coordinate in which the parameter needs fewest, such as its logarithm.
         """
-        sizes = [[basis.size for basis in slab.bases] for slab in self._slabs]
+        d = len(self.metadata.parameters)  # branches may have further coordinates
+        sizes = [[basis.size for basis in slab.bases[:d]] for slab in self._slabs]
         return tuple(max(column) for column in zip(*sizes, strict=True))
 
     @property
@@ -312,7 +313,9 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
         metadata, horizon = self.metadata, self.time
 
         def of_branch(part: SolutionCore, timeline: Timeline | None) -> Quantities:
-            asked = quantities, metadata, horizon, samples_of(part), timeline
+            times, p, states = samples_of(part)  # a branch may have coordinates behind p
+            samples = times, p[: len(metadata.parameters)], states
+            asked = quantities, metadata, horizon, samples, timeline
             formulas = expressions.output_formulas(*asked, with_sums=timeline is None)
             return cast(Quantities, formulas.over(metadata.box, horizon))
 

@@ -142,6 +142,26 @@ class Clearance:
     sign: float
 
 
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Where trajectories turn next to the surface of an event, past it or before they reach it.
+
+    The height at the turn is ``sign`` times what ``when`` of the event is, and largest there; below
+    zero the event is missed. It is on a ``stretch``, after an elapsed time that ``times`` predicts,
+    (m, 1) at the first ``columns`` of points (m, d), to about ``margin``. ``surface`` has the
+    events with the same surface, on sides of switches, and the factors of their ``when`` over that
+    of the event.
+    """
+
+    stretch: int
+    event: int
+    sign: float
+    surface: tuple[tuple[int, tuple[int, ...], float], ...]
+    times: OfPoints
+    margin: float
+    columns: int
+
+
 @dataclass(frozen=True)
 class ForcedOrder:
     """An order that trajectories follow wherever it holds or not.
@@ -149,14 +169,20 @@ class ForcedOrder:
     ``met`` are the events at each instant in the order in which they happen: the first one ends the
     stretch. Stretches may then be of negative length. ``lengths`` predicts those up to the last
     instant, (m, instants) at points (m, d), to about ``margins`` (instants,). The ``guards`` are
-    functions of the parameters besides, and the ``clearances`` of parameters and time.
+    functions of the parameters besides, at instants or turns, and the ``clearances`` of parameters
+    and time.
+
+    Events that are met just before a turn, and missed where its height is below zero, are
+    ``opened``: a coordinate behind the parameters is the root of the height, and the surface is
+    moved until that is so. Where it is the root of the true height, nothing is moved.
     """
 
     met: tuple[tuple[int, ...], ...]
     lengths: OfPoints
     margins: tuple[float, ...]
-    guards: tuple[Guard, ...] = ()
+    guards: tuple[Guard | Turn, ...] = ()
     clearances: tuple[Clearance, ...] = ()
+    opened: tuple[Turn, ...] = ()
 
 
 class Ending(StrEnum):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -113,9 +114,10 @@ class Fork:
     """Two branches that are the same up to the beginning of a stretch, and then part.
 
     The ``first`` one holds if its stretch ends before that of the ``second``, or, where both end
-    at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states. A
-    The guard is relative to its ``scale``. The events that end the stretch ``may_be_past`` at its
-    beginning: then they do not come.
+    at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states.
+    The guard is relative to its ``scale``. One ``at_turn`` is the height at a turn, and decides
+    nothing below the scale. The events that end the stretch ``may_be_past`` at its beginning: then
+    they do not come.
     """
 
     first: int
@@ -125,6 +127,7 @@ class Fork:
     sign: float = 1.0
     scale: float = 1.0
     may_be_past: tuple[bool, bool] = (False, False)
+    at_turn: bool = False
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,22 @@ class Grazing:
 
 
 @dataclass(frozen=True)
+class Opening:
+    """An event that a branch meets just before a turn at which its ``parent`` misses the event.
+
+    Where the height of the turn vanishes, which is a row of the parent behind its states, a
+    ``guard``, the branch is smooth over its root. That is a coordinate behind the parameters of the
+    slabs of the branch, from ``lower`` to ``upper``.
+    """
+
+    branch: int
+    parent: int
+    guard: int
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
 class BranchedTimeline:
     """Timelines of branches: orders of events that hold in parts of the box.
 
@@ -163,6 +182,7 @@ class BranchedTimeline:
     tolerances: tuple[float, ...]
     undecided: float
     grazings: tuple[Grazing, ...] = ()
+    openings: tuple[Opening, ...] = ()
 
     @property
     def events(self) -> tuple[str, ...]:
@@ -194,6 +214,15 @@ class BranchedTimeline:
         """The events that reset states at times that are not known to be the same everywhere."""
         names = (name for branch in self.branches for name in branch.moving_resets)
         return tuple(dict.fromkeys(names))
+
+    def branch_of(self, time: float) -> int:
+        """The branch of a pseudo-time of the slabs of all branches."""
+        ends = itertools.accumulate(branch.stretches for branch in self.branches)
+        return sum(time >= end for end in ends)
+
+    def roots_of(self, branch: int) -> tuple[tuple[float, float], ...]:
+        """The intervals of the coordinates of a branch behind the parameters."""
+        return tuple((o.lower, o.upper) for o in self.openings if o.branch == branch)
 
     def fixed(self, parameter: int, value: float) -> BranchedTimeline:
         """The timeline where the parameter at a position is no longer a coordinate."""

@@ -30,11 +30,15 @@ from rankone.verification.coverage import Coverage
 OfBranch = Callable[[SolutionCore, Timeline | None], Quantities]
 """The quantities of one branch, or of a solution without, whose timeline places their events."""
 
+_ROOT_POINTS = 1024  # Points that tell errors of roots of heights
 _SIZE_POINTS, _SIZE_TIMES = 256, 25  # Points and times that tell the sizes of quantities
 
 
 class BranchPart(SolutionCore):
-    """One branch of a solution, whose guards are states behind the others."""
+    """One branch of a solution, whose guards are states behind the others.
+
+    The roots of heights of its opened events are parameters behind the others.
+    """
 
     def __init__(self, solution: SolutionCore, branch: int) -> None:
         self._whole, self._branch = solution, branch
@@ -50,9 +54,15 @@ class BranchPart(SolutionCore):
             timeline=timeline.branches[branch],
             measured=measured,
         )
-        roles = (*metadata.roles, *(Role.LIFTED for _ in guards))
-        states = (*metadata.states, *guards)
-        super().__init__(outcome, replace(metadata, states=states, roles=roles))
+        roots = timeline.roots_of(branch)
+        metadata = replace(
+            metadata,
+            states=(*metadata.states, *guards),
+            roles=(*metadata.roles, *(Role.LIFTED for _ in guards)),
+            parameters=(*metadata.parameters, *(f"root {k}" for k in range(len(roots)))),
+            box=(*metadata.box, *roots),
+        )
+        super().__init__(outcome, metadata)
 
     @property
     def _evaluator(self) -> ContinuedBranch:
@@ -84,7 +94,8 @@ def over_branches(
         quantities = of_branch(part, branch)
         require_states(quantities)
         every.append(quantities)
-        guarded = _with_guards(quantities, len(solution.states), timeline.guards[k])
+        further = len(part.parameters) - len(solution.parameters)
+        guarded = _with_guards(quantities, len(solution.states), timeline.guards[k], further)
         interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes), pool=pool)
         outcome, tolerance = interpolation.solve(rtol, operations / count, seconds / count)
         outcomes.append(outcome)
@@ -110,28 +121,36 @@ def require_states(quantities: Quantities) -> None:
         )
 
 
-def _with_guards(quantities: Quantities, first: int, count: int) -> Quantities:
-    """The quantities over stretches, and behind them the guards, which are sources."""
+def _with_guards(quantities: Quantities, first: int, count: int, further: int) -> Quantities:
+    """The quantities over stretches, and behind them the guards, which are sources.
+
+    Behind their parameters come so many ``further`` coordinates.
+    """
+    cuts = (*quantities.cuts, *((),) * further)
     names = tuple(f"guard {k}" for k in range(count))
     return replace(
         quantities,
         names=(*quantities.names, *names),
         texts=(*quantities.texts, *names),
         timeless=False,
+        cuts=cuts,
         sources=(*quantities.sources, *(Source(first + k) for k in range(count))),
-        values=_ValuesAndGuards(quantities.values, len(quantities.sources)),
+        values=_ValuesAndGuards(
+            quantities.values, len(quantities.sources), len(quantities.cuts) - 1
+        ),
     )
 
 
 @dataclass(frozen=True)
 class _ValuesAndGuards:
-    """Quantities of the first sources, and behind them the other sources."""
+    """Quantities of the first sources and parameters, and behind them the other sources."""
 
     values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]
     count: int
+    d: int
 
     def __call__(self, t: Array, s: Array, p: Array, r: Sequence[Array]) -> list[Array]:
-        return [*self.values(t, s[: self.count], p, r), *s[self.count :]]
+        return [*self.values(t, s[: self.count], p[: self.d], r), *s[self.count :]]
 
 
 def _joined(
@@ -145,9 +164,13 @@ def _joined(
     timeline = replace(timeline, width=max(timeline.width, rtol))
     sizes = np.maximum(_sizes(slabs, timeline, domain, least.size), least)
     timeline = replace(timeline, tolerances=tuple((rtol * sizes).tolist()))
-    undecided = undecided_share(branch_evaluator(slabs, timeline), Coverage.of_domain(domain))
+    evaluator = branch_evaluator(slabs, timeline)
+    undecided = undecided_share(evaluator, Coverage.of_domain(domain))
     timeline = replace(timeline, undecided=undecided)
     measured = [_of_quantities(outcome.measured, least.size) for outcome in outcomes]
+    if timeline.openings:
+        missed = _errors_of_roots(solution, evaluator, domain, sizes)
+        measured = [each and _with_errors(each, missed) for each in measured]
     errors = [-1.0 if each is None else each.error for each in measured]
     worst = int(np.argmax(errors))
     unchecked = next((k for k, each in enumerate(measured) if each is None), None)
@@ -169,6 +192,35 @@ def _joined(
         measured=_largest([each for each in measured if each is not None]),
         notes=notes,
     )
+
+
+def _errors_of_roots(
+    solution: SolutionCore, evaluator: BranchEvaluator, domain: Domain, sizes: Array
+) -> Array:
+    """The largest errors (count,), over sizes, that those of roots of heights make."""
+    exact = solution._evaluator
+    assert isinstance(exact, BranchEvaluator)
+    points = np.ascontiguousarray(spread_over(domain, _ROOT_POINTS).T)
+    decision, rows = exact.decided(points), slice(0, sizes.size)
+    largest = np.zeros(sizes.size)
+    for k, branch in enumerate(evaluator.branches):
+        here = points[:, (decision.chosen == k) & ~decision.undecided]
+        if not branch.roots or not here.size:
+            continue
+        end = branch.slabs[-1].end
+        pseudo = np.linspace(0.0, np.nextafter(end, 0.0), _SIZE_TIMES)[:, None]
+        ours, theirs = (
+            branch.trains.curves(pseudo, each.own(here), rows)
+            for each in (branch, exact.branches[k])
+        )
+        largest = np.maximum(largest, np.abs(ours - theirs).max(axis=(1, 2)))
+    return np.asarray(largest / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _with_errors(measured: Measured, errors: Array) -> Measured:
+    """What was measured, with further errors (count,) of the same quantities."""
+    interior = np.maximum(measured.interior, errors)
+    return replace(measured, interior=tuple(interior.tolist()))
 
 
 def _sizes(

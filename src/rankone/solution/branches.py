@@ -6,10 +6,10 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
-from rankone.ir.timeline import BranchedTimeline
+from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Opening
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.timeline import TimelineEvaluator
+from rankone.tensors.timeline import HeightRoot, TimelineEvaluator
 
 
 def slabs_of_branches(
@@ -31,12 +31,25 @@ def slabs_of_branches(
 
 def branch_evaluator(slabs: Sequence[SlabTrain], timeline: BranchedTimeline) -> BranchEvaluator:
     """The evaluator of slabs of branches, each behind those of the one before."""
-    evaluators = [
-        TimelineEvaluator(own, branch.horizon, branch.affine_borders)
-        for own, branch in zip(slabs_of_branches(slabs, timeline), timeline.branches, strict=True)
-    ]
+    slabs_of, evaluators = slabs_of_branches(slabs, timeline), dict[int, TimelineEvaluator]()
+
+    def evaluator(k: int) -> TimelineEvaluator:
+        """That of a branch, after those of the parents of its openings."""
+        if k not in evaluators:
+            branch = timeline.branches[k]
+            roots = [root(each) for each in timeline.openings if each.branch == k]
+            evaluators[k] = TimelineEvaluator(
+                slabs_of[k], branch.horizon, branch.affine_borders, roots
+            )
+        return evaluators[k]
+
+    def root(opening: Opening) -> HeightRoot:
+        of, k = evaluator(opening.parent), opening.parent
+        row = len(of.slabs[0].cores[0]) - CLOCK_STATES - timeline.guards[k] + opening.guard
+        return HeightRoot(of, row, opening.lower, opening.upper)
+
     return BranchEvaluator(
-        evaluators,
+        [evaluator(k) for k in range(len(timeline.branches))],
         timeline.guards,
         timeline.forks,
         timeline.width,

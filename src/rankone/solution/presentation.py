@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import textwrap
 from collections.abc import Iterable, Mapping
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,9 +97,10 @@ def _trains(outcome: Outcome) -> str:
     pieces = [count(len(outcome.pieces), "piece")] if outcome.pieces else []
     texts = [*pieces, count(len(slabs), "slab"), f"rank {highest}"]
     if slabs and slabs[0].bases:
-        largest = [max(column) for column in zip(*ranks, strict=True)]
+        # branches may have coordinates behind the parameters
+        largest = [max(column) for column in zip_longest(*ranks, fillvalue=1)]
         sizes = ([basis.size for basis in slab.bases] for slab in slabs)
-        nodes = [max(column) for column in zip(*sizes, strict=True)]
+        nodes = [max(column) for column in zip_longest(*sizes, fillvalue=1)]
         texts.append(f"ranks up to ({_some(map(str, largest))})")
         texts.append(f"nodes up to ({_some(map(str, nodes))})")
     sampled = outcome.history[-1].integrator if outcome.history else ""

@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import ForcedOrder
+from rankone.ir.events import ForcedOrder, Guard, Turn
+from rankone.ir.measures import LINEAR
 from rankone.ir.outcome import Measured, Outcome
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
-from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Timeline
+from rankone.ir.timeline import BranchedTimeline, Fork, Grazing, Opening, Timeline
 from rankone.ir.verdict import (
     HiddenEvent,
     HiddenRate,
@@ -42,7 +43,8 @@ from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.events.forced import ContinuationError
-from rankone.trajectories.events.orders import Order, OrderSearch
+from rankone.trajectories.events.openings import ContinuedOrder, opened_after
+from rankone.trajectories.events.orders import Opened, Order, OrderSearch
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import Tolerances
 from rankone.verification.branches import (
@@ -82,11 +84,40 @@ Solve = Callable[[System, SolveRequest], Outcome]
 
 @dataclass(frozen=True)
 class _Branch:
-    """An order, continued over the box, and the points at which it holds."""
+    """An order, continued over the box, and the points at which it holds.
+
+    For each of its opened events there is a branch that misses it.
+    """
 
     order: Order
     forced: ForcedOrder
     places: NDArray[np.intp]
+    opened: Opened
+    parents: tuple[int, ...] = ()
+
+    def lengths(self, points: Array, places: slice | NDArray[np.intp] = slice(None)) -> Array:
+        """Lengths of stretches at some of the points (m, d) of a search, as predicted."""
+        return self.forced.lengths(self.opened.points[: len(points)][places])
+
+    @property
+    def continued(self) -> ContinuedOrder:
+        return ContinuedOrder(self.order, self.forced, self.opened)
+
+    def with_guard(self, guard: Guard | Turn) -> tuple[_Branch, int]:
+        """The branch with a guard, and the position of this."""
+        guards = self.forced.guards
+        if guard not in guards:
+            guards = (*guards, guard)
+        return replace(self, forced=replace(self.forced, guards=guards)), guards.index(guard)
+
+    def turn_of(self, other: _Branch, step: int) -> Turn | None:
+        """The turn of a step at which the branch misses an event that another one has opened."""
+        turns = [
+            turn
+            for turn in other.opened.turns
+            if turn.stretch == step - 1 and turn not in self.opened.turns
+        ]
+        return turns[0] if turns else None
 
 
 def solve_in_branches(
@@ -179,6 +210,15 @@ def with_points(search: OrderSearch, points: Array) -> OrderSearch:
 
 
 @dataclass(frozen=True)
+class _Failed:
+    """An order that cannot be continued from the points at which it holds, and why."""
+
+    order: Order
+    places: NDArray[np.intp]
+    error: ContinuationError
+
+
+@dataclass(frozen=True)
 class _Branches:
     """The branches, where each two of them part, and which events they graze.
 
@@ -228,7 +268,14 @@ class _BranchSolve:
             len(branch.forced.guards) + len(branch.forced.clearances) for branch in branches
         )
         branched = BranchedTimeline(
-            tuple(timelines), guards, parted.forks, _WIDTH * rtol, tolerances, 0.0, parted.grazings
+            tuple(timelines),
+            guards,
+            parted.forks,
+            _WIDTH * rtol,
+            tolerances,
+            0.0,
+            parted.grazings,
+            self._openings(branches),
         )
         orders = [*(branch.order for branch in branches), *parted.grazed]
         with self.stages.of("check"):
@@ -236,29 +283,51 @@ class _BranchSolve:
 
     def _branches(self) -> _Branches:
         """The orders, without those that a longer one goes on from or that are only grazed."""
-        branches, grazed = list[_Branch](), list[Order]()
-        most_grazed = _MOST_GRAZED * len(self.search.points)
-        for order, places in self.search.groups().items():
+        search, branches, failed = self.search, list[_Branch](), list[_Failed]()
+        for order, places in search.groups().items():
             if any(self._goes_on(order, places, other) for other in branches):
                 continue
-            if len(branches) == _MOST_BRANCHES:
+            try:
+                forced = search.continued(order, places)
+                branches.append(_Branch(order, forced, places, search.unopened))
+            except ContinuationError as error:
+                failed.append(_Failed(order, places, error))
+            if len(branches) + len(failed) > _MOST_BRANCHES:
                 raise OrderError(
                     f"events come in more than {_MOST_BRANCHES} orders over the box", remedy=REMEDY
                 )
-            try:
-                branches.append(_Branch(order, self.search.continued(order, places), places))
-            except ContinuationError:
-                if len(places) > most_grazed or order.terminal:
-                    raise
-                grazed.append(order)
+        grazed, most_grazed = list[Order](), _MOST_GRAZED * len(search.points)
+        for each in sorted(failed, key=lambda each: len(each.order.met)):
+            if len(each.places) <= most_grazed and not each.order.terminal:
+                grazed.append(each.order)
+            else:
+                branches.append(self._opened(each, branches))
         return _Branches(branches, grazed)
+
+    def _opened(self, failed: _Failed, branches: Sequence[_Branch]) -> _Branch:
+        """A branch with an event that another one misses; the error of the order without one."""
+        order, places, missed = failed.order, failed.places, failed.error.missed
+        for k, parent in enumerate(branches):
+            if missed is None or order.parts_at(parent.order) != missed + 1:
+                continue
+            try:
+                with limited(_MOST_OF_ONE * work_left()):
+                    at = parent.continued, order, places, missed
+                    opened = opened_after(self.search, *at)
+                    if opened is None:
+                        continue
+                    forced = self.search.continued(order, places, opened)
+            except (ContinuationError, OutOfBudgetError):
+                break
+            return _Branch(order, forced, places, opened, (*parent.parents, k))
+        raise failed.error
 
     def _goes_on(self, order: Order, places: NDArray[np.intp], other: _Branch) -> bool:
         """Whether another branch has an order, and further events only after the end."""
         if not order.begins(other.order):
             return False
         further = len(order.met) + 1
-        lengths = other.forced.lengths(self.search.points[places])[:, :further]
+        lengths = other.lengths(self.search.points, places)[:, :further]
         end = lengths.sum(axis=1)
         return bool((end >= (1.0 - _PAST) * self.search.length).all())
 
@@ -267,7 +336,10 @@ class _BranchSolve:
         search, request = self.search, self.request
         clock = branch.order.clock(search.system, search.horizon, branch.forced)
         stretched = in_stretches(replace(clock, cuts=self.cuts))
-        domain = replace(request.domain, horizon=stretched.horizon)
+        roots = tuple(map(tuple, branch.opened.bounds[len(request.domain.box) :].tolist()))
+        box = (*request.domain.box, *roots)
+        scales = (*request.domain.scales, *(LINEAR for _ in roots))
+        domain = Domain(stretched.horizon, box, scales)
         tighter = replace(request, domain=domain, rtol=self.share * request.rtol)
         return solve(stretched, tighter), Timeline.of(clock)
 
@@ -300,13 +372,16 @@ class _BranchSolve:
 
     def _with_forks(self, parted: _Branches) -> _Branches:
         """The branches with their guards, and where each two of them part."""
-        branches = parted.branches
-        search, guarded, forks = self.search, [*branches], list[Fork]()
-        lengths = [branch.forced.lengths(search.points) for branch in branches]
+        search, branches, forks = self.search, [*parted.branches], list[Fork]()
+        lengths = [branch.lengths(search.points) for branch in branches]
         least = -_PAST * search.length
         for a, b in itertools.combinations(range(len(branches)), 2):
             one, other = branches[a].order, branches[b].order
             step = one.parts_at(other)
+            fork = self._fork_at_turn(branches, a, b, step)
+            if fork is not None:
+                forks.append(fork)
+                continue
             fork = Fork(a, b, step - 1)
             if step and not self._at_once(one, other, step, lengths[a], lengths[b]):
                 first, second = (
@@ -317,13 +392,32 @@ class _BranchSolve:
                 continue
             places = [search.places(order.steps[: step + 1]) for order in (one, other)]
             guard, sign, scale = search.guard(step - 1, *places)
-            forced = guarded[a].forced
-            guards = [*forced.guards]
-            if guard not in guards:
-                guards.append(guard)
-                guarded[a] = replace(guarded[a], forced=replace(forced, guards=tuple(guards)))
-            forks.append(replace(fork, guard=guards.index(guard), sign=sign, scale=scale))
-        return replace(parted, branches=guarded, forks=tuple(forks))
+            branches[a], row = branches[a].with_guard(guard)
+            forks.append(replace(fork, guard=row, sign=sign, scale=scale))
+        return replace(parted, branches=branches, forks=tuple(forks))
+
+    def _fork_at_turn(self, branches: list[_Branch], a: int, b: int, step: int) -> Fork | None:
+        """The fork of two branches of which one misses an event that is opened in the other."""
+        for first, second in ((a, b), (b, a)):
+            turn = branches[first].turn_of(branches[second], step)
+            if turn is None:
+                continue
+            branches[first], row = branches[first].with_guard(turn)
+            opened = branches[second].opened
+            lower = opened.bounds[len(self.request.domain.box) + opened.turns.index(turn), 0]
+            scale = float(lower**2)
+            return Fork(first, second, step - 1, row, sign=-1.0, scale=scale, at_turn=True)
+        return None
+
+    def _openings(self, branches: Sequence[_Branch]) -> tuple[Opening, ...]:
+        """The openings of all branches."""
+        d, openings = len(self.request.domain.box), list[Opening]()
+        for k, branch in enumerate(branches):
+            bounds = branch.opened.bounds[d:].tolist()
+            for parent, turn, ends in zip(branch.parents, branch.opened.turns, bounds, strict=True):
+                row = branches[parent].forced.guards.index(turn)
+                openings.append(Opening(k, parent, row, *ends))
+        return tuple(openings)
 
     def _at_once(
         self, one: Order, other: Order, step: int, lengths: Array, other_lengths: Array

@@ -110,14 +110,25 @@ class Engine:
         if self.name == "cross" and goes_in_step(system, request):
             with suppress(OrderError):
                 return self._attempted(system, request, report)
-        stages = Stages()
+        stages, in_order = Stages(), None
         try:
-            return self._solve_in_order(system, request, report, stages)
+            in_order = self._solve_in_order(system, request, report, stages)
+            if in_order.status is not Status.STEEP or self.name != "cross":
+                return in_order
+            first = OrderError(in_order.message)  # events may be missed by grazing
         except OrderError as error:
             if self.name != "cross" or isinstance(error, TrajectoryEndError):
                 raise
             first = error
-        return solve_in_branches(solve, system, request, first, stages)
+        if in_order is None:
+            return solve_in_branches(solve, system, request, first, stages)
+        stages = Stages()
+        stages.add(in_order.timings, in_order.work)
+        try:
+            outcome = solve_in_branches(solve, system, request, first, stages)
+        except ConvergenceError:
+            return in_order
+        return in_order if _is_better(in_order, outcome) else outcome
 
     def _solve_in_order(
         self,

@@ -37,7 +37,8 @@ from rankone.tensors.tiling import Tiling
 from rankone.tensors.train import Train
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 5  # Newest version that is read: it came with solutions joined of pieces
+FORMAT_VERSION = 6  # Newest version that is read: it came with openings of branches
+_FIFTH_VERSION = 5  # It came with solutions joined of pieces
 _FOURTH_VERSION = 4  # It came with timelines of several branches
 _THIRD_VERSION = 3  # It came with timelines
 _FIRST_VERSION, _SECOND_VERSION = 1, 2  # Versions of files that hold nothing of what came later
@@ -109,12 +110,13 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     version = _SECOND_VERSION if is_second else _FIRST_VERSION
     timeline: dict[str, Timeline | BranchedTimeline] = {}
     if isinstance(outcome.timeline, BranchedTimeline):
-        version, timeline = _FOURTH_VERSION, {"branches": outcome.timeline}
+        version = FORMAT_VERSION if outcome.timeline.openings else _FOURTH_VERSION
+        timeline = {"branches": outcome.timeline}
     elif outcome.timeline is not None:
         version, timeline = _THIRD_VERSION, {"timeline": outcome.timeline}
     pieces = {"pieces": len(outcome.pieces)} if outcome.pieces else {}
     if pieces:
-        version = FORMAT_VERSION
+        version = _FIFTH_VERSION
     header = {
         "format": FORMAT,
         "format_version": version,
@@ -331,7 +333,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
             _check_timeline(branch, span, parameters)
         span = (0.0, float(timeline.stretches))
     if not outcome.pieces:
-        _check_slabs(outcome.slabs, metadata, span)
+        _check_slabs(outcome, metadata, span)
         _check_end(outcome, span)
     _check_error(outcome, metadata.rtol)
 
@@ -425,22 +427,26 @@ def _check_branches(
         guards = timeline.guards[grazing.branch] if grazing.branch in branches else 0
         if not 0 <= grazing.guard < guards or not grazing.scale > 0.0:
             raise ValueError(f"{grazing} is of no branch")
-    ends = np.cumsum([branch.stretches for branch in timeline.branches])
+    for opening in timeline.openings:
+        guards = timeline.guards[opening.parent] if opening.parent in branches else 0
+        fits = opening.parent < opening.branch and opening.branch in branches
+        if not fits or not 0 <= opening.guard < guards or not 0.0 <= opening.lower < opening.upper:
+            raise ValueError(f"{opening} is between no branches")
     counts = set()
     for slab in slabs:
-        k = int(np.searchsorted(ends, 0.5 * (slab.start + slab.end)))
+        k = timeline.branch_of(0.5 * (slab.start + slab.end))
         if k not in branches:
             raise ValueError("the slabs do not fit the branches")
-        counts.add((len(slab.cores[0]) - timeline.guards[k], len(slab.bases)))
+        roots = len(timeline.roots_of(k))
+        counts.add((len(slab.cores[0]) - timeline.guards[k], len(slab.bases) - roots))
     return counts
 
 
-def _check_slabs(
-    slabs: Sequence[SlabTrain], metadata: SolutionMetadata, span: tuple[float, float]
-) -> None:
+def _check_slabs(outcome: Outcome, metadata: SolutionMetadata, span: tuple[float, float]) -> None:
     """Raise a ValueError unless slabs follow each other over a span and cover the box."""
     begin, end = span
-    near = _near(span)
+    near, timeline = _near(span), outcome.timeline
+    slabs = outcome.slabs
     for i, slab in enumerate(slabs):
         if not -math.inf < slab.start < slab.end < math.inf:
             raise ValueError(f"slab {i} is ({slab.start}, {slab.end}), which does not ascend")
@@ -449,7 +455,10 @@ def _check_slabs(
             raise ValueError(
                 f"slab {i} is ({slab.start}, {slab.end}) after {before} in a horizon up to {end}"
             )
-        for basis, interval in zip(slab.bases, metadata.box, strict=True):
+        box = metadata.box
+        if isinstance(timeline, BranchedTimeline):
+            box = (*box, *timeline.roots_of(timeline.branch_of(0.5 * (slab.start + slab.end))))
+        for basis, interval in zip(slab.bases, box, strict=True):
             if (basis.lower, basis.upper) != interval:
                 raise ValueError(f"a basis of slab {i} is not one on {interval}")
         if not all(np.isfinite(core).all() for core in slab.cores):

@@ -37,6 +37,8 @@ class BranchFork(Protocol):
     def scale(self) -> float: ...
     @property
     def may_be_past(self) -> tuple[bool, bool]: ...
+    @property
+    def at_turn(self) -> bool: ...
 
 
 class BranchGrazing(Protocol):
@@ -96,6 +98,21 @@ class BranchEvaluator(ClockEvaluator):
         self.width, self.tolerances = width, np.array(tolerances, dtype=float)
         self.horizon = branches[0].horizon
         self.takes_likeliest = False
+        self._highest = [self._highest_of(fork) for fork in self.forks]
+
+    def _highest_of(self, fork: BranchFork) -> float:
+        """The highest guard of a fork for which the second of its branches is solved."""
+        if fork.guard is None:
+            return math.inf
+        first = self.branches[fork.first]
+        of = (first, self._row(fork.first, fork.guard))
+        roots = self.branches[fork.second].roots
+        return min((r.upper**2 for r in roots if (r.evaluator, r.row) == of), default=math.inf)
+
+    def _row(self, branch: int, guard: int) -> int:
+        """The row of a guard of a branch."""
+        rows = len(self.branches[branch].slabs[0].cores[0])
+        return rows - 2 - self.guards[branch] + guard
 
     def likeliest(self) -> BranchEvaluator:
         """One that takes the branch that is ahead also where that is undecided, without NaN."""
@@ -131,10 +148,14 @@ class BranchEvaluator(ClockEvaluator):
         guards, clearances = np.split(guards, [len(guards) - len(self.grazings)])
         guard = iter(guards)
         ahead = np.full((count, count, deciders.shape[1]), np.inf)
-        for fork in self.forks:
+        beyond = np.zeros((count, deciders.shape[1]), dtype=bool)
+        for fork, highest in zip(self.forks, self._highest, strict=True):
             a, b = fork.first, fork.second
             if fork.guard is not None:
-                margin = fork.sign * next(guard) / fork.scale
+                height = next(guard)
+                margin = fork.sign * height / fork.scale
+                margin *= self.width if fork.at_turn else 1.0
+                beyond[b] |= height > highest
             else:
                 one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
                 margin = _earlier(one, other, fork.may_be_past) / length
@@ -142,7 +163,7 @@ class BranchEvaluator(ClockEvaluator):
         least = ahead.min(axis=1)
         chosen = least.argmax(axis=0)
         columns = np.arange(deciders.shape[1])
-        undecided = ~(least[chosen, columns] > -self.width)
+        undecided = ~(least[chosen, columns] > -self.width) | beyond[chosen, columns]
         for k in np.unique(chosen):
             here = chosen == k
             times = borders[k][:, here]
@@ -162,9 +183,9 @@ class BranchEvaluator(ClockEvaluator):
         the ends of the stretch. It is below zero where the guard falls through zero.
         """
         evaluator = self.branches[grazing.branch]
-        first = len(evaluator.slabs[0].cores[0]) - 2 - self.guards[grazing.branch]
+        row = self._row(grazing.branch, grazing.guard)
         times = grazing.stretch + np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
-        heights = evaluator.trains.curves(times, points, np.array([first + grazing.guard]))[0]
+        heights = evaluator.on_stretches(times, points, np.array([row]))[0]
         ends = np.where([[grazing.begins], [grazing.ends]], np.inf, np.abs(heights[[0, -1]]))
         if grazing.begins:
             heights[0] = 0.0
@@ -184,10 +205,8 @@ class BranchEvaluator(ClockEvaluator):
 
     def _guard(self, branch: int, guard: int, points: Array) -> Array:
         """A guard of a branch at points (d, N)."""
-        evaluator = self.branches[branch]
-        row = len(evaluator.slabs[0].cores[0]) - 2 - self.guards[branch] + guard
-        start = np.zeros((1, 1))
-        return np.asarray(evaluator.trains.curves(start, points, np.array([row]))[0, 0])
+        rows, start = np.array([self._row(branch, guard)]), np.zeros((1, 1))
+        return np.asarray(self.branches[branch].on_stretches(start, points, rows)[0, 0])
 
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
         states, doubtful = self.with_doubts(times, points, rows)
@@ -308,20 +327,22 @@ class BranchEvaluator(ClockEvaluator):
 class ContinuedBranch(TimelineEvaluator):
     """One branch over the whole box: where it does not hold, stretches may have negative lengths.
 
-    Borders are in the order of the stretches, so that they are smooth.
+    Borders are in the order of the stretches, so that they are smooth. Roots of heights are
+    coordinates behind the parameters.
     """
 
     def __init__(self, branches: BranchEvaluator, branch: int) -> None:
         own = branches.branches[branch]
         super().__init__(own.slabs, own.horizon, own.affine_borders)
         self._branches, self._branch = branches, branch
+        self._opened = len(own.roots)
 
     def borders(self, points: Array) -> Array:
         return self.borders_as_solved(points)
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Where the branch holds at points (d, N), and not just about."""
-        decision = self._branches.decided(points)
+        """Where the branch holds at points (d, N), and not just about, whatever the roots are."""
+        decision = self._branches.decided(points[: len(points) - self._opened])
         return np.asarray((decision.chosen == self._branch) & ~decision.undecided)
 
 

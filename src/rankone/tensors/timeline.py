@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,45 @@ _ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the las
 _PRODUCTS = 1 << 21  # Numbers of values with derivatives, and of their products, at once
 
 
+@dataclass(frozen=True)
+class HeightRoot:
+    """The root of a height over a surface, from ``lower`` to ``upper``, as a coordinate of slabs.
+
+    The height is a ``row`` of another evaluator that is the same at all times.
+    """
+
+    evaluator: TimelineEvaluator
+    row: int
+    lower: float
+    upper: float
+
+    def height(self, points: Array) -> Array:
+        """That at points (d, N), (N,)."""
+        rows = np.array([self.row])
+        return np.asarray(self.evaluator.on_stretches(np.zeros((1, 1)), points, rows)[0, 0])
+
+    def __call__(self, points: Array) -> Array:
+        """The roots at points (d, N), (N,), those nearest to the height."""
+        root = np.sqrt(np.maximum(self.height(points), 0.0))
+        return np.asarray(np.clip(root, self.lower, self.upper))
+
+    def with_slopes(self, points: Array, free: Sequence[int]) -> Array:
+        """The roots and their derivatives, (N, 1 + k)."""
+        at = self.evaluator.row_with_slopes(self.row, points, free)
+        root = np.sqrt(np.maximum(at[:, :1], 0.0))
+        inside = (root > self.lower) & (root < self.upper)
+        at[:, 1:] = np.where(inside, 0.5 * at[:, 1:] / np.where(inside, root, 1.0), 0.0)
+        at[:, :1] = np.clip(root, self.lower, self.upper)
+        return at
+
+
 class TimelineEvaluator(ClockEvaluator):
     """States at clock times, of slabs over pseudo-time: stretch i is [i, i + 1].
 
     The last two of their states are the clock and the length of the stretch. ``affine_borders``
     maps borders, 0 for the start of the first stretch, to the constant and the slopes of their
-    times, where these are known. Values are NaN where no stretch reaches.
+    times, where these are known. Values are NaN where no stretch reaches. Slabs may have further
+    ``roots`` as coordinates behind the parameters.
     """
 
     def __init__(
@@ -30,8 +64,9 @@ class TimelineEvaluator(ClockEvaluator):
         slabs: Sequence[SlabTrain],
         horizon: tuple[float, float],
         affine_borders: Mapping[int, Sequence[float]],
+        roots: Sequence[HeightRoot] = (),
     ) -> None:
-        self.horizon, self.affine_borders = horizon, affine_borders
+        self.horizon, self.affine_borders, self.roots = horizon, affine_borders, tuple(roots)
         self.slabs, self.trains = tuple(slabs), TrainEvaluator(slabs)
         stretches = round(slabs[-1].end)
         self._clock = np.array([len(slabs[0].cores[0]) - 2], dtype=np.intp)
@@ -46,8 +81,16 @@ class TimelineEvaluator(ClockEvaluator):
     def borders_as_solved(self, points: Array) -> Array:
         """The same, in the order of the stretches, in which they need not ascend."""
         pseudo = np.append(self._begins, self._last)[:, None]
-        times = self.trains.curves(pseudo, points, self._clock)[0]
+        times = self.on_stretches(pseudo, points, self._clock)[0]
         return self._with_affine(times, points)
+
+    def own(self, points: Array) -> Array:
+        """Points (d, N) with the roots of heights behind them."""
+        return np.stack([*points, *(root(points) for root in self.roots)]) if self.roots else points
+
+    def on_stretches(self, pseudo: Array, points: Array, rows: Rows) -> Array:
+        """States (rows, T, N) at pseudo-times (T, N) or (T, 1) and points (d, N)."""
+        return self.trains.curves(pseudo, self.own(points), rows)
 
     def _with_affine(self, times: Array, points: Array) -> Array:
         """Times of borders (stretches + 1, N) by the slabs, the affine ones replaced."""
@@ -75,7 +118,7 @@ class TimelineEvaluator(ClockEvaluator):
         times = np.broadcast_to(times, (len(times), points.shape[1]))
         borders = self.borders_as_solved(points)
         pseudo, outside = self._pseudo_times(times, borders)
-        states = self.trains.curves(pseudo, points, rows)
+        states = self.on_stretches(pseudo, points, rows)
         states[:, outside] = math.nan
         return states
 
@@ -114,13 +157,12 @@ class TimelineEvaluator(ClockEvaluator):
         """States and their derivatives (rows, T, N, 1 + k), all at once."""
         count, width = points.shape[1], 1 + len(free)
         products: list[Array] = []
+        roots = self._roots_with_slopes(points, free)
         for i, slab in enumerate(self.slabs):
             if i and slab.shares_parameters(self.slabs[i - 1]):
                 products.append(products[-1])
             else:
-                columns = slab.with_slopes(points, free).reshape(-1, count, width)
-                # the value, then the derivatives in the order of the parameters
-                products.append(np.concatenate([columns[:, :, :1], columns[:, :, :0:-1]], axis=2))
+                products.append(_with_slopes(slab, points, free, roots))
         borders = self._borders_with_slopes(products, points, free)
         pseudo, outside = self._pseudo_times(times, borders[..., 0])
         stretch = np.minimum(np.floor(pseudo), self._begins[-1]).astype(np.intp)
@@ -146,6 +188,17 @@ class TimelineEvaluator(ClockEvaluator):
             states[:, here] = changes
         states[:, outside] = math.nan
         return states
+
+    def _roots_with_slopes(self, points: Array, free: Sequence[int]) -> list[Array]:
+        """The roots of heights with their derivatives, (N, 1 + k) each."""
+        return [root.with_slopes(points, free) for root in self.roots]
+
+    def row_with_slopes(self, row: int, points: Array, free: Sequence[int]) -> Array:
+        """A row that is the same at all times, with its derivatives, (N, 1 + k)."""
+        slab = self.slabs[0]
+        at = _with_slopes(slab, points, free, self._roots_with_slopes(points, free))
+        core = slab.with_first(slab.cores[0][[row]])
+        return np.tensordot(core.in_time(np.array([slab.start]))[0, 0], at, 1)
 
     def _borders_with_slopes(
         self, products: Sequence[Array], points: Array, free: Sequence[int]
@@ -179,3 +232,21 @@ class TimelineEvaluator(ClockEvaluator):
             stretch += times >= border
         rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
         return stretch, times > borders[-1] + rounding
+
+
+def _with_slopes(
+    slab: SlabTrain, points: Array, free: Sequence[int], roots: Sequence[Array]
+) -> Array:
+    """Products (r, N, 1 + k) of the parameters of a slab, and their derivatives by some of them.
+
+    Behind the points (d, N) come ``roots``, with their derivatives by the same.
+    """
+    d, count, width = len(points), points.shape[1], 1 + len(free)
+    points = np.stack([*points, *(root[:, 0] for root in roots)]) if roots else points
+    every = [*free, *range(d, d + len(roots))]
+    columns = slab.with_slopes(points, every).reshape(-1, count, 1 + len(every))
+    # the value, then the derivatives in the order of the parameters
+    products = np.concatenate([columns[:, :, :1], columns[:, :, :0:-1]], axis=2)
+    for k, root in enumerate(roots, width):
+        products[:, :, 1:width] += products[:, :, k : k + 1] * root[:, 1:]
+    return products[:, :, :width]

@@ -136,7 +136,7 @@ def _passes_others(
     n, end = system.n_differential - system.n_sides, evaluator.horizon[1]
     passes = np.zeros(len(points), dtype=bool)
     for stretch, sides in enumerate(order.sides):
-        values = evaluator.branches[branch].trains.curves(stretch + shares, columns, slice(None))
+        values = evaluator.branches[branch].on_stretches(stretch + shares, columns, slice(None))
         clock = values[-2].T
         states = np.swapaxes(values[:n], 1, 2).reshape(n, -1)
         on_sides = np.repeat(np.array(sides, dtype=float)[:, None], clock.size, axis=1)

@@ -13,6 +13,7 @@
 ``stretch_integrator``  those that meet events in one order
 ``forced``              those that follow an order wherever it holds or not
 ``orders``              orders that hold in parts of a box, each continued to all of it
+``openings``            events that trajectories meet just before they turn, or miss: continued too
 ``markers``             crossings that all pass in step, where they get out of phase
 ``late_fronts``         a crossing that all pass once, many of them after the horizon
 ======================  =====================================================================

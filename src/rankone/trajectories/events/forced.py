@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Clearance, Ending, SystemEvent
+from rankone.ir.events import Clearance, Ending, Guard, SystemEvent, Turn
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
@@ -27,6 +27,7 @@ from rankone.trajectories.shares import SeparateRun, share_paths
 
 _LOOKS = 65  # Places at which a root is looked for
 _WIDER = (1.0, 4.0)  # Factors on the distance up to which it is looked for
+_FINER = 3  # Looks at a turn, each between the neighbours of the highest place before
 _REFINEMENTS = 60  # Most steps towards a root
 _EXACT = 4e-16  # Width of the interval of a root, over its ends, that rounding makes
 _AT_ROOT = 1e-7  # Height at the beginning, over the largest one, where a stretch begins at a root
@@ -36,10 +37,12 @@ _SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of s
 class ContinuationError(OrderError):
     """An order of events cannot be continued to all of the points (m, d).
 
-    ``fails`` (m,) marks those at which it cannot.
+    ``fails`` (m,) marks those at which it cannot. ``missed`` is the stretch whose event does not
+    come, if that is why.
     """
 
     fails: NDArray[np.bool_]
+    missed: int | None = None
 
 
 @dataclass(frozen=True)
@@ -78,14 +81,15 @@ class _Flow:
             self.to_behind[places],
         )
 
-    def heights(self, event: SystemEvent, elapsed: Array) -> Array:
-        """What crosses zero at an event, (m, K), after elapsed times (m, K)."""
+    def heights(self, event: SystemEvent, elapsed: Array, moved: Array | float = 0.0) -> Array:
+        """What crosses zero at an event, ``moved`` by (m,), after elapsed times (m, K): (m, K)."""
         states = self(elapsed)
         columns = np.repeat(self.points.T, elapsed.shape[1], axis=1)
         times = (self.starts[:, None] + elapsed).ravel()
         with np.errstate(all="ignore"):
             heights = event.when(times, states.reshape(len(states), -1), columns)
-        return np.broadcast_to(heights, times.shape).reshape(elapsed.shape)
+        heights = np.broadcast_to(heights, times.shape).reshape(elapsed.shape)
+        return np.asarray(heights + np.reshape(moved, (-1, 1)))
 
 
 def _share(elapsed: Array, whole: Array) -> Array:
@@ -99,7 +103,8 @@ class ForcedTrajectories(PseudoTimeTrajectories):
     """Trajectories of a forced order, over the pseudo-time of its stretches.
 
     ``borders`` (m, stretches + 1) are clock times, which need not ascend; ``guards`` (g, m) belong
-    to the order. Its clearances are rows behind these.
+    to the order, with the elapsed ``turns`` (g, m) of those at turns. Its clearances are rows
+    behind these.
     """
 
     system: System
@@ -108,6 +113,7 @@ class ForcedTrajectories(PseudoTimeTrajectories):
     flows: Sequence[_Flow]
     borders: Array
     guards: Array
+    turns: Array
     steps: int
     integrator: str
     method: str
@@ -164,6 +170,7 @@ class ForcedTrajectories(PseudoTimeTrajectories):
             flows=[flow.of(trajectories) for flow in self.flows],
             borders=self.borders[trajectories],
             guards=self.guards[:, trajectories],
+            turns=self.turns[:, trajectories],
         )
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
@@ -191,6 +198,10 @@ def forced_trajectories(
     return _Follower(system, clock, integrator, points, tolerances).trajectories()
 
 
+_Moved = dict[tuple[int, tuple[int, ...]], Array]
+"""By how much the surfaces of events are moved, on sides of switches: (m,) each."""
+
+
 @dataclass(frozen=True)
 class _Follower:
     """Follows a forced order, stretch after stretch."""
@@ -201,24 +212,34 @@ class _Follower:
     points: Array
     tolerances: Tolerances
 
+    @property
+    def _parameters(self) -> Array:
+        """Those of the system at the points, (m, d)."""
+        forced = self.clock.forced
+        assert forced is not None
+        return self.points[:, : self.points.shape[1] - len(forced.opened)]
+
     def trajectories(self) -> ForcedTrajectories:
         clock, forced = self.clock, self.clock.forced
         assert forced is not None
         times = np.full(len(self.points), clock.horizon[0])
         expected = forced.lengths(self.points)
-        states = self._on_sides(clock.system.initial(np.ascontiguousarray(self.points.T)), 0)
+        states = self._on_sides(clock.system.initial(np.ascontiguousarray(self._parameters.T)), 0)
         guards = np.ones((len(forced.guards), len(self.points)))
+        turns, moved = np.full_like(guards, np.nan), _Moved()
         self._guard(guards, -1, 0, times, states)
         flows, borders = list[_Flow](), [times]
         for i, met in enumerate(forced.met):
-            flow, elapsed = self._stretch(i, times, states, expected[:, i])
+            flow, elapsed = self._stretch(i, times, states, expected[:, i], moved)
+            self._heights_at_turns(i, flow, guards, turns)
             flows.append(flow)
             times = times + elapsed
             borders.append(times)
             states = self._reset(i, met, times, flow(elapsed[:, None])[:, :, 0], guards)
         if clock.order.ending is Ending.HORIZON:
-            elapsed = clock.horizon[1] - times
-            flows.append(self._flow(times, states, elapsed, np.zeros_like(elapsed)))
+            flow = self._flow(times, states, clock.horizon[1] - times, stretch=len(forced.met))
+            self._heights_at_turns(len(forced.met), flow, guards, turns)
+            flows.append(flow)
             borders.append(np.full_like(times, clock.horizon[1]))
         return ForcedTrajectories(
             self.system,
@@ -227,33 +248,44 @@ class _Follower:
             tuple(flows),
             np.stack(borders, axis=1),
             guards,
+            turns,
             sum(flow.ahead.breaks.shape[1] - 1 for flow in flows),
             "stack",
             "DOP853",
         )
 
-    def _stretch(self, i: int, times: Array, states: Array, expected: Array) -> tuple[_Flow, Array]:
-        """The flow of a stretch from times (m,) to its event, and the elapsed times (m,)."""
+    def _stretch(
+        self, i: int, times: Array, states: Array, expected: Array, moved: _Moved
+    ) -> tuple[_Flow, Array]:
+        """The flow of a stretch from times (m,) to its event, and the elapsed times (m,).
+
+        A surface that is ``moved`` by an opened event joins the others.
+        """
         forced = self.clock.forced
         assert forced is not None
         (first, *_), before = forced.met[i], forced.met[i - 1] if i else ()
         event = self.clock.system.events[first]
-        if event.at is None:
-            margin = forced.margins[i]
-            at_root = np.full(times.shape, first in before)
-            if not before:  # at points that begin at the very event, it is the one expected
-                at_root = np.abs(expected) > margin
-            return self._to_root(event, times, states, expected, margin, at_root)
-        at = event.at(np.ascontiguousarray(self.points.T))
-        elapsed = np.broadcast_to(at, times.shape) - times
-        return self._flow(times, states, elapsed, np.zeros_like(elapsed)), elapsed
+        if event.at is not None:
+            at = event.at(np.ascontiguousarray(self._parameters.T))
+            elapsed = np.broadcast_to(at, times.shape) - times
+            return self._flow(times, states, elapsed, stretch=i), elapsed
+        for column, turn in enumerate(forced.opened, self._parameters.shape[1]):
+            if turn.stretch == i:
+                return self._to_opened(turn, column, times, states, expected, moved)
+        margin = forced.margins[i]
+        at_root = np.full(times.shape, first in before)
+        if not before:  # at points that begin at the very event, it is the one expected
+            at_root = np.abs(expected) > margin
+        return self._to_root(
+            i, times, states, expected, at_root, moved.get((first, self.clock.order.sides[i]), 0.0)
+        )
 
     def _reset(
         self, instant: int, met: tuple[int, ...], times: Array, states: Array, guards: Array
     ) -> Array:
         """States (n, m) after the events at an instant, on the sides of the next stretch."""
         self._guard(guards, instant, 0, times, states)
-        columns = np.ascontiguousarray(self.points.T)
+        columns = np.ascontiguousarray(self._parameters.T)
         for count, k in enumerate(met, 1):
             then = self.clock.system.events[k].then
             if then is not None:
@@ -280,54 +312,130 @@ class _Follower:
         forced = self.clock.forced
         assert forced is not None
         for row, guard in zip(guards, forced.guards, strict=True):
+            if not isinstance(guard, Guard):
+                continue
             if (guard.instant, guard.applied) == (instant, applied):
-                system = self.clock.system
-                row[:] = guard_heights(system, guard.event, guard.side, times, states, self.points)
+                at = times, states, self._parameters
+                row[:] = guard_heights(self.clock.system, guard.event, guard.side, *at)
 
-    def _flow(self, times: Array, states: Array, ahead: Array, behind: Array) -> _Flow:
-        """The flow from times (m,) and states, up to elapsed times (m,), and perhaps back."""
+    def _flow(
+        self,
+        times: Array,
+        states: Array,
+        ahead: Array,
+        behind: Array | float = 0.0,
+        stretch: int | None = None,
+    ) -> _Flow:
+        """The flow from times (m,) and states, up to elapsed times (m,), and perhaps back.
+
+        It reaches around the turns of a ``stretch``.
+        """
+        behind = np.broadcast_to(behind, times.shape)
+        for turn in self._turns(stretch):
+            expected = self._expected(turn)
+            behind = np.minimum(np.minimum(behind, np.minimum(ahead, 0.0)), expected - turn.margin)
+            ahead = np.maximum(np.maximum(ahead, 0.0), expected + turn.margin)
         forwards = Paths.of(self._paths(times, states, ahead))
         back = Paths.of(self._paths(times, states, behind)) if (behind < 0.0).any() else None
-        return _Flow(times, self.points, forwards, back, ahead, behind)
+        return _Flow(times, self._parameters, forwards, back, ahead, behind)
+
+    def _turns(self, stretch: int | None) -> list[Turn]:
+        """The turns of a stretch at which heights are asked for."""
+        forced = self.clock.forced
+        assert forced is not None
+        of_guards = (each for each in forced.guards if isinstance(each, Turn))
+        return [each for each in (*of_guards, *forced.opened) if each.stretch == stretch]
+
+    def _expected(self, turn: Turn) -> Array:
+        """About the elapsed time of a turn, (m,)."""
+        return turn.times(self.points[:, : turn.columns])[:, 0]
+
+    def _at_turn(self, turn: Turn, flow: _Flow) -> tuple[Array, Array]:
+        """The elapsed times (m,) of a turn along a flow, and the heights there."""
+        event = self.clock.system.events[turn.event]
+        times, heights = _nearest_turns(flow, event, turn, self._expected(turn))
+        self._raise(~np.isfinite(times), f"does not turn next to event {quote(event.name)}")
+        return times, heights
+
+    def _heights_at_turns(self, stretch: int, flow: _Flow, guards: Array, turns: Array) -> None:
+        """Fill in the guards at turns of a stretch, and the elapsed times of these."""
+        forced = self.clock.forced
+        assert forced is not None
+        for row, guard in enumerate(forced.guards):
+            if isinstance(guard, Turn) and guard.stretch == stretch:
+                turns[row], guards[row] = self._at_turn(guard, flow)
+
+    def _to_opened(
+        self,
+        turn: Turn,
+        column: int,
+        times: Array,
+        states: Array,
+        expected: Array,
+        moved: _Moved,
+    ) -> tuple[_Flow, Array]:
+        """The flow past an opened event, and the elapsed times (m,) of its last root before a turn.
+
+        A ``column`` of the points is the root of the height to which the surface is moved.
+        """
+        event, i = self.clock.system.events[turn.event], turn.stretch
+        forced = self.clock.forced
+        assert forced is not None
+        for factor in _WIDER:
+            low = expected - factor * forced.margins[i]
+            flow = self._flow(times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0), i)
+            at_turn, height = self._at_turn(turn, flow)
+            by = turn.sign * (self.points[:, column] ** 2 - height)
+            low = np.minimum(low, at_turn - factor * turn.margin)
+            never = np.zeros(times.shape, dtype=bool)
+            roots = _nearest_roots(flow, event, (low, at_turn), at_turn, never, by)
+            if np.isfinite(roots).all():
+                moved.update({(k, sides): factor * by for k, sides, factor in turn.surface})
+                return flow, roots
+        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
+        raise AssertionError
 
     def _paths(self, times: Array, states: Array, elapsed: Array) -> Sequence[Path]:
         spans = Spans(times, states, times + elapsed)
         run = cast(SeparateRun, self.integrator.run)
-        paths = share_paths(run, self.clock.system, self.points, spans, self.tolerances)
+        paths = share_paths(run, self.clock.system, self._parameters, spans, self.tolerances)
         ends = np.array([path.end if path.steps else 0.0 for path in paths])
         self._raise(ends < 1.0 - 1e-9, "leaves where its rates are finite")
         return paths
 
     def _to_root(
         self,
-        event: SystemEvent,
+        i: int,
         times: Array,
         states: Array,
         expected: Array,
-        margin: float,
         at_root: NDArray[np.bool_],
+        moved: Array | float,
     ) -> tuple[_Flow, Array]:
         """The flow around the expected root of an event, and the elapsed times (m,) of roots."""
+        forced = self.clock.forced
+        assert forced is not None
+        event, margin = self.clock.system.events[forced.met[i][0]], forced.margins[i]
         for factor in _WIDER:
             low, high = expected - factor * margin, expected + factor * margin
-            flow = self._flow(times, states, np.maximum(high, 0.0), np.minimum(low, 0.0))
-            roots = _nearest_roots(flow, event, low, high, expected, at_root)
+            flow = self._flow(times, states, np.maximum(high, 0.0), np.minimum(low, 0.0), i)
+            roots = _nearest_roots(flow, event, (low, high), expected, at_root, moved)
             if np.isfinite(roots).all():
                 return flow, roots
-        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}")
+        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
         raise AssertionError
 
-    def _raise(self, fails: NDArray[np.bool_], what: str) -> None:
+    def _raise(self, fails: NDArray[np.bool_], what: str, missed: int | None = None) -> None:
         """Raise a ContinuationError if some trajectories fail."""
         if not fails.any():
             return
-        point = self.points[int(np.argmax(fails))]
+        point = self._parameters[int(np.argmax(fails))]
         error = ContinuationError(
             f"an order of events that holds in a part of the box cannot be continued: a trajectory "
             f"{what}{at_point(self.clock, point)}",
             remedy=REMEDY,
         )
-        error.fails = fails
+        error.fails, error.missed = fails, missed
         raise error
 
 
@@ -347,22 +455,22 @@ def guard_heights(
 def _nearest_roots(
     flow: _Flow,
     event: SystemEvent,
-    low: Array,
-    high: Array,
+    between: tuple[Array, Array],
     expected: Array,
     at_root: NDArray[np.bool_],
+    moved: Array | float = 0.0,
 ) -> Array:
-    """The roots of an event nearest to what is expected, (m,); NaN where there are none.
+    """The roots of an event nearest to what is expected, (m,); NaN where there are none between.
 
     Where stretches begin ``at_root`` (m,), that one does not count, and none that is passed in
     another direction than that of the event. Where rates switch, either direction counts: a slip
     that goes on where it would stick turns back.
     """
-    shares = np.linspace(0.0, 1.0, _LOOKS)
-    elapsed = low[:, None] + (high - low)[:, None] * shares
-    heights = flow.heights(event, elapsed)
+    low, high = between
+    elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
+    heights = flow.heights(event, elapsed, moved)
     passed = event.switch | (np.diff(heights) * event.direction >= 0.0)
-    at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)))[:, 0])
+    at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)), moved)[:, 0])
     deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
     heights = _deflated(heights, elapsed, deflated)
     signs = np.sign(heights)
@@ -376,11 +484,38 @@ def _nearest_roots(
     exists = np.isfinite(distance[rows, chosen])
 
     def height(at: Array) -> Array:
-        return _deflated(flow.heights(event, at[:, None]), at[:, None], deflated)[:, 0]
+        heights = flow.heights(event, at[:, None], moved)
+        return _deflated(heights, at[:, None], deflated)[:, 0]
 
     a, b = elapsed[rows, chosen], elapsed[rows, chosen + 1]
     roots = _refined(height, a, b, heights[rows, chosen], heights[rows, chosen + 1], flow.starts)
     return np.where(exists, roots, np.nan)
+
+
+def _nearest_turns(
+    flow: _Flow, event: SystemEvent, turn: Turn, expected: Array
+) -> tuple[Array, Array]:
+    """The turns nearest to what is expected, (m,), and their heights; NaN where there are none."""
+    rows = np.arange(len(expected))
+    low, high = expected - turn.margin, expected + turn.margin
+    exists = np.ones(len(expected), dtype=bool)
+    for finer in range(_FINER):
+        elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
+        heights = turn.sign * flow.heights(event, elapsed)
+        inner = heights[:, 1:-1]
+        turns = (inner >= heights[:, :-2]) & (inner >= heights[:, 2:])
+        apart = np.abs(elapsed[:, 1:-1] - expected[:, None])
+        chosen = 1 + np.where(turns, apart, np.inf).argmin(axis=1)
+        if not finer:
+            exists[:] = turns.any(axis=1)
+        else:
+            chosen = np.clip(heights.argmax(axis=1), 1, _LOOKS - 2)
+        low, high = elapsed[rows, chosen - 1], elapsed[rows, chosen + 1]
+    before, here, after = (heights[rows, chosen + k] for k in (-1, 0, 1))
+    slope, bend = 0.5 * (after - before), after - 2.0 * here + before
+    step = -slope / np.where(bend < 0.0, bend, -np.inf)
+    times = elapsed[rows, chosen] + 0.5 * (high - low) * step
+    return np.where(exists, times, np.nan), here + 0.5 * slope * step
 
 
 def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rankone.ir.events import BOTH, Clearance, Ending, EventOrder, ForcedOrder, Guard
+from rankone.ir.events import BOTH, Clearance, Ending, EventOrder, ForcedOrder, Guard, Turn
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
@@ -126,6 +126,59 @@ class Lengths:
         return np.asarray(self.interpolant((points - self.lower) / self.width))
 
 
+Reach = Callable[[Lengths, tuple[float, ...], NDArray[np.intp]], tuple[Array, NDArray[np.intp]]]
+"""Finds values near to what is expected, to margins, at points at some positions.
+
+With the positions of those at which there are any.
+"""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Turns at which events of an order are opened, and points (m, d) to which it is continued.
+
+    Behind the parameters, the points and their ``bounds`` (d, 2) have the roots of the heights at
+    the turns.
+    """
+
+    turns: tuple[Turn, ...]
+    points: Array
+    bounds: Array
+
+    def spread(
+        self, places: NDArray[np.intp], values: Array, reach: Reach
+    ) -> tuple[Lengths, tuple[float, ...]]:
+        """Values (m, k) known at some of the points, continued to all of them.
+
+        With margins to which they are predicted. A ContinuationError if they cannot be.
+        """
+        lower, width = self.bounds[:, 0], self.bounds[:, 1] - self.bounds[:, 0]
+        unit = (self.points - lower) / width
+        waiting = np.setdiff1d(np.arange(len(self.points)), places)
+        margins = _FIRST_MARGIN * np.abs(values).max(axis=0, initial=0.0)
+        while waiting.size:
+            distance = cdist(unit[waiting], unit[places]).min(axis=1)
+            size = max(_FIRST_CHUNK, int(_GROWTH * len(places)))
+            chunk = waiting[np.argsort(distance, kind="stable")[:size]]
+            expected = Lengths.through(self.bounds, self.points[places], values)
+            there, chunk = reach(expected, tuple(margins.tolist()), chunk)
+            missed = np.abs(there - expected(self.points[chunk])).max(axis=0, initial=0.0)
+            values, places = np.concatenate([values, there]), np.append(places, chunk)
+            margins = np.maximum(
+                _FIRST_MARGIN * np.abs(values).max(axis=0, initial=0.0), _SAFETY * missed
+            )
+            waiting = np.setdiff1d(waiting, chunk)
+        return self._through(self.points[places], values)
+
+    def _through(self, points: Array, values: Array) -> tuple[Lengths, tuple[float, ...]]:
+        """Through values at points; the margins are errors at half of them."""
+        expected = Lengths.through(self.bounds, points, values)
+        half = Lengths.through(self.bounds, points[::2], values[::2])
+        missed = np.abs(half(points[1::2]) - values[1::2]).max(axis=0, initial=0.0)
+        least = _LAST_MARGIN * np.abs(values).max(axis=0, initial=0.0)
+        return expected, tuple(np.maximum(least, _SAFETY * missed).tolist())
+
+
 @dataclass(frozen=True)
 class OrderSearch:
     """Orders of trajectories at points (m, d) of a box (d, 2), and their continuation."""
@@ -206,54 +259,47 @@ class OrderSearch:
             row[1:] = [instant[0].time for instant in instants]
         return np.diff(times, axis=1)
 
-    def continued(self, order: Order, places: NDArray[np.intp]) -> ForcedOrder:
+    def continued(
+        self, order: Order, places: NDArray[np.intp], opened: Opened | None = None
+    ) -> ForcedOrder:
         """An order continued from the points at which it holds to all of them.
+
+        With ``opened`` events to all points of these, of which the first are those of the search.
 
         Raises
         ------
         ContinuationError
             If it cannot be.
         """
-        lengths = self.lengths(order, places)
-        unit = (self.points - self.bounds[:, 0]) / (self.bounds[:, 1] - self.bounds[:, 0])
-        waiting = np.setdiff1d(np.arange(len(self.points)), places)
-        margins = _FIRST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0)
-        while waiting.size:
-            distance = cdist(unit[waiting], unit[places]).min(axis=1)
-            size = max(_FIRST_CHUNK, int(_GROWTH * len(places)))
-            chunk = waiting[np.argsort(distance, kind="stable")[:size]]
-            expected = Lengths.through(self.bounds, self.points[places], lengths)
-            forced = ForcedOrder(order.met, expected, tuple(margins.tolist()))
-            there, chunk = self._reached(order, forced, chunk)
-            reached = np.diff(there.borders, axis=1)[:, : len(order.met)]
-            missed = np.abs(reached - expected(self.points[chunk])).max(axis=0, initial=0.0)
-            lengths, places = np.concatenate([lengths, reached]), np.append(places, chunk)
-            margins = np.maximum(
-                _FIRST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0), _SAFETY * missed
-            )
-            waiting = np.setdiff1d(waiting, chunk)
-        return self._through(order, self.points[places], lengths)
+        opened = opened or self.unopened
 
-    def _reached(
-        self, order: Order, forced: ForcedOrder, chunk: NDArray[np.intp]
+        def reached(
+            expected: Lengths, margins: tuple[float, ...], chunk: NDArray[np.intp]
+        ) -> tuple[Array, NDArray[np.intp]]:
+            forced = ForcedOrder(order.met, expected, margins, opened=opened.turns)
+            there, chunk = self.reached(order, forced, opened.points, chunk)
+            return np.diff(there.borders, axis=1)[:, : len(order.met)], chunk
+
+        lengths = self.lengths(order, places)
+        forced = ForcedOrder(order.met, *opened.spread(places, lengths, reached))
+        return replace(forced, opened=opened.turns)
+
+    @property
+    def unopened(self) -> Opened:
+        """The points of the search, without opened events."""
+        return Opened((), self.points, self.bounds)
+
+    def reached(
+        self, order: Order, forced: ForcedOrder, points: Array, chunk: NDArray[np.intp]
     ) -> tuple[ForcedTrajectories, NDArray[np.intp]]:
         """Forced trajectories at those of some points to which the order can be continued now."""
         while True:
             try:
-                return self.forced(order, forced, self.points[chunk]), chunk
+                return self.forced(order, forced, points[chunk]), chunk
             except ContinuationError as error:
                 if error.fails.all():
                     raise
                 chunk = chunk[~error.fails]
-
-    def _through(self, order: Order, points: Array, lengths: Array) -> ForcedOrder:
-        """The forced order through lengths at points; its margins are errors at half of them."""
-        expected = Lengths.through(self.bounds, points, lengths)
-        half = Lengths.through(self.bounds, points[::2], lengths[::2])
-        missed = np.abs(half(points[1::2]) - lengths[1::2]).max(axis=0, initial=0.0)
-        least = _LAST_MARGIN * np.abs(lengths).max(axis=0, initial=0.0)
-        margins = np.maximum(least, _SAFETY * missed)
-        return ForcedOrder(order.met, expected, tuple(margins.tolist()))
 
     def forced(self, order: Order, forced: ForcedOrder, points: Array) -> ForcedTrajectories:
         """Trajectories at points (m, d) that are forced to follow an order."""

@@ -126,10 +126,13 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
 def in_stretches(clock: Clock) -> System:
     """The system over the pseudo-time of stretches, with its clock and their lengths as states.
 
-    Guards of a forced order are constant states before these, and then come its clearances. Its
-    Jacobian leaves out how the rates depend on the clock.
+    Guards of a forced order are constant states before these, and then come its clearances. The
+    roots of heights of opened events are parameters behind the others. Its Jacobian leaves out how
+    the rates depend on the clock.
     """
     system, order, guards = clock.system, clock.order, clock.n_guards
+    opened = () if clock.forced is None else clock.forced.opened
+    d = len(system.parameters)
     cost, n = function_cost(system.rhs, system.user_functions), clock.n_states
     clearances = () if clock.forced is None else clock.forced.clearances
     now = n + guards  # the row of the clock
@@ -145,7 +148,7 @@ def in_stretches(clock: Clock) -> System:
         return np.concatenate([rows[:n], np.moveaxis(sides[stretch], -1, 0)])
 
     def rhs(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        rows = np.asarray(u)
+        rows, p = np.asarray(u), p[:d]
         states, time, length = of_system(s, rows), rows[now], rows[now + 1]
         charge(cost(length.size))
         rates = np.broadcast_to(system.rhs(time, states, p), states.shape)
@@ -160,7 +163,7 @@ def in_stretches(clock: Clock) -> System:
         return np.concatenate([length * rates[:n], of_guards, [length, np.zeros_like(length)]])
 
     def jacobian(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        rows = np.asarray(u)
+        rows, p = np.asarray(u), p[:d]
         states, time, length = of_system(s, rows), rows[now], rows[now + 1]
         matrices = np.zeros((now + CLOCK_STATES, now + CLOCK_STATES, *length.shape))
         matrices[:n, :n] = length * np.asarray(system.jacobian(time, states, p))[:n, :n]
@@ -168,12 +171,18 @@ def in_stretches(clock: Clock) -> System:
         matrices[now, now + 1] = 1.0
         return matrices
 
+    def parameter_factors(j: int, values: Array) -> Array:
+        return system.parameter_factors(j, values) if j < d else np.ones((1, values.size))
+
     def surfaces(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
         rows = np.asarray(u)
-        return system.features.state_surfaces(rows[now], of_system(s, rows), p)
+        return system.features.state_surfaces(rows[now], of_system(s, rows), p[:d])
+
+    def parameter_surfaces(p: VectorLike) -> Array:
+        return system.features.parameter_surfaces(p[:d])
 
     def initial(p: VectorLike) -> Array:
-        parameters = np.asarray(p)
+        parameters = np.asarray(p)[:d]
         count = parameters.shape[1]
         clock_states = [np.full(count, clock.horizon[0]), np.full(count, clock.length / stretches)]
         start = system.initial(parameters)
@@ -185,10 +194,10 @@ def in_stretches(clock: Clock) -> System:
 
     features = system.features
     features = Features(
-        cuts=((), *features.cuts[1:]),
-        periodic_cuts=((), *features.periodic_cuts[1:]),
+        cuts=((), *features.cuts[1:], *((),) * len(opened)),
+        periodic_cuts=((), *features.periodic_cuts[1:], *((),) * len(opened)),
         n_parameter_surfaces=features.n_parameter_surfaces,
-        parameter_surfaces=features.parameter_surfaces,
+        parameter_surfaces=parameter_surfaces,
         n_peaks=features.n_peaks,
         n_kinks=features.n_kinks,
         n_steps=features.n_steps,
@@ -199,6 +208,7 @@ def in_stretches(clock: Clock) -> System:
         system.starting_at(initial),
         separated=False,
         states=(*system.states[:n], *(f"G{k}" for k in range(guards)), "t", "T"),
+        parameters=(*system.parameters, *(f"root {k}" for k in range(len(opened)))),
         n_differential=now + CLOCK_STATES,
         n_lifted=0,
         n_sides=0,
@@ -207,6 +217,7 @@ def in_stretches(clock: Clock) -> System:
         horizon=(0.0, float(stretches)),
         terms=(),
         time_factors=lambda s: np.ones((1, s.size)),
+        parameter_factors=parameter_factors,
         with_products=lambda u: np.asarray(u),
         rhs=rhs,
         jacobian=jacobian,

@@ -1,0 +1,160 @@
+"""Events that trajectories meet just before a turn, or miss where they turn too early.
+
+Where the height of the turn over the surface vanishes, the event and the next crossing merge like
+a square root, and are gone beyond. An order with such an event is opened: the root s of the height
+becomes a coordinate behind the parameters, and for any s and p the surface is moved until the
+height is s². The trajectories are smooth functions of p and s, and true where s² is the height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.events import ForcedOrder, Turn
+from rankone.support.arrays import Array, spread
+from rankone.trajectories.events.forced import ContinuationError, guard_heights
+from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
+
+_SAMPLES = 257  # Places behind an event at which its turn is looked for
+_LOWEST = 3  # One of so many of the turns, the lowest ones, begins the continuation
+_FEWEST = 6  # Turns that it may begin with
+_FURTHER = 256  # Points, evenly spread over parameters and roots, to which orders are continued
+_ALIKE = 1e-9  # Largest difference of heights over the same surface, relative to them
+_NEAR = 0.1  # Share of the points that tell how many are next to the border
+_SLIVER = 0.003  # Share of the box, about, in which a height is as good as zero
+_ABOVE = 1.1  # Largest root of a height over that at the points
+
+
+@dataclass(frozen=True)
+class ContinuedOrder:
+    """An order that is continued to all points of its opened events."""
+
+    order: Order
+    forced: ForcedOrder
+    opened: Opened
+
+
+def opened_after(
+    search: OrderSearch,
+    parent: ContinuedOrder,
+    order: Order,
+    places: NDArray[np.intp],
+    stretch: int,
+) -> Opened | None:
+    """The points and turns of an order whose event at the end of a stretch a parent misses.
+
+    The order holds at ``places``; both have the same stretches before. None if the parent does not
+    turn next to the event over the whole box.
+    """
+    try:
+        turn = _turn(search, parent, order, places, stretch)
+        if turn is None:
+            return None
+        forced = replace(parent.forced, guards=(turn,))
+        heights = search.forced(parent.order, forced, parent.opened.points).guards[0]
+    except ContinuationError:
+        return None
+    if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
+        return None
+    return _with_root(search, parent.opened, turn, heights)
+
+
+def _turn(
+    search: OrderSearch,
+    parent: ContinuedOrder,
+    order: Order,
+    places: NDArray[np.intp],
+    stretch: int,
+) -> Turn | None:
+    """The turn of the parent next to an event, continued from where that is met."""
+    event = order.met[stretch][0]
+    times, heights, sign = _first_turns(search, parent, order, places, stretch)
+    lowest = np.argsort(np.where(np.isfinite(times), heights, np.inf), kind="stable")
+    count = max(_FEWEST, np.isfinite(times).sum() // _LOWEST)
+    chosen = lowest[: min(count, np.isfinite(times).sum())]
+    if len(chosen) < _FEWEST:
+        return None
+    opened = parent.opened
+    surface = _surface(search, event, order.sides[stretch])
+
+    def turn(expected: Lengths, margins: tuple[float, ...]) -> Turn:
+        columns = opened.points.shape[1]
+        return Turn(stretch, event, sign, surface, expected, margins[0], columns)
+
+    def reached(
+        expected: Lengths, margins: tuple[float, ...], chunk: NDArray[np.intp]
+    ) -> tuple[Array, NDArray[np.intp]]:
+        forced = replace(parent.forced, guards=(turn(expected, margins),))
+        there, chunk = search.reached(parent.order, forced, opened.points, chunk)
+        return there.turns.T, chunk
+
+    return turn(*opened.spread(places[chosen], times[chosen, None], reached))
+
+
+def _first_turns(
+    search: OrderSearch,
+    parent: ContinuedOrder,
+    order: Order,
+    places: NDArray[np.intp],
+    stretch: int,
+) -> tuple[Array, Array, float]:
+    """Elapsed times and heights (m,) of the first turn of the parent behind an event; the sign.
+
+    Times are NaN where it does not turn.
+    """
+    event = search.system.events[order.met[stretch][0]]
+    forced = replace(parent.forced, guards=())
+    flow = search.forced(parent.order, forced, parent.opened.points[places]).flows[stretch]
+    met = search.lengths(order, places)[:, stretch]
+    shares = np.linspace(0.0, 1.0, _SAMPLES)
+    elapsed = met[:, None] + np.maximum(flow.to_ahead - met, 0.0)[:, None] * shares
+    heights = flow.heights(event, elapsed)
+    sign = float(np.sign(np.median(np.sign(heights[:, 1]))))
+    heights = sign * heights
+    turns = (heights[:, 1:-1] > heights[:, :-2]) & (heights[:, 1:-1] > heights[:, 2:])
+    first, rows = 1 + turns.argmax(axis=1), np.arange(len(places))
+    times = np.where(turns.any(axis=1), elapsed[rows, first], np.nan)
+    return times, heights[rows, first], sign
+
+
+def _surface(
+    search: OrderSearch, event: int, sides: tuple[int, ...]
+) -> tuple[tuple[int, tuple[int, ...], float], ...]:
+    """The events, on sides of switches, with the surface of one on its sides, and their factors."""
+    count, n = len(search.points), search.system.n_differential - search.system.n_sides
+    states = search.sizes.max() * spread(count, n, np.random.default_rng(20150)).T
+    times = np.full(count, search.horizon[0])
+
+    def heights(k: int, on: tuple[int, ...]) -> Array:
+        there = np.repeat(np.array(on, dtype=float)[:, None], count, axis=1)
+        with_sides = np.concatenate([states, there])
+        return guard_heights(search.system, k, None, times, with_sides, search.points)
+
+    own, surface = heights(event, sides), []
+    for on in {each: None for order in search.groups() for each in order.sides}:
+        for k, each in enumerate(search.system.events):
+            other = heights(k, on)
+            if each.at is not None or not np.isfinite(other).all():
+                continue
+            factor = float(other @ own) / float(own @ own)
+            if factor and np.abs(other - factor * own).max() <= _ALIKE * np.abs(other).max():
+                surface.append((k, on, factor))
+    return tuple(surface)
+
+
+def _with_root(search: OrderSearch, parent: Opened, turn: Turn, heights: Array) -> Opened:
+    """The points of a parent with the roots of heights (m,) at a turn, and further ones."""
+    count = len(search.points)
+    near = np.sort(np.abs(heights[:count]))
+    k = int(_NEAR * count)
+    lower = float(np.sqrt(near[k] * _SLIVER * count / k))
+    upper = _ABOVE * float(np.sqrt(heights.max()))
+    roots = np.clip(np.sqrt(np.maximum(heights[:count], 0.0)), lower, upper)
+    points = np.column_stack([parent.points[:count], roots])
+    bounds = np.vstack([parent.bounds, [lower, upper]])
+    shares = spread(_FURTHER, len(bounds), np.random.default_rng(20149))
+    further = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * shares
+    return Opened((*parent.turns, turn), np.concatenate([points, further]), bounds)
