@@ -68,7 +68,8 @@ def test_an_event_that_part_of_the_box_misses_is_opened_at_the_root_of_its_heigh
     met = solution.event_times("kick", **at)[0]
     clear = np.abs(at["a"] - at["c"]) > 0.01
     assert (np.isfinite(met) == (at["a"] > at["c"]))[clear].all()
-    assert np.isfinite(met[clear]).any()
+    late = met - np.arcsin(np.minimum(at["c"] / at["a"], 1.0))
+    assert np.nanmax(np.abs(late)) <= 3.0 * RTOL * END
 
 
 def test_an_opened_branch_is_stored_fixed_and_restricted(tmp_path):

@@ -193,7 +193,8 @@ def _times_in_branches(
     places = [_places(branch.met, name) for branch in timeline.branches]
     times = np.full((max(map(len, places)), points.shape[1]), np.nan)
     for k, own in enumerate(places):
-        here = np.flatnonzero((decision.chosen == k) & ~decision.undecided)
+        timed = ~decision.undecided & ~decision.at_turn
+        here = np.flatnonzero((decision.chosen == k) & timed)
         if own and here.size:
             times[: len(own), here] = evaluator.branches[k].borders(points[:, here])[own]
     return times

@@ -68,6 +68,7 @@ _MOST_BRANCHES = 16
 _MOST_GRAZED = 0.03  # Share of the trajectories, about, with an order that cannot be continued
 _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy
 _MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
+_MOST_OF_OPENED = 0.25  # The same where it has further coordinates
 _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
 _MOST_MISSED = 10.0  # Error over the tolerance from which more accurate branches are no remedy
 _PART_SHARE = 0.3  # Of what is left, for a part of the box in which events come in one order
@@ -247,9 +248,10 @@ class _BranchSolve:
             parted = self._with_grazings(self._with_forks(self._branches()))
         branches = parted.branches
         outcomes, timelines = list[Outcome](), list[Timeline]()
-        most = _MOST_OF_ONE * work_left()
+        whole = work_left()
         for k, branch in enumerate(branches):
             share = 1.0 / (len(branches) - k)
+            most = whole * (_MOST_OF_OPENED if branch.opened.turns else _MOST_OF_ONE)
             with limited(min(share * work_left(), most), share * seconds_left()):
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:

@@ -65,14 +65,16 @@ class Decision:
     """Which branch holds at N points, and by how much it is ahead of each (branches, N).
 
     ``clear`` is by how much it misses events that are only grazed, (N,). Points are ``undecided``
-    if no branch is ahead of all others, or it meets one of these. ``borders`` are those of the
-    stretches of each branch, as solved.
+    if no branch is ahead of all others, or it meets one of these. Those ``at_turn`` of an event are
+    so near that its time is not known. ``borders`` are those of the stretches of each branch, as
+    solved.
     """
 
     chosen: NDArray[np.intp]
     ahead: Array
     clear: Array
     undecided: NDArray[np.bool_]
+    at_turn: NDArray[np.bool_]
     borders: list[Array]
 
 
@@ -141,25 +143,11 @@ class BranchEvaluator(ClockEvaluator):
 
     def _decided_by(self, deciders: Array) -> Decision:
         """The branches that hold by deciders (k, N)."""
-        count, start = len(self.branches), self.horizon[0]
-        length = self.horizon[1] - start
+        length = self.horizon[1] - self.horizon[0]
         ends = np.cumsum([round(branch.slabs[-1].end) + 1 for branch in self.branches])
         *borders, guards = np.split(deciders, ends)
         guards, clearances = np.split(guards, [len(guards) - len(self.grazings)])
-        guard = iter(guards)
-        ahead = np.full((count, count, deciders.shape[1]), np.inf)
-        beyond = np.zeros((count, deciders.shape[1]), dtype=bool)
-        for fork, highest in zip(self.forks, self._highest, strict=True):
-            a, b = fork.first, fork.second
-            if fork.guard is not None:
-                height = next(guard)
-                margin = fork.sign * height / fork.scale
-                margin *= self.width if fork.at_turn else 1.0
-                beyond[b] |= height > highest
-            else:
-                one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
-                margin = _earlier(one, other, fork.may_be_past) / length
-            ahead[a, b], ahead[b, a] = margin, -margin
+        ahead, beyond, at_turn = self._at_forks(borders, guards)
         least = ahead.min(axis=1)
         chosen = least.argmax(axis=0)
         columns = np.arange(deciders.shape[1])
@@ -174,7 +162,34 @@ class BranchEvaluator(ClockEvaluator):
             here = chosen == grazing.branch
             clear[here] = np.minimum(clear[here], clearance[here] / grazing.scale)
         undecided |= ~(clear > self.width)
-        return Decision(chosen, ahead[chosen, :, columns].T, clear, undecided, borders)
+        margins, close = ahead[chosen, :, columns].T, at_turn[chosen, columns]
+        return Decision(chosen, margins, clear, undecided, close, borders)
+
+    def _at_forks(
+        self, borders: Sequence[Array], guards: Array
+    ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """By how much each branch is ahead of each other, (branches, branches, N).
+
+        With where each is beyond what is solved, and next to an event at its turn, (branches, N).
+        """
+        count, length = len(self.branches), self.horizon[1] - self.horizon[0]
+        guard = iter(guards)
+        ahead = np.full((count, count, guards.shape[1]), np.inf)
+        beyond, at_turn = np.zeros((2, count, guards.shape[1]), dtype=bool)
+        for fork, highest in zip(self.forks, self._highest, strict=True):
+            a, b = fork.first, fork.second
+            if fork.guard is None:
+                one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
+                margin = _earlier(one, other, fork.may_be_past) / length
+            else:
+                height = next(guard)
+                margin = fork.sign * height / fork.scale
+                beyond[b] |= height > highest
+            if fork.at_turn:
+                at_turn[[a, b]] |= np.abs(margin) < 1.0
+                margin = self.width * margin
+            ahead[a, b], ahead[b, a] = margin, -margin
+        return ahead, beyond, at_turn
 
     def _clearance(self, grazing: BranchGrazing, points: Array) -> Array:
         """How far a guard stays from a fall through zero on its stretch, at points (d, N).
@@ -266,7 +281,8 @@ class BranchEvaluator(ClockEvaluator):
         most = max(round(branch.slabs[-1].end) for branch in self.branches)
         borders = np.full((most + 1, points.shape[1]), math.nan)
         for k in np.unique(decision.chosen).tolist():
-            here = np.flatnonzero((decision.chosen == k) & ~decision.undecided)
+            timed = ~decision.undecided & ~decision.at_turn
+            here = np.flatnonzero((decision.chosen == k) & timed)
             if here.size:
                 own = self.branches[k].borders(points[:, here])
                 borders[: len(own), here] = own
