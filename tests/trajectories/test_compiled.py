@@ -317,7 +317,7 @@ def test_steps_of_either_series_tell_those_of_dop853():
     expected = StackedIntegrator().run(whole, *work).steps
     for dense in (run(system, points), StackedIntegrator().run(system, *work)):
         assert dense.method == "Taylor"
-        assert 0.4 * expected < explicit_steps(dense, RELATIVE) < 2.5 * expected
+        assert 0.4 * expected < explicit_steps(system, dense, RELATIVE) < 2.5 * expected
 
 
 def test_compiled_rates_save_nothing_where_stacks_take_series():

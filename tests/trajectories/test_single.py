@@ -227,11 +227,11 @@ def test_steps_tell_those_of_explicit_ones():
         for integrator in ("stack", "single")
     }
     assert dense["single"].steps == max(path.steps for path in dense["single"].paths)
-    stack, single = (explicit_steps(dense[each], 1e-7) for each in ("stack", "single"))
+    stack, single = (explicit_steps(system, dense[each], 1e-7) for each in ("stack", "single"))
     whole = replace(system, terms=())  # leaves the series for DOP853
     explicit = StackedIntegrator().run(whole, points, [0.0, 5.0], tolerances)
     assert (dense["stack"].method, explicit.method) == ("Taylor", "DOP853")
-    assert explicit_steps(explicit, 1e-7) == explicit.steps
+    assert explicit_steps(whole, explicit, 1e-7) == explicit.steps
     assert 0.3 * explicit.steps < stack < 3.0 * explicit.steps
     assert 0.3 * stack < single < 3.0 * stack
 

@@ -33,7 +33,8 @@ from rankone.tensors.train import Integers, Train
 # Left points of each bond to begin with; each refinement takes half as many again
 FIRST_LEFT_POINTS = 12
 MOST_FIRST_LEFT_POINTS = 30  # Most of them in the first attempt, which takes what it needs
-LEFT_POINT_BATCHES = 8, 4  # Left points with which it begins and goes on
+# Left points with which it begins and goes on: few show that those it began with suffice
+FIRST_BATCHES = 8, 10, 12, 15, 18, 22, 26
 # The same for later attempts, over the left points that they take at least
 LATER_BATCHES = 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0
 # Tolerance of skeletons, relative to the level of an attempt: an error there is amplified
@@ -189,10 +190,8 @@ class AdaptiveInterpolation:
         if math.prod(sizes) <= FULL_GRID_NODES:
             return batched(left_points(sizes, FULL_GRID_NODES, SEED))
         if self.bases is None:
-            first, further = LEFT_POINT_BATCHES
             left = left_points(sizes, MOST_FIRST_LEFT_POINTS, SEED)
-            ends = [*range(first, MOST_FIRST_LEFT_POINTS, further)]
-            return with_last_joined(batched(left, *ends), sizes)
+            return with_last_joined(batched(left, *FIRST_BATCHES), sizes)
         ends = [round(ratio * self._left_count) for ratio in LATER_BATCHES]
         left = left_points(sizes, ends[-1], SEED)
         if self.doubtful is not None:
@@ -456,7 +455,7 @@ def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_R
     tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
     count = spectrum.size
     if tails[-2:].max() <= tolerance:
-        return int(np.count_nonzero(tails > tolerance)) + 1
+        return max(int(np.count_nonzero(tails > tolerance)), 1)
     half = count // 2
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]  # modes may vanish by symmetry
     ratio = (levels[-2] / max(levels[half - 1], 1e-300)) ** (1.0 / (count - 1 - half))

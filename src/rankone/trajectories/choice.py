@@ -41,7 +41,7 @@ from rankone.trajectories.shares import part_by_part, paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.integrator import StackedIntegrator, sampling_cost
 from rankone.trajectories.stacks.newton import sparse_pattern
-from rankone.trajectories.stacks.taylor import steps_ratio
+from rankone.trajectories.stacks.taylor import TaylorTerms, steps_ratio
 from rankone.trajectories.workers import Workers
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
@@ -142,14 +142,14 @@ def following(integrator: str, taken: str, trajectories: int, clock: Clock | Non
     return taken if told and (in_phase or taken == "single") else integrator
 
 
-def explicit_steps(dense: DenseTrajectories, accuracy: float) -> float:
+def explicit_steps(system: System, dense: DenseTrajectories, accuracy: float) -> float:
     """Steps of DOP853 that trajectories take at a relative tolerance, by those that were made."""
     if dense.method == "Radau":
         return dense.avoided
     if dense.method == "Taylor":
-        of_stack = dense.integrator == "stack"
-        ratio = steps_ratio(accuracy) if of_stack else compiled.steps_ratio(accuracy)
-        return dense.steps / ratio
+        if dense.integrator == "stack":
+            return dense.steps / steps_ratio(accuracy, TaylorTerms.of(system).affine)
+        return dense.steps / compiled.steps_ratio(accuracy)
     return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
 
 

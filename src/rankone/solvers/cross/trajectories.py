@@ -266,7 +266,7 @@ def sampling_choice(reference_set: ReferenceSet) -> SamplingChoice:
         reference_set.taken,
         reference.integrator,
         reference_set.accuracy,
-        explicit_steps(reference.batches[0], reference_set.accuracy),
+        explicit_steps(reference_set.system, reference.batches[0], reference_set.accuracy),
     )
 
 

@@ -44,8 +44,6 @@ from rankone.trajectories.stacks.taylor import (
     StackedTaylor,
     TaylorSeries,
     TaylorTerms,
-    steps_ratio,
-    taylor_order,
 )
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
@@ -137,8 +135,7 @@ def sampling_cost(
     n = system.n_differential
     step = _dop853_step_cost(n * m, rates(m))
     if has_smooth_rates(system, system.horizon[0]):
-        series = TaylorTerms.of(system).cost(taylor_order(tolerance), m)
-        step = min(step, steps_ratio(tolerance) * series)
+        step = min(step, TaylorTerms.of(system).cost(tolerance, m))
     return steps * (step + _READ_COST.once) + times * n * m * _READ_COST.each
 
 
@@ -420,8 +417,7 @@ class _Stack:
         terms, tolerance = TaylorTerms.of(system), self.tolerances.relative
         n, m = self.shape
         rates = function_cost(system.rhs, system.user_functions)(m)
-        series = steps_ratio(tolerance) * terms.cost(taylor_order(tolerance), m)
-        if series > _dop853_step_cost(n * m, rates):
+        if terms.cost(tolerance, m) > _dop853_step_cost(n * m, rates):
             return None
         some = p[:, :: max(m // _COMPARED, 1)]
         state = system.initial(some)

@@ -28,6 +28,9 @@ from rankone.trajectories.stacks.newton import SPARSE_STATES
 from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
+# Order of the series of affine rates over that of others: they converge everywhere, so that steps
+# grow with the order
+_AFFINE_ORDERS = 1.6
 _STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides
 _LAST_COEFFICIENTS = 2  # Coefficients that choose a step: one may vanish by symmetry
 # Size of the last coefficient, and the largest error of a step, over the tolerance
@@ -55,19 +58,29 @@ _PRODUCT_COST = 0.5  # Operations of a product of two coefficients
 _STEP_COST = 80e3  # Operations of a step besides
 
 
-def steps_ratio(tolerance: float) -> float:
+def steps_ratio(tolerance: float, affine: bool = False) -> float:
     """Steps of a series over those of DOP853, where the tolerance limits both."""
-    return _STEPS_RATIO * math.pow(tolerance, _DOP853_POWER)
+    ratio = _STEPS_RATIO * math.pow(tolerance, _DOP853_POWER)
+    if not affine:
+        return ratio
+    usual, order = taylor_order(tolerance), taylor_order(tolerance, affine=True)
+    return ratio * _affine_step(tolerance, usual) / _affine_step(tolerance, order)
 
 
-def taylor_order(tolerance: float) -> int:
+def taylor_order(tolerance: float, affine: bool = False) -> int:
     """The order for a tolerance: more than Jorba & Zou take, since calls of NumPy are what costs.
 
-    The last coefficient then falls by a factor e with each order.
+    The last coefficient then falls by a factor e with each order, but for ``affine`` rates.
     """
     digits = -math.log(tolerance)
     order = 0.5 * (digits + math.sqrt(digits**2 + 4.0 * _STEP_ORDERS * digits))
+    order *= _AFFINE_ORDERS if affine else 1.0
     return min(max(round(order), _LEAST_ORDER), _MOST_ORDER)
+
+
+def _affine_step(tolerance: float, order: int) -> float:
+    """The step of affine rates, times the fastest of them, by the series of an exponential."""
+    return math.exp((math.lgamma(order + 1.0) + math.log(tolerance)) / order)
 
 
 @dataclass(frozen=True)
@@ -173,9 +186,16 @@ class TaylorTerms:
             factors = np.array([_factor(rows, indices, m) for indices in self.flows])
         return TaylorSeries(constant, self.sums, self.products, self.variables, factors)
 
-    def cost(self, order: int, m: int) -> float:
-        """Operations of a step of m trajectories."""
-        return _step_cost(order, m, self.n, self.products, self.variables.size)
+    @property
+    def affine(self) -> bool:
+        """Whether the rates have no products of states."""
+        return not self.products
+
+    def cost(self, tolerance: float, m: int) -> float:
+        """Operations of as many steps of m trajectories as one of DOP853 is long."""
+        order = taylor_order(tolerance, self.affine)
+        step = _step_cost(order, m, self.n, self.products, self.variables.size)
+        return steps_ratio(tolerance, self.affine) * step
 
 
 _terms: WeakKeyDictionary[System, TaylorTerms] = WeakKeyDictionary()
@@ -420,7 +440,8 @@ class StackedTaylor(Stepper, _TaylorSolver):
         series: TaylorSeries,
     ) -> None:
         super().__init__(rates, start, states, end, tolerances)
-        self.series, self.order = series, taylor_order(tolerances.relative)
+        self.series = series
+        self.order = taylor_order(tolerances.relative, affine=not series.products)
         self.stiff_product = _STIFF_SHARE * math.exp(math.lgamma(self.order + 1.0) / self.order)
         self.cost = series.cost(self.order)
         self.recursion = Recursion(series, self.order)
