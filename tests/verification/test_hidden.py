@@ -170,3 +170,14 @@ def test_special_functions_hide_nothing(function):
     starts = {x: sp.Rational(1, 100), y: 1}
     solution = ro.solve(ro.Problem(rates, (t, 0, 3), {k: (0.8, 1.2)}, starts), 1e-3, effort=0.3)
     assert solution.status is Status.NARROW
+
+
+@pytest.mark.parametrize("width", [1e-5, 1e-7])
+def test_layers_in_which_a_state_nearly_stops_are_no_success(width):
+    """It stays there as long as for a fifth of the way, in whatever time the steps pass over it."""
+    layer = f"1/(1 + {0.1128 / width}*k*exp(-{width**-2}*(x + 1/x - 2)))"
+    problem = ro.Problem.from_strings({"x": layer}, {"x": "0.3"}, {"k": (0.5, 1.5)}, (0, 2))
+    solution = ro.solve(problem, 1e-3)
+    assert solution.status is Status.NARROW
+    assert solution.outcome.cause.state == "x"
+    assert solution.outcome.cause.time == pytest.approx(0.7, abs=0.01)

@@ -45,6 +45,7 @@ from rankone.support.budget import (
 from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.trajectories.choice import tell_fallback
+from rankone.verification.finer import confirmed
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import safe_intervals
 from rankone.verification.worst_points import worst_points
@@ -86,11 +87,15 @@ _LIMITS_OF_THE_SOLVE = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """One pass over the horizon, its measured error, and the work of its march."""
+    """One pass over the horizon, its measured error, and the work of its march.
+
+    ``hidden`` says where no reference is right that it could be measured against.
+    """
 
     result: MarchResult
     measured: Measured | None
     work: float = 0.0
+    hidden: HiddenRate | None = None
 
     @property
     def error(self) -> float:
@@ -120,6 +125,8 @@ class Attempt:
             if reference.large:
                 return Status.BLOW_UP
             return Status.STALLS if reference.regular else Status.LEAVES
+        if self.hidden is not None:
+            return Status.NARROW
         if stopped is not None:
             return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
         if not reference_set.checked:
@@ -250,6 +257,8 @@ def solve_in_attempts(
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
             cause = None
+        if status is Status.NARROW:
+            cause = best.hidden
         if status is Status.CONVERGED:
             try:
                 hidden = reference_set.hidden()
@@ -416,14 +425,16 @@ def _attempts(
                 result.stop(out)
             if marcher.reference_set is not before:
                 attempt = attempt.measured_by(marcher.reference_set)
+            attempt = _confirmed(marcher, attempt, rtol)
+            if marcher.reference_set is not before:
                 best = best and best.measured_by(marcher.reference_set)
         if marcher.reference_set.end < before.end:  # a trajectory ends earlier than was known
             best = None
             continue
         progress.add(attempt.error, best.error if best else math.inf)
-        best = attempt if attempt.better_than(best) else best
+        best = attempt if attempt.hidden or attempt.better_than(best) else best
         limit = result.stopped if result.stopped in _LIMITS_OF_THE_SOLVE else None
-        done = result.stopped or not before.checked or attempt.error <= rtol
+        done = result.stopped or attempt.hidden or not before.checked or attempt.error <= rtol
         most = options.max_attempts
         if most is None and not progress.pays:
             most = options.usual_attempts
@@ -452,6 +463,21 @@ def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attemp
     if stricter is reference_set or stricter.end < reference_set.end:
         return best
     return best.measured_by(stricter)
+
+
+def _confirmed(marcher: Marcher, attempt: Attempt, rtol: float) -> Attempt:
+    """A good attempt, measured against finer trajectories where these leave the reference."""
+    if attempt.result.stopped or attempt.error > rtol:
+        return attempt
+    try:
+        reference_set, hidden = confirmed(marcher.reference_set)
+    except OutOfBudgetError as out:  # whether the reference is right is not known
+        attempt.result.stop(out)
+        return attempt
+    if reference_set is marcher.reference_set:
+        return attempt
+    marcher.reference_set = reference_set
+    return replace(attempt.measured_by(reference_set), hidden=hidden)
 
 
 def _further_points(

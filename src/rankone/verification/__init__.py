@@ -8,6 +8,7 @@ Read in this order:
 ``growth``         how much errors grow that are made on the way
 ``clock``          errors at clock times, where slabs are over stretches between events
 ``branches``       errors where several orders of events hold, and the share left undecided
+``finer``          whether finer trajectories confirm those of the reference
 ``hidden``         what is narrow in the rates between the steps of reference trajectories
 ``hidden_events``  events that take place between those steps
 ``enclosures``     what samples of a function may hide, by its range

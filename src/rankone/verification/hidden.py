@@ -39,6 +39,8 @@ from rankone.verification.reference import Reference
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
 _DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
+_SLOW = 0.1  # Part of a steady rate below which a state nearly stops: then errors are amplified
+_STEADY = 0.5  # Least part of the largest rate on a piece at which rates are steady
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
 _TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
@@ -230,7 +232,7 @@ def _of_series(series: TaylorTrajectories) -> Path:
 class _Steps:
     """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S).
 
-    ``owners`` (S,) are the positions of their trajectories.
+    ``owners`` (S,) are the positions of their trajectories, whose ends are ``left`` (S,) later.
     """
 
     starts: Array
@@ -238,6 +240,7 @@ class _Steps:
     nodal: Array
     parameters: Array
     owners: NDArray[np.intp]
+    left: Array
 
     @classmethod
     def of(
@@ -252,7 +255,10 @@ class _Steps:
         of_steps = np.repeat(owners, [path.steps for path in paths])
         near = insets(starts, ends)
         parameters = np.ascontiguousarray(points[of_steps].T)
-        return cls(starts + near, ends - starts - 2.0 * near, nodal, parameters, of_steps)
+        last = np.full(len(points), -np.inf)
+        np.maximum.at(last, of_steps, ends)
+        lengths, left = ends - starts - 2.0 * near, last[of_steps] - starts
+        return cls(starts + near, lengths, nodal, parameters, of_steps, left)
 
     def time(self, place: _Place) -> float:
         """The time at which rates surprised."""
@@ -436,14 +442,28 @@ class _Look:
         if pieces.expected is not None:
             change = np.nan_to_num(values - pieces.expected, nan=0.0, posinf=0.0, neginf=0.0)
             change = np.abs(change) * units[:, None]
+            slow = np.abs(values) < _SLOW * _steady(pieces.expected)[:, None]
+            change = np.where(slow, self._lost(pieces, pieces.expected)[:, None], change)
             for k in np.flatnonzero(change.max(axis=(0, 1)) > _SURPRISE):
                 row, node = np.unravel_index(change[:, :, k].argmax(), change.shape[:2])
                 lower, length = float(pieces.lower[k]), float(pieces.length[k])
                 share = lower + length * float(NODES[node])
                 part = int(pieces.step[k]), lower, length, share
                 places.append(_Place(*part, int(row), float(change[row, node, k])))
-        doubtful = np.flatnonzero(self._doubts(rows, units).max(axis=0) > self.most)
+        doubts = self._doubts(rows, units)
+        stops = self._doubts(rows, np.ones_like(units)) > (1.0 - _SLOW) * _steady(values)
+        doubts = np.where(stops, np.maximum(doubts, self._lost(pieces, values)), doubts)
+        doubtful = np.flatnonzero(doubts.max(axis=0) > self.most)
         return pieces.halves(doubtful, values[:, :, doubtful])
+
+    def _lost(self, pieces: _Pieces, rates: Array) -> Array:
+        """What states lose that stop where rates (n, nodes, N) are steady, in tolerances: (n, N).
+
+        They stay where they are for the rest of the time, at most, however thin the place is.
+        """
+        if self.tolerated is None or isinstance(self.steps, Intervals):
+            return np.zeros((len(rates), pieces.step.size))
+        return np.asarray(_steady(rates) * self.steps.left[pieces.step] / self.tolerated[:, None])
 
     def _rows(self, pieces: _Pieces) -> tuple[Array, Sequence[Enclosure]]:
         """Times (nodes, N), and enclosures of the functions on pieces."""
@@ -454,6 +474,13 @@ class _Look:
             [Enclosure.of_samples(state) for state in states],
             [Enclosure.of(parameter) for parameter in self.steps.parameters[:, pieces.step]],
         )
+
+
+def _steady(rates: Array) -> Array:
+    """The least size on pieces of rates (n, nodes, N) that vary little: (n, N), NaN for others."""
+    least, most = np.abs(rates).min(axis=1), np.abs(rates).max(axis=1)
+    steady = (rates.min(axis=1) * rates.max(axis=1) > 0.0) & (least > _STEADY * most)
+    return np.where(steady, least, np.nan)
 
 
 def _missed(look: _Look, tried: _ShortSteps) -> _Place | None:

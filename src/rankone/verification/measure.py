@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.observation import Observation
 from rankone.ir.outcome import Measured
@@ -20,8 +22,10 @@ from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain, modes_in_time
-from rankone.trajectories.choice import following
+from rankone.trajectories.choice import following, integrator_for
+from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
+from rankone.trajectories.integrator import SampledTrajectories, Tolerances
 from rankone.trajectories.workers import Workers
 from rankone.verification.clock import clock_errors, forced_errors
 from rankone.verification.cuts import Cuts, system_cuts
@@ -38,7 +42,13 @@ from rankone.verification.points import (
     surface_points,
     worst_apart,
 )
-from rankone.verification.reference import Reference, integrate_reference, reference_accuracy
+from rankone.verification.reference import (
+    Reference,
+    integrate_reference,
+    integration_edges,
+    reference_accuracy,
+)
+from rankone.verification.resolution import NEGLIGIBLE
 
 # Periods between markers, and swings of the fastest state, over which it is as accurate: phases
 # drift over more, and count by how fast the states are
@@ -49,6 +59,7 @@ _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shar
 _LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
 _LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
 _LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
+_MOST_SINGLE_STATES = 200  # States up to which LSODA, whose matrices are dense, samples again
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
 _MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
@@ -168,10 +179,36 @@ class ReferenceSet:
                 f"the output `{worst}` loses the digits of the states that it is made of",
                 remedy="loosen rtol, or make it an unknown with an equation of its own",
             )
+        return self.at_accuracy(accuracy)
+
+    def at_accuracy(self, accuracy: float) -> ReferenceSet:
+        """The same with trajectories of another relative tolerance."""
         points, edges = self.reference.points, (self.domain.horizon, accuracy, self.cuts)
         more = self.taken, self.workers, self.asked
-        finer = integrate_reference(self.system, points, *edges, *more)
-        return replace(self, accuracy=accuracy, reference=finer)
+        reference = integrate_reference(self.system, points, *edges, *more)
+        return replace(self, accuracy=accuracy, reference=reference)
+
+    def sampled_again(
+        self, trajectories: NDArray[np.intp], times: Array, accuracy: float
+    ) -> SampledTrajectories:
+        """Some of the trajectories at times (T,), to another relative tolerance.
+
+        LSODA makes them unless there are many states, or it creeps: no implicit step goes through a
+        jump of the rates behind which a state is slow.
+        """
+        points = self.reference.points[trajectories]
+        finest = accuracy * np.minimum(NEGLIGIBLE * self.of_states, self.reference.floor)
+        absolute = np.maximum(np.maximum(finest, self.reference.least), self.reference.rounded)
+        edges = integration_edges(self.system, points, self.domain.horizon, self.cuts)
+        work = self.system, points, edges, Tolerances(accuracy, absolute[:, None]), times
+        choose = partial(integrator_for, self.system, accuracy=accuracy)
+        if self.system.n_differential > _MOST_SINGLE_STATES:
+            return choose(self.taken).sample(*work)
+        with suppress(OrderError):  # it may come to no end between events as well
+            samples = choose("single").sample(*work)
+            if samples.reached == times.size:
+                return samples
+        return choose("stack").sample(*work)
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""

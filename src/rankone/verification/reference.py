@@ -181,7 +181,7 @@ def integrate_reference(
     """
     start, end = horizon
     reserve(8.0 * _NUMBERS_OF_STATE * len(points) * system.n_differential)
-    edges = [start, *_with_moving_cuts(system, points, start, end, cuts), end]
+    edges = integration_edges(system, points, horizon, cuts)
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
@@ -274,19 +274,20 @@ def _at(system: System, point: Array) -> str:
     return f" at {', '.join(named)}" if len(point) else ""
 
 
-def _with_moving_cuts(
-    system: System, points: Array, start: float, end: float, cuts: Sequence[float]
+def integration_edges(
+    system: System, points: Array, horizon: tuple[float, float], cuts: Sequence[float]
 ) -> list[float]:
-    """The cuts, and the times at which functions of time switch at some of the points."""
+    """The ends of the horizon, the cuts, and where functions of time switch at some points."""
+    start, end = horizon
     if not system.features.n_moving_cuts:
-        return list(cuts)
+        return [start, *cuts, end]
     with np.errstate(all="ignore"):
         times = system.features.moving_cuts(np.ascontiguousarray(points.T)).ravel()
     least = _COINCIDENT * max(abs(start), abs(end))
     times = np.unique(times[(times - start > least) & (end - times > least)])
     times = times[np.diff(times, prepend=start) > least]
     apart = np.abs(times[:, None] - np.array(cuts)).min(axis=1, initial=np.inf) > least
-    return sorted([*cuts, *times[apart].tolist()])
+    return [start, *sorted([*cuts, *times[apart].tolist()]), end]
 
 
 def safe_intervals(

@@ -1,0 +1,86 @@
+"""A reference that finer trajectories do not confirm is integrated again."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.request import Check, Domain, SolveRequest
+from rankone.solvers import attempts
+from rankone.support.budget import OutOfWorkError
+from rankone.verification.finer import confirmed
+from rankone.verification.measure import ReferenceSet
+
+RTOL = 4e-3
+LAYER = "1/(1800*k*Heaviside(x - 0.5443)*Heaviside(0.5444 - x) + 1)"
+"""The state stays between 0.5443 and 0.5444 for 0.18*k time units, as long as for all the rest."""
+
+
+def problem(rate=LAYER, **options):
+    return ro.Problem.from_strings({"x": rate}, {"x": "0"}, {"k": (0.5, 1.5)}, (0, 2.5), **options)
+
+
+def reference_set(given, rtol=RTOL):
+    system = ro.compile(given).system
+    return ReferenceSet.of(system, SolveRequest(rtol, Domain.of(system), Check(24)))
+
+
+def error(of):
+    """The error of the states at the end, behind the layer, over the tolerance."""
+    exact = 2.5 - 0.18 * of.reference.points[:, 0]
+    return np.abs(of.reference(np.array([2.5]))[0, :, 0] - exact).max() / (2.5 * RTOL)
+
+
+def test_a_state_that_nearly_stops_is_followed_again():
+    first = reference_set(problem())
+    finer, hidden = confirmed(first)
+    assert hidden is None
+    assert error(first) > 5.0
+    assert error(finer) < 0.1
+    assert finer.accuracy < first.accuracy
+
+
+@pytest.mark.slow
+def test_a_solve_goes_on_with_the_finer_reference():
+    solution = ro.solve(problem(), RTOL)
+    assert solution.success
+    k = np.linspace(0.5, 1.5, 11)
+    assert np.abs(solution(t=2.5, k=k)[0] - (2.5 - 0.18 * k)).max() < 2.5 * RTOL
+
+
+@pytest.mark.slow
+def test_what_no_reference_resolves_is_no_success():
+    layer = "1/(1 + 11284*k*exp(-2.9626e9*(x/0.5443 + 0.5443/x - 2)))"
+    event = {"when": "x - 1", "direction": "rising", "then": {"x": "x + 1"}, "name": "dose"}
+    given = ro.Problem.from_strings(
+        {"x": layer}, {"x": "0.01"}, {"k": (0.5, 1.5)}, (0, 2.5), events=[event]
+    )
+    solution = ro.solve(given, 1e-4)
+    assert solution.status is ro.Status.NARROW
+    assert "the rate of `x` is so narrow near t = " in solution.message
+
+
+@pytest.mark.parametrize("rate", ["1/(1 + k*x)", "sin(k*x) + 0.1", "Heaviside(x - 0.5)*k + 1"])
+def test_smooth_references_are_confirmed(rate):
+    first = reference_set(problem(rate), 1e-5)
+    assert confirmed(first) == (first, None)
+
+
+@pytest.mark.parametrize("rate", ["1/(1 + k*x)", "Heaviside(x - 0.5)*k + 1"])
+def test_references_with_a_jump_at_a_compared_time_are_confirmed(rate):
+    first = reference_set(problem(rate, jumps={1.25: {"x": "x/3"}}), 1e-5)
+    assert confirmed(first) == (first, None)
+
+
+def test_references_as_fine_as_rounding_are_taken_as_they_are():
+    first = reference_set(problem(), 1e-11)
+    assert confirmed(first) == (first, None)
+
+
+def test_no_success_where_the_limit_leaves_no_comparison(monkeypatch):
+    def without_end(reference_set):
+        raise OutOfWorkError
+
+    monkeypatch.setattr(attempts, "confirmed", without_end)
+    solution = ro.solve(problem("1/(1 + k*x)"), RTOL)
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert solution.error < RTOL
