@@ -118,6 +118,15 @@ def test_slow_functions_cost_more():
     assert slow.each > 10.0 * quick.each
 
 
+def test_each_call_of_a_slow_function_counts():
+    names = {"special": special, "slow": slow}
+    users = frozenset({"slow"})
+    for call, least in (("special.jv(p, u)", 1e3), ("slow(u)", 2e3)):
+        texts = (f"lambda t, u, p: {' + '.join([call] * count)}" for count in (1, 4))
+        one, four = (function_cost(eval(text, names), users) for text in texts)
+        assert four.each - one.each > 3.0 * least
+
+
 def test_stacks_are_divided_where_they_take_long():
     stack = np.zeros((10, 2, 2))
     assert [len(some) for some in in_pieces(stack, 1.0)] == [10]

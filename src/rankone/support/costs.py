@@ -64,10 +64,10 @@ _SCALAR_CALL = 60.0  # A call of a function of floats
 def function_cost(function: Callable[..., object], users: frozenset[str] = frozenset()) -> Cost:
     """What a generated function costs, by the operations in its code.
 
-    ``users`` are the names of functions of the user. What is not generated may have a ``cost`` of
-    its own. Array code says in ``stored`` how many numbers
-    its matrices have. Functions of the same module count wherever
-    they are named.
+    ``users`` are the names of functions of the user, each call of which counts, as each of a slow
+    function does. Functions of the same module count once wherever they are named. What is not
+    generated may have a ``cost`` of its own. Array code says in ``stored`` how many numbers its
+    matrices have.
     """
     if not isinstance(function, FunctionType):
         cost: Cost = getattr(function, "cost", _ENTRY)
@@ -75,19 +75,26 @@ def function_cost(function: Callable[..., object], users: frozenset[str] = froze
     terms, powers, calls = _operations(function)
     stored = Cost(0.0, _STORED * getattr(function, "stored", 0))
     total = stored + _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
-    slow = _SLOW_FUNCTIONS.intersection(function.__code__.co_names)
-    total += len(slow) * _SLOW_FUNCTION
+    total += _uses(function, _SLOW_FUNCTIONS) * _SLOW_FUNCTION
+    total += _uses(function, users) * _USER_FUNCTION
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
-        if name in users:
-            total += _USER_FUNCTION
-        elif (
-            isinstance(callee, FunctionType)
+        if (
+            name not in users
+            and isinstance(callee, FunctionType)
             and callee is not function
             and callee.__globals__ is function.__globals__
         ):
             total += function_cost(callee, users)
     return total
+
+
+def _uses(function: FunctionType, names: frozenset[str]) -> int:
+    """How often the code of a function has any of some names."""
+    if names.isdisjoint(function.__code__.co_names):
+        return 0  # reading all instructions takes longer than counting operations
+    instructions = dis.get_instructions(function)
+    return sum(each.opcode in dis.hasname and each.argval in names for each in instructions)
 
 
 def scalar_cost(function: Callable[..., object]) -> float:
