@@ -91,8 +91,10 @@ def test_a_thermostat_that_takes_all_of_the_budget():
 @pytest.mark.parametrize(
     ("rate", "boundary", "smooth"),
     [
-        ("Abs(x - y) + a", "x - y", "sqrt((x - y)**2 + w**2)"),
-        ("Min(1, Max(a, y))", "a - y", "sqrt((a - y)**2 + w**2)"),
+        ("Abs(x - y) + a", "x - y", "`sqrt((x - y)**2 + w**2)`"),
+        ("Min(1, Max(a, y))", "a - y", "`(a + y + sqrt((a - y)**2 + w**2))/2`"),
+        ("Max(0, y) + a", "y", "`(y + sqrt(y**2 + w**2))/2`"),
+        ("Min(a, y)", "a - y", "`(a + y - sqrt((a - y)**2 + w**2))/2`"),
     ],
 )
 def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):

@@ -209,20 +209,23 @@ def switching_term(
     if system.table is not None:  # its functions are smooth
         return None
     for index in range(len(system.rhs)) if state is None else (state,):
-        if (term := _switching_in(system, index, DISCONTINUOUS, "tanh({}/w)")) is not None:
+        if (term := _switching_in(system, index, DISCONTINUOUS, _smooth_step)) is not None:
             return term
     for index in range(len(system.rhs)) if kinks and state is None else ():
-        if (term := _switching_in(system, index, _KINKED, "sqrt({}**2 + w**2)")) is not None:
+        if (term := _switching_in(system, index, _KINKED, _smooth_kink)) is not None:
             return term
     return None
 
 
 def _switching_in(
-    system: FirstOrderSystem, index: int, functions: tuple[type, ...], smooth: str
+    system: FirstOrderSystem,
+    index: int,
+    functions: tuple[type, ...],
+    smooth: Callable[[sp.Expr, sp.Expr], str],
 ) -> SwitchingTerm | None:
     """The first term of a rate that switches by some functions, if there is one.
 
-    ``smooth`` is one in their place, of the boundary and a width.
+    ``smooth`` writes what may stand in their place, for the term and the boundary.
     """
     plain = {
         f: sp.Symbol(state.name) for f, state in zip(system.functions, system.states, strict=True)
@@ -235,14 +238,39 @@ def _switching_in(
         ]
         if not switches:
             continue
-        boundary = min(switches, key=_inner_first).xreplace(plain)
+        boundary, plain_term = min(switches, key=_inner_first).xreplace(plain), term.xreplace(plain)
         origin = system.origins[index]
         equation = f"the equation of {quote(system.states[index].name)}"
         equation = equation if origin is None else f"equation {origin}"
-        inside = written(boundary) if boundary.is_Symbol else f"({written(boundary)})"
-        place = written(term.xreplace(plain)), equation, written(boundary)
-        return SwitchingTerm(*place, smooth.format(inside))
+        place = written(plain_term), equation, written(_shorter(boundary))
+        return SwitchingTerm(*place, smooth(plain_term, boundary))
     return None
+
+
+def _smooth_step(_: sp.Expr, boundary: sp.Expr) -> str:
+    """A smooth step over a boundary, of a width w."""
+    return f"tanh({_factor(boundary)}/w)"
+
+
+def _smooth_kink(term: sp.Expr, boundary: sp.Expr) -> str:
+    """What may stand for the Max, Min or Abs that kinks at a boundary, with a width w."""
+    root = f"sqrt({_factor(_shorter(boundary))}**2 + w**2)"
+    for node in term.atoms(sp.Max, sp.Min):
+        for a, b in itertools.combinations(node.args, 2):
+            if a - b in (boundary, -boundary):
+                sign = "+" if isinstance(node, sp.Max) else "-"
+                return f"({written(a + b)} {sign} {root})/2"
+    return root
+
+
+def _shorter(boundary: sp.Expr) -> sp.Expr:
+    """What vanishes at the same places, without a sign in front if there is a choice."""
+    return min(boundary, -boundary, key=sp.count_ops)
+
+
+def _factor(expression: sp.Expr) -> str:
+    """An expression as it is written in a product or a power."""
+    return written(expression) if expression.is_Symbol else f"({written(expression)})"
 
 
 def _inner_first(boundary: sp.Expr) -> tuple[bool, object]:
