@@ -11,6 +11,7 @@ Read in this order:
 ``finer``          whether finer trajectories confirm those of the reference
 ``hidden``         what is narrow in the rates between the steps of reference trajectories
 ``hidden_events``  events that take place between those steps
+``steps``          steps of trajectories, and the pieces into which the two divide them
 ``enclosures``     what samples of a function may hide, by its range
 ``narrow``         times at which narrow outputs are checked
 ``worst_points``   where the error is expected to be above the tolerance

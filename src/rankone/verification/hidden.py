@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rankone.discretization.radau import insets
 from rankone.ir.observation import Observation
 from rankone.ir.system import System
 from rankone.ir.verdict import HiddenRate
@@ -30,11 +29,12 @@ from rankone.trajectories.events.event_trajectory import EventTrajectory, held_t
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.groups import GroupedTrajectories
 from rankone.trajectories.integrator import DenseTrajectories
-from rankone.trajectories.paths import NODES, Path, step_coefficients
+from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 from rankone.verification.reference import Reference
+from rankone.verification.steps import Pieces, Steps
 
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
@@ -62,8 +62,6 @@ _TO_HALVES = tuple(
     np.vander(NODES + shift, NODES.size, increasing=True) @ np.linalg.inv(_TO_NODES)
     for shift in (-1.0, 0.0)
 )
-# From values at all nodes but the last one to that one
-_LAST = np.vander([1.0], NODES.size - 1, increasing=True) @ np.linalg.inv(_TO_NODES[:-1, :-1])
 
 
 def hidden_rate(
@@ -108,7 +106,7 @@ def _hidden(
     tolerated = rtol * np.append(sizes, np.ones(system.n_differential))[: system.n_differential]
     with np.errstate(all="ignore"):
         for paths, owners in parts:
-            steps = _Steps.of(system.jumps.times, paths, owners, points)
+            steps = Steps.of(system.jumps.times, paths, owners, points)
             cost = function_cost(system.rhs, system.user_functions)
             look = _Look(rates, cost, steps, tolerated, _DOUBT)
             tried = _ShortSteps(system, cost, steps, tolerated, rtol)
@@ -136,10 +134,10 @@ def hidden_times(reference: Reference, observed: Observation, rtol: float) -> Ar
     cost = function_cost(observed.written)
     with unlimited(), np.errstate(all="ignore"):
         for paths, owners in _taken_apart(reference):
-            steps = _Steps.of((), paths, owners, reference.points)
+            steps = Steps.of((), paths, owners, reference.points)
             seen = _Look(quantities, cost, steps, None, 1.0, rtol).seen()
             left = [] if seen.left is None else [seen.left]
-            times += [steps.time(place) for place in [*seen.surprises, *left]]
+            times += [steps.time(place.step, place.share) for place in [*seen.surprises, *left]]
     return np.unique(times)[:: max(len(times) // _MOST_TIMES, 1)]
 
 
@@ -178,10 +176,9 @@ class Intervals:
     owners: NDArray[np.intp]
     read: Callable[[Array, NDArray[np.intp]], Array]
 
-    def at(self, pieces: _Pieces) -> tuple[Array, Array]:
+    def at(self, pieces: Pieces) -> tuple[Array, Array]:
         """Times (nodes, N) and states (n, nodes, N) at the nodes of pieces."""
-        shares = pieces.lower + pieces.length * NODES[:, None]
-        times = self.starts[pieces.step] + self.lengths[pieces.step] * shares
+        times = self.starts[pieces.step] + self.lengths[pieces.step] * pieces.shares
         return times, self.read(times, pieces.step)
 
 
@@ -229,81 +226,28 @@ def _of_series(series: TaylorTrajectories) -> Path:
 
 
 @dataclass(frozen=True)
-class _Steps:
-    """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S).
+class _Suggested:
+    """Pieces, and the rates (n, nodes, N) that samples on longer ones suggest there."""
 
-    ``owners`` (S,) are the positions of their trajectories, whose ends are ``left`` (S,) later.
-    """
-
-    starts: Array
-    lengths: Array
-    nodal: Array
-    parameters: Array
-    owners: NDArray[np.intp]
-    left: Array
+    pieces: Pieces
+    rates: Array | None = None
 
     @classmethod
-    def of(
-        cls, jumps: Sequence[float], paths: Sequence[Path], owners: Sequence[int], points: Array
-    ) -> _Steps:
-        """All steps of paths; they leave out what is reset at jumps."""
-        starts = np.concatenate([path.breaks[:-1] for path in paths])
-        ends = np.concatenate([path.breaks[1:] for path in paths])
-        nodal = np.concatenate([path.nodal for path in paths])
-        before_jump = np.isin(ends, jumps)
-        nodal[before_jump, -1] = np.tensordot(nodal[before_jump, :-1], _LAST[0], axes=(1, 0))
-        of_steps = np.repeat(owners, [path.steps for path in paths])
-        near = insets(starts, ends)
-        parameters = np.ascontiguousarray(points[of_steps].T)
-        last = np.full(len(points), -np.inf)
-        np.maximum.at(last, of_steps, ends)
-        lengths, left = ends - starts - 2.0 * near, last[of_steps] - starts
-        return cls(starts + near, lengths, nodal, parameters, of_steps, left)
+    def on_halves(cls, pieces: Pieces, rates: Array) -> _Suggested:
+        """Both halves of pieces whose rates at nodes are (n, nodes, N)."""
+        on_each = [np.einsum("kq,iqp->ikp", part, rates) for part in _TO_HALVES]
+        return cls(pieces.halves(), np.concatenate(on_each, axis=2))
 
-    def time(self, place: _Place) -> float:
-        """The time at which rates surprised."""
-        return float(self.starts[place.step] + self.lengths[place.step] * place.share)
+    @classmethod
+    def joined(cls, each: Sequence[_Suggested]) -> _Suggested:
+        """Some after the others."""
+        rates = [one.rates for one in each if one.rates is not None]
+        return cls(Pieces.joined([one.pieces for one in each]), np.concatenate(rates, axis=2))
 
-    def at(self, pieces: _Pieces) -> tuple[Array, Array]:
-        """Times (nodes, N) and states (n, nodes, N) at the nodes of pieces."""
-        shares = pieces.lower + pieces.length * NODES[:, None]
-        times = self.starts[pieces.step] + self.lengths[pieces.step] * shares
-        if (pieces.length == 1.0).all():
-            return times, np.ascontiguousarray(self.nodal[pieces.step].transpose(2, 1, 0))
-        powers = np.vander((2.0 * shares - 1.0).ravel(), NODES.size, increasing=True)
-        powers = powers.reshape(*shares.shape, -1)
-        states = np.einsum("kpq,qpn->nkp", powers, step_coefficients(self.nodal[pieces.step]))
-        return times, np.asarray(states)
-
-
-@dataclass(frozen=True)
-class _Pieces:
-    """Parts of steps, by the share where each begins and its length, all (N,).
-
-    ``expected`` are rates (n, nodes, N) that samples on longer pieces suggest.
-    """
-
-    step: NDArray[np.intp]
-    lower: Array
-    length: Array
-    expected: Array | None = None
-
-    def some(self, chosen: slice | NDArray[np.bool_]) -> _Pieces:
+    def some(self, chosen: slice | NDArray[np.bool_]) -> _Suggested:
         """Some of them."""
-        expected = None if self.expected is None else self.expected[:, :, chosen]
-        return _Pieces(self.step[chosen], self.lower[chosen], self.length[chosen], expected)
-
-    def halves(self, doubtful: NDArray[np.intp], rates: Array) -> _Pieces:
-        """Both halves of those in doubt, whose rates at nodes are (n, nodes, N)."""
-        half = 0.5 * self.length[doubtful]
-        lower = self.lower[doubtful]
-        expected = [np.einsum("kq,iqp->ikp", part, rates) for part in _TO_HALVES]
-        return _Pieces(
-            np.tile(self.step[doubtful], 2),
-            np.concatenate([lower, lower + half]),
-            np.tile(half, 2),
-            np.concatenate(expected, axis=2),
-        )
+        rates = None if self.rates is None else self.rates[:, :, chosen]
+        return _Suggested(self.pieces.some(chosen), rates)
 
 
 @dataclass(frozen=True)
@@ -334,7 +278,7 @@ class _Seen:
         """Shares (k,) at which a step was halved, from zero to one."""
         return np.append(np.unique(self.lower[self.step == step]), 1.0)
 
-    def kinds(self, steps: _Steps) -> list[list[_Place]]:
+    def kinds(self, steps: Steps) -> list[list[_Place]]:
         """The largest surprise of each step, those of a kind together.
 
         Of one kind are surprises of the same function whose steps have the same position among
@@ -367,7 +311,7 @@ class _Look:
 
     functions: Callable[..., Sequence[Enclosure]]
     cost: Cost
-    steps: _Steps | Intervals
+    steps: Steps | Intervals
     tolerated: Array | None
     most: float
     rtol: float = 0.0
@@ -378,7 +322,7 @@ class _Look:
         Where there are too many pieces, every second trajectory that is in doubt goes on.
         """
         count = self.steps.starts.size
-        pieces = _Pieces(np.arange(count), np.zeros(count), np.ones(count))
+        suggested = _Suggested(pieces := Pieces.whole(count))
         places: list[_Place] = []
         levels = [pieces]
         left = None
@@ -396,16 +340,18 @@ class _Look:
                 if distinct.size <= _LEAST_TRAJECTORIES:
                     left = self._in_doubt(pieces.some(slice(1)), tolerated)
                     break
-                pieces = pieces.some(np.isin(owners, distinct[::2]))
+                suggested = suggested.some(np.isin(owners, distinct[::2]))
                 most += most // 4
-            blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
-            halves = [self._look_at(pieces.some(block), tolerated, places) for block in blocks]
-            pieces = _joined(halves)
+            size = suggested.pieces.step.size
+            blocks = [slice(a, a + _TOGETHER) for a in range(0, size, _TOGETHER)]
+            halves = [self._look_at(suggested.some(block), tolerated, places) for block in blocks]
+            suggested = _Suggested.joined(halves)
+            pieces = suggested.pieces
             levels.append(pieces)
         step = np.concatenate([each.step for each in levels])
         return _Seen(places, left, step, np.concatenate([each.lower for each in levels]))
 
-    def _in_doubt(self, piece: _Pieces, tolerated: Array) -> _Place:
+    def _in_doubt(self, piece: Pieces, tolerated: Array) -> _Place:
         """A single piece, and the function that is most in doubt there."""
         rows = self._rows(piece)[1]
         row = int(self._doubts(rows, 1.0 / tolerated[:, None]).argmax())
@@ -420,7 +366,7 @@ class _Look:
             [np.broadcast_to(d, units.shape[1:]) * u for d, u in zip(doubts, units, strict=True)]
         )
 
-    def _tolerated(self, pieces: _Pieces) -> Array:
+    def _tolerated(self, pieces: Pieces) -> Array:
         """What may be wrong of each function, (n,)."""
         if self.tolerated is not None:
             return self.tolerated
@@ -432,18 +378,19 @@ class _Look:
         sizes = np.max(largest, axis=0)
         return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, _NOTHING))
 
-    def _look_at(self, pieces: _Pieces, tolerated: Array, places: list[_Place]) -> _Pieces:
+    def _look_at(self, suggested: _Suggested, tolerated: Array, places: list[_Place]) -> _Suggested:
         """The halves of pieces that are in doubt; places where functions surprised are added."""
+        pieces, expected = suggested.pieces, suggested.rates
         times, rows = self._rows(pieces)
         values = np.stack([np.broadcast_to(row.values, times.shape) for row in rows])
         units = np.repeat(1.0 / tolerated[:, None], pieces.step.size, axis=1)
         if self.tolerated is not None:
             units *= self.steps.lengths[pieces.step] * pieces.length
-        if pieces.expected is not None:
-            change = np.nan_to_num(values - pieces.expected, nan=0.0, posinf=0.0, neginf=0.0)
+        if expected is not None:
+            change = np.nan_to_num(values - expected, nan=0.0, posinf=0.0, neginf=0.0)
             change = np.abs(change) * units[:, None]
-            slow = np.abs(values) < _SLOW * _steady(pieces.expected)[:, None]
-            change = np.where(slow, self._lost(pieces, pieces.expected)[:, None], change)
+            slow = np.abs(values) < _SLOW * _steady(expected)[:, None]
+            change = np.where(slow, self._lost(pieces, expected)[:, None], change)
             for k in np.flatnonzero(change.max(axis=(0, 1)) > _SURPRISE):
                 row, node = np.unravel_index(change[:, :, k].argmax(), change.shape[:2])
                 lower, length = float(pieces.lower[k]), float(pieces.length[k])
@@ -454,9 +401,9 @@ class _Look:
         stops = self._doubts(rows, np.ones_like(units)) > (1.0 - _SLOW) * _steady(values)
         doubts = np.where(stops, np.maximum(doubts, self._lost(pieces, values)), doubts)
         doubtful = np.flatnonzero(doubts.max(axis=0) > self.most)
-        return pieces.halves(doubtful, values[:, :, doubtful])
+        return _Suggested.on_halves(pieces.some(doubtful), values[:, :, doubtful])
 
-    def _lost(self, pieces: _Pieces, rates: Array) -> Array:
+    def _lost(self, pieces: Pieces, rates: Array) -> Array:
         """What states lose that stop where rates (n, nodes, N) are steady, in tolerances: (n, N).
 
         They stay where they are for the rest of the time, at most, however thin the place is.
@@ -465,7 +412,7 @@ class _Look:
             return np.zeros((len(rates), pieces.step.size))
         return np.asarray(_steady(rates) * self.steps.left[pieces.step] / self.tolerated[:, None])
 
-    def _rows(self, pieces: _Pieces) -> tuple[Array, Sequence[Enclosure]]:
+    def _rows(self, pieces: Pieces) -> tuple[Array, Sequence[Enclosure]]:
         """Times (nodes, N), and enclosures of the functions on pieces."""
         times, states = self.steps.at(pieces)
         charge(_CALL(0) + _ENCLOSURES * self.cost(times.size))
@@ -510,7 +457,7 @@ class _ShortSteps:
 
     system: System
     cost: Cost
-    steps: _Steps
+    steps: Steps
     tolerated: Array
     rtol: float
 
@@ -523,7 +470,7 @@ class _ShortSteps:
         firsts = np.flatnonzero(np.append(True, np.abs(np.diff(lengths)) > 0.1 * lengths[1:]))
         begins, ends = parts[firsts], np.append(parts[firsts[1:]], 1.0)
         start, length = self.steps.starts[place.step], self.steps.lengths[place.step]
-        whole = _Pieces(np.full(firsts.size, place.step), begins, ends - begins)
+        whole = Pieces(np.full(firsts.size, place.step), begins, ends - begins)
         states = self.steps.at(whole)[1]
         state = states[:, 0, 0]
         p = self.steps.parameters[:, place.step : place.step + 1]
@@ -568,15 +515,5 @@ class _ShortSteps:
         """What to say of a place."""
         parameters = self.steps.parameters[:, place.step].tolist()
         at = zip(self.system.parameters, parameters, strict=True)
-        return HiddenRate(self.system.states[place.row], self.steps.time(place), tuple(at))
-
-
-def _joined(pieces: Sequence[_Pieces]) -> _Pieces:
-    """Pieces one after the other."""
-    expected = [each.expected for each in pieces if each.expected is not None]
-    return _Pieces(
-        np.concatenate([each.step for each in pieces]),
-        np.concatenate([each.lower for each in pieces]),
-        np.concatenate([each.length for each in pieces]),
-        np.concatenate(expected, axis=2),
-    )
+        time = self.steps.time(place.step, place.share)
+        return HiddenRate(self.system.states[place.row], time, tuple(at))

@@ -21,10 +21,11 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
-from rankone.trajectories.paths import NODES, step_coefficients
+from rankone.trajectories.paths import NODES
 from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 from rankone.verification.enclosures.ranges import Function
+from rankone.verification.steps import Pieces, Steps
 
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
@@ -55,7 +56,10 @@ def hidden_event(
         return None
     near = _NEAR * rtol * (horizon[1] - horizon[0])
     for some in held_together(trajectories):
-        steps = _Steps.of(trajectories[some], points[some], horizon[1])
+        paths = [(path, k) for k, each in enumerate(trajectories[some]) for path in each.paths]
+        owners = [k for _, k in paths]
+        steps = Steps.of(system.jumps.times, [path for path, _ in paths], owners, points[some])
+        steps = steps.before(horizon[1])
         look = _Look(conditions, steps)
         with np.errstate(all="ignore"):
             samples, left = look.samples()
@@ -63,7 +67,7 @@ def hidden_event(
             place = next(filter(None, map(met.missed, samples.groups())), left)
         if place is not None:
             at = zip(system.parameters, steps.parameters[:, place.step].tolist(), strict=True)
-            time = float(steps.times(place.step, np.array(place.share)))
+            time = steps.time(place.step, place.share)
             return HiddenEvent(system.events[place.event].name, time, tuple(at))
     return None
 
@@ -102,83 +106,6 @@ class _Conditions:
             [Enclosure.of(parameter) for parameter in parameters],
         )
         return [Enclosure.of(all_rows[row]) for row in self.rows]
-
-
-@dataclass(frozen=True)
-class _Steps:
-    """Steps from times (S,), their lengths, states (S, nodes, n) and parameters (d, S).
-
-    ``owners`` (S,) are the positions of their trajectories.
-    """
-
-    starts: Array
-    lengths: Array
-    nodal: Array
-    parameters: Array
-    owners: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, trajectories: Sequence[EventTrajectory], points: Array, end: float) -> _Steps:
-        """All steps of trajectories that begin before an end."""
-        paths = [(path, k) for k, each in enumerate(trajectories) for path in each.paths]
-        starts = np.concatenate([path.breaks[:-1] for path, _ in paths])
-        ends = np.concatenate([path.breaks[1:] for path, _ in paths])
-        nodal = np.concatenate([path.nodal for path, _ in paths])
-        owners = np.repeat([k for _, k in paths], [path.steps for path, _ in paths])
-        early = starts < end
-        return cls(
-            starts[early],
-            (ends - starts)[early],
-            nodal[early],
-            np.ascontiguousarray(points[owners[early]].T),
-            owners[early],
-        )
-
-    def times(self, step: NDArray[np.intp] | int, shares: Array) -> Array:
-        """Times (..., N) at shares (..., N) of steps (N,), or of one step."""
-        return np.asarray(self.starts[step] + self.lengths[step] * shares)
-
-    def at(self, step: NDArray[np.intp], shares: Array) -> tuple[Array, Array]:
-        """Times (K, N) and states (n, K, N) at shares (K, N) of steps (N,)."""
-        powers = np.vander((2.0 * shares - 1.0).ravel(), NODES.size, increasing=True)
-        powers = powers.reshape(*shares.shape, -1)
-        states = np.einsum("kpq,qpn->nkp", powers, step_coefficients(self.nodal[step]))
-        return self.times(step, shares), states
-
-
-@dataclass(frozen=True)
-class _Pieces:
-    """Parts of steps, by the share where each begins and its length, all (N,).
-
-    For each event it is told whether it is in doubt there, (events, N).
-    """
-
-    step: NDArray[np.intp]
-    lower: Array
-    length: Array
-    doubtful: NDArray[np.bool_]
-
-    def some(self, chosen: slice | NDArray[np.bool_]) -> _Pieces:
-        """Some of them."""
-        return _Pieces(
-            self.step[chosen], self.lower[chosen], self.length[chosen], self.doubtful[:, chosen]
-        )
-
-    @property
-    def shares(self) -> Array:
-        """Shares (nodes, N) of steps at the nodes of pieces."""
-        return np.asarray(self.lower + self.length * NODES[:, None])
-
-    def halves(self, doubtful: NDArray[np.bool_]) -> _Pieces:
-        """Both halves of those in doubt: (events, N)."""
-        chosen = doubtful.any(axis=0)
-        half, lower = 0.5 * self.length[chosen], self.lower[chosen]
-        return _Pieces(
-            np.tile(self.step[chosen], 2),
-            np.concatenate([lower, lower + half]),
-            np.tile(half, 2),
-            np.tile(doubtful[:, chosen], 2),
-        )
 
 
 @dataclass(frozen=True)
@@ -246,7 +173,7 @@ class _Look:
     """A look at what the heights of events hide on steps."""
 
     conditions: _Conditions
-    steps: _Steps
+    steps: Steps
 
     def samples(self) -> tuple[_Samples, _Place | None]:
         """Samples where heights were in doubt, and a place if there are too many to look at.
@@ -254,8 +181,7 @@ class _Look:
         Where there are too many, every second trajectory that is in doubt goes on.
         """
         count = self.steps.starts.size
-        everywhere = np.ones((len(self.conditions.events), count), dtype=bool)
-        pieces = _Pieces(np.arange(count), np.zeros(count), np.ones(count), everywhere)
+        pieces, in_doubt = Pieces.whole(count), np.ones((len(self.conditions.events), count), bool)
         seen, left, looked, most = list[_Samples](), None, 0, _MOST_PIECES[0]
         most += _MOST_PIECES[1] * count
         least: Array | None = None
@@ -265,42 +191,44 @@ class _Look:
                 owners = self.steps.owners[pieces.step]
                 distinct = np.unique(owners)
                 if distinct.size <= _LEAST_TRAJECTORIES:
-                    left = self._first_of(pieces)
+                    left = self._first_of(pieces, in_doubt)
                     break
-                pieces = pieces.some(np.isin(owners, distinct[::2]))
+                going_on = np.isin(owners, distinct[::2])
+                pieces, in_doubt = pieces.some(going_on), in_doubt[:, going_on]
                 most += most // 4
             values, hidden = self._heights(pieces)
             if least is None:
                 sizes = np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=(1, 2))
                 least = _LEAST_DOUBT * sizes[:, None]
-            doubtful = pieces.doubtful & (hidden > least)
-            seen.append(self._samples_of(pieces, values, pieces.doubtful if seen else doubtful))
-            pieces = pieces.halves(doubtful)
+            doubtful = in_doubt & (hidden > least)
+            seen.append(self._samples_of(pieces, values, in_doubt if seen else doubtful))
+            chosen = np.flatnonzero(doubtful.any(axis=0))
+            pieces, in_doubt = pieces.some(chosen).halves(), np.tile(doubtful[:, chosen], 2)
             if not pieces.step.size:
                 break
         return _Samples.joined(seen), left
 
-    def _heights(self, pieces: _Pieces) -> tuple[Array, Array]:
+    def _heights(self, pieces: Pieces) -> tuple[Array, Array]:
         """Heights of events (events, nodes, N), and how much may hide a zero there (events, N)."""
         blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
         parts = [self._block(pieces.some(block)) for block in blocks]
         values, hidden = zip(*parts, strict=True)
         return np.concatenate(values, axis=2), np.concatenate(hidden, axis=1)
 
-    def _block(self, pieces: _Pieces) -> tuple[Array, Array]:
+    def _block(self, pieces: Pieces) -> tuple[Array, Array]:
         shares = pieces.shares
-        times, states = self.steps.at(pieces.step, shares)
+        times, states = self.steps.at(pieces)
         rows = self.conditions.enclosed(times, states, self.steps.parameters[:, pieces.step])
         values = np.stack([np.broadcast_to(row.values, shares.shape) for row in rows])
         hidden = np.stack([np.broadcast_to(_hidden(row), shares.shape[1:]) for row in rows])
         return values, np.where(np.isnan(values).all(axis=1), 0.0, hidden)
 
-    def _first_of(self, pieces: _Pieces) -> _Place:
-        """The middle of the first piece."""
-        event = [*self.conditions.events][int(pieces.doubtful[:, 0].argmax())]
+    def _first_of(self, pieces: Pieces, doubtful: NDArray[np.bool_]) -> _Place:
+        """The middle of the first piece, where some events are in doubt: (events, N)."""
+        event = [*self.conditions.events][int(doubtful[:, 0].argmax())]
         return _Place(event, int(pieces.step[0]), float(pieces.lower[0] + 0.5 * pieces.length[0]))
 
-    def _samples_of(self, pieces: _Pieces, values: Array, chosen: NDArray[np.bool_]) -> _Samples:
+    def _samples_of(self, pieces: Pieces, values: Array, chosen: NDArray[np.bool_]) -> _Samples:
         """Samples at the nodes of pieces of the events chosen there, (events, N)."""
         row, piece = np.nonzero(chosen)
         event = np.array([*self.conditions.events])[row]
@@ -326,7 +254,7 @@ class _Met:
     """What trajectories have met of what samples of heights show: not what is ``near`` to it."""
 
     conditions: _Conditions
-    steps: _Steps
+    steps: Steps
     trajectories: Sequence[EventTrajectory]
     near: float
 
@@ -352,7 +280,8 @@ class _Met:
     def _beyond_rounding(self, event: SystemEvent, group: _Group) -> NDArray[np.bool_]:
         """Whether signs of samples (k,) stay as they are if what heights are made of is rounded."""
         step = np.full(group.shares.size, group.step)
-        times, states = self.steps.at(step, group.shares[None])
+        shares = group.shares[None]
+        times, states = self.steps.times(step, shares), self.steps.states(step, shares)
         sizes = np.abs(self.steps.nodal[group.step]).max(axis=0)[:, None]
         parameters = self.steps.parameters[:, step]
         random, same = np.random.default_rng(3061), np.ones(step.size, dtype=bool)
