@@ -165,17 +165,28 @@ def _joined(
     sizes = np.maximum(_sizes(slabs, timeline, domain, least.size), least)
     timeline = replace(timeline, tolerances=tuple((rtol * sizes).tolist()))
     evaluator = branch_evaluator(slabs, timeline)
-    undecided = undecided_share(evaluator, Coverage.of_domain(domain))
-    timeline = replace(timeline, undecided=undecided)
+    timeline = replace(timeline, undecided=undecided_share(evaluator, Coverage.of_domain(domain)))
     measured = [_of_quantities(outcome.measured, least.size) for outcome in outcomes]
     if timeline.openings:
         missed = _errors_of_roots(solution, evaluator, domain, sizes)
         measured = [each and _with_errors(each, missed) for each in measured]
-    errors = [-1.0 if each is None else each.error for each in measured]
+    return replace(
+        _over_all(outcomes, measured, rtol, timeline.undecided), slabs=slabs, timeline=timeline
+    )
+
+
+def _over_all(
+    outcomes: Sequence[Outcome],
+    measured: Sequence[Measured | None],
+    rtol: float,
+    undecided: float,
+) -> Outcome:
+    """The outcome of the worst branch with the errors of all, or that of one without any."""
+    checked = [each for each in measured if each is not None]
+    if len(checked) < len(measured):
+        return outcomes[measured.index(None)]
+    errors = [each.error for each in checked]
     worst = int(np.argmax(errors))
-    unchecked = next((k for k, each in enumerate(measured) if each is None), None)
-    if unchecked is not None:
-        return replace(outcomes[unchecked], slabs=slabs, timeline=timeline)
     status = Status.CONVERGED if errors[worst] <= rtol else Status.TOLERANCE
     notes = outcomes[worst].notes
     if status is Status.CONVERGED:
@@ -184,14 +195,7 @@ def _joined(
     if undecided:
         notes = (*notes, UndecidedShare(undecided))
         status = status if undecided <= MOST_UNDECIDED else Status.TOLERANCE
-    return replace(
-        outcomes[worst],
-        slabs=slabs,
-        timeline=timeline,
-        status=status,
-        measured=_largest([each for each in measured if each is not None]),
-        notes=notes,
-    )
+    return replace(outcomes[worst], status=status, measured=_largest(checked), notes=notes)
 
 
 def _errors_of_roots(
