@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock
+from rankone.support.wording import count
 
 CLOCK_STATES = 2
 """States of slabs over stretches behind those of the problem: the clock, and the length."""
@@ -66,7 +67,9 @@ class Timeline:
         else:
             names.append(last)
         start, end = self.horizon
-        lines = [f"{self.stretches} stretches over [{start:g}, {end:g}], which end with"]
+        stretches = count(self.stretches, "stretch", "stretches")
+        verb = "ends" if self.stretches == 1 else "end"
+        lines = [f"{stretches} over [{start:g}, {end:g}], which {verb} with"]
         return "\n".join([*lines, *(f"  {name}" for name in names)])
 
     def fixed(self, parameter: int, value: float) -> Timeline:
@@ -231,8 +234,7 @@ class BranchedTimeline:
 
     def __str__(self) -> str:
         """The branches, and what is undecided, in words."""
-        count = len(self.branches)
-        lines = [f"{count} orders of events, each in a part of the box"]
+        lines = [f"{count(len(self.branches), 'order')} of events, each in a part of the box"]
         if self.undecided:
             lines[0] += f"; undecided in {100 * self.undecided:.2g} % of it"
         for k, branch in enumerate(self.branches):
