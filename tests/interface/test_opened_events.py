@@ -10,8 +10,12 @@ import pytest
 import rankone as ro
 from rankone.ir.events import ForcedOrder
 from rankone.ir.request import SolveRequest
-from rankone.solvers.branches import order_search
+from rankone.solvers.attempts import Stages
+from rankone.solvers.branches import order_search, solve_in_branches
+from rankone.solvers.registry import ENGINES
 from rankone.solvers.stretches import timed_system
+from rankone.support.budget import limited, work_done
+from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after
 
 pytestmark = pytest.mark.slow
@@ -164,8 +168,8 @@ def test_opened_trajectories_are_true_where_the_root_is_that_of_the_height():
     forced = search.continued(kick, places, opened)
     assert isinstance(forced, ForcedOrder)
     a, c = 1.2, 1.0
-    for moved in (0.0, 0.05, -0.15):  # the height is a - c, and that of the moved surface
-        root = np.sqrt(a - c + moved)
+    for moved in (0.0, 0.05, -0.15):  # the height is a - c, of a rise by a, and that is moved
+        root = np.sqrt((a - c + moved) / a)
         times = search.forced(kick, forced, np.array([[a, c, root]])).borders[0, 1]
         assert times == pytest.approx(np.arcsin((c - moved) / a), abs=1e-6)
 
@@ -176,3 +180,42 @@ def test_an_event_next_to_no_turn_of_the_others_is_refused():
     box = {"c": (0.8, 1.2), "k": (0.1, 0.3)}
     with pytest.raises(ro.ConvergenceError, match="`drop`"):
         ro.solve(problem({"x": "-k*t*x"}, {"x": 1}, box, 3, event), RTOL, effort=0.3)
+
+
+def test_the_surface_is_moved_no_further_than_to_where_trajectories_start():
+    """A latch of three parameters: with one interval of heights for all, some are out of reach."""
+    latch = {"when": "x - c", "direction": "rising", "then": {"s": "1"}, "name": "latch"}
+    rates, start = {"x": "1 + a*sin(t) - k*x", "y": "s - y", "s": "0"}, {"x": 0.5, "y": 0, "s": 0}
+    box = {"a": (0.5, 1.5), "c": (1.4, 1.9), "k": (0.8, 1.2)}
+    solution = ro.solve(problem(rates, start, box, 6, latch), RTOL)
+    assert solution.success
+    rng = np.random.default_rng(6)
+    at = {name: rng.uniform(*ends, 1000) for name, ends in box.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        values = solution["y"](6.0, **at)
+    a, c, k = at.values()
+    times = np.linspace(0.0, 6.0, 12001)[:, None]
+    swing = a * (k * np.sin(times) - np.cos(times)) / (1.0 + k**2)
+    level = 1.0 / k + swing + (0.5 - 1.0 / k + a / (1.0 + k**2)) * np.exp(-k * times) - c
+    met, columns = (level > 0.0).argmax(axis=0), np.arange(c.size)
+    before, after = level[met - 1, columns], level[met, columns]
+    latched = times[met, 0] - (times[1, 0]) * after / (after - before)
+    there = np.where(met > 0, 1.0 - np.exp(latched - 6.0), 0.0)
+    undecided = np.isnan(values)
+    assert undecided.mean() <= 0.01
+    assert np.abs(values - there)[~undecided].max() <= 5.0 * RTOL
+
+
+def test_a_search_for_orders_that_ends_without_success_counts():
+    """The second hit starts at the wall, so that no order with it is opened."""
+    rates = {"x": "v", "v": "d*cos(1.3*t) - 0.3*v - x"}
+    hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "hit"}
+    wall = problem(rates, {"x": 0, "v": 0}, {"d": (0.5, 1), "w": (0.4, 0.7)}, 9, hit)
+    system, engine, stages = ro.compile(wall).system, ENGINES["cross"], Stages()
+    request = SolveRequest.of(system, [], {}, rtol=RTOL)
+    with limited(1e12):
+        with pytest.raises(OrderError, match="`hit`"):
+            solve_in_branches(engine.run, system, request, OrderError("orders differ"), stages)
+        spent = work_done()
+    assert sum(stages.work.values()) == pytest.approx(spent, rel=0.05)

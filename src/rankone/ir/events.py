@@ -173,8 +173,9 @@ class ForcedOrder:
     and time.
 
     Events that are met just before a turn, and missed where its height is below zero, are
-    ``opened``: a coordinate behind the parameters is the root of the height, and the surface is
-    moved until that is so. Where it is the root of the true height, nothing is moved.
+    ``opened``: a coordinate behind the parameters is the root of the height over the rise from the
+    start of the stretch, and the surface is moved until that is so. Where it is the root of the
+    true one, nothing is moved.
     """
 
     met: tuple[tuple[int, ...], ...]

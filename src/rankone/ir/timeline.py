@@ -118,9 +118,9 @@ class Fork:
 
     The ``first`` one holds if its stretch ends before that of the ``second``, or, where both end
     at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states.
-    The guard is relative to its ``scale``. One ``at_turn`` is the height at a turn, and decides
-    nothing below the scale. The events that end the stretch ``may_be_past`` at its beginning: then
-    they do not come.
+    The guard is relative to its ``scale``. One ``at_turn`` is the height at a turn over the rise to
+    it, and decides nothing below the scale. The events that end the stretch ``may_be_past`` at its
+    beginning: then they do not come.
     """
 
     first: int
@@ -155,9 +155,9 @@ class Grazing:
 class Opening:
     """An event that a branch meets just before a turn at which its ``parent`` misses the event.
 
-    Where the height of the turn vanishes, which is a row of the parent behind its states, a
-    ``guard``, the branch is smooth over its root. That is a coordinate behind the parameters of the
-    slabs of the branch, from ``lower`` to ``upper``.
+    The height of the turn over the surface, relative to the rise from the start of the stretch to
+    the turn, is a row of the parent behind its states, a ``guard``. The branch is smooth over its
+    root: a coordinate behind the parameters of its slabs, from ``lower`` to ``upper``.
     """
 
     branch: int

@@ -141,7 +141,6 @@ def solve_in_branches(
         share = next(shares)
         for _ in range(_MOST_SOLVES):
             outcome, further = _BranchSolve(search, request, cuts, share, stages).outcome(solve)
-            stages.add(outcome.timings, outcome.work)
             outcome = replace(outcome, timings={**stages.timings}, work={**stages.work})
             if len(further):
                 with stages.of("reference"):
@@ -160,7 +159,8 @@ def solve_in_branches(
     except TrajectoryEndError:
         raise error from None
     except OrderError as failure:
-        raise _with_part(failure, search) from None
+        with stages.of("reference"):
+            raise _with_part(failure, search) from None
     if len(further):  # each check meets yet another order
         raise error
     return outcome
@@ -255,7 +255,6 @@ class _BranchSolve:
             with limited(min(share * work_left(), most), share * seconds_left()):
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:
-                self.stages.add(outcome.timings, outcome.work)
                 errors = tuple(note for note in outcome.notes if isinstance(note, MeasuredError))
                 raise OrderError(
                     f"{self.search.named(branch.order)}, which holds in a part of the box, is not "
@@ -307,8 +306,9 @@ class _BranchSolve:
         return _Branches(branches, grazed)
 
     def _opened(self, failed: _Failed, branches: Sequence[_Branch]) -> _Branch:
-        """A branch with an event that another one misses; the error of the order without one."""
+        """A branch with an event that another one misses; the last error without one."""
         order, places, missed = failed.order, failed.places, failed.error.missed
+        reason = failed.error
         for k, parent in enumerate(branches):
             if missed is None or order.parts_at(parent.order) != missed + 1:
                 continue
@@ -319,10 +319,13 @@ class _BranchSolve:
                     if opened is None:
                         continue
                     forced = self.search.continued(order, places, opened)
-            except (ContinuationError, OutOfBudgetError):
+            except ContinuationError as error:
+                reason = error
+                continue
+            except OutOfBudgetError:
                 break
             return _Branch(order, forced, places, opened, (*parent.parents, k))
-        raise failed.error
+        raise reason
 
     def _goes_on(self, order: Order, places: NDArray[np.intp], other: _Branch) -> bool:
         """Whether another branch has an order, and further events only after the end."""
@@ -343,7 +346,10 @@ class _BranchSolve:
         scales = (*request.domain.scales, *(LINEAR for _ in roots))
         domain = Domain(stretched.horizon, box, scales)
         tighter = replace(request, domain=domain, rtol=self.share * request.rtol)
-        return solve(stretched, tighter), Timeline.of(clock)
+        with self.stages.if_it_fails("reference"):
+            outcome = solve(stretched, tighter)
+        self.stages.add(outcome.timings, outcome.work)
+        return outcome, Timeline.of(clock)
 
     def _with_grazings(self, parted: _Branches) -> _Branches:
         """The branches with clearances from the events at which grazed orders part from them.
@@ -449,8 +455,8 @@ class _BranchSolve:
             Status.UNCHECKED,
             None,
             tuple(record for outcome in outcomes for record in outcome.history),
-            _sums([outcome.timings for outcome in outcomes]),
-            _sums([outcome.work for outcome in outcomes]),
+            {**self.stages.timings},
+            {**self.stages.work},
             timeline=timeline,
         )
         nothing = self.search.points[:0]
@@ -569,8 +575,3 @@ def one_after_the_other(
         for outcome, offset in zip(outcomes, offsets, strict=False)
         for slab in outcome.slabs
     )
-
-
-def _sums(by_stage: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Seconds or operations by stage, in all."""
-    return {stage: sum(each[stage] for each in by_stage) for stage in by_stage[0]}

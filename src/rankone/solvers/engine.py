@@ -32,6 +32,7 @@ _LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretc
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
 _MOST_MORE_EVENTS = 2
+_STEEP_IN_ORDER = "in one order the solution is steep, as where some trajectories miss an event"
 
 
 @dataclass(frozen=True)
@@ -103,32 +104,51 @@ class Engine:
         self, system: System, request: SolveRequest, report: Report
     ) -> Outcome:
         """Solve over the stretches between events, in branches where their order changes."""
+        if self.name == "cross" and goes_in_step(system, request):
+            with suppress(OrderError):
+                return self._attempted(system, request, report)
+        stages = Stages()
+        try:
+            outcome = self._solve_in_order(system, request, report, stages)
+        except TrajectoryEndError:
+            raise
+        except OrderError as error:
+            if self.name != "cross":
+                raise
+            return self._solve_in_branches(system, request, report, error, stages)
+        if self.name == "cross" and outcome.status is Status.STEEP:
+            return self._solve_steep(system, request, report, outcome)
+        return outcome
+
+    def _solve_in_branches(
+        self,
+        system: System,
+        request: SolveRequest,
+        report: Report,
+        error: OrderError,
+        stages: Stages,
+    ) -> Outcome:
+        """Solve each order of events, which an error says to differ, as a branch of its own."""
 
         def solve(stretched: System, over_it: SolveRequest) -> Outcome:
             return self._attempted(stretched, over_it, report)
 
-        if self.name == "cross" and goes_in_step(system, request):
-            with suppress(OrderError):
-                return self._attempted(system, request, report)
-        stages, in_order = Stages(), None
-        try:
-            in_order = self._solve_in_order(system, request, report, stages)
-            if in_order.status is not Status.STEEP or self.name != "cross":
-                return in_order
-            first = OrderError(in_order.message)  # events may be missed by grazing
-        except OrderError as error:
-            if self.name != "cross" or isinstance(error, TrajectoryEndError):
-                raise
-            first = error
-        if in_order is None:
-            return solve_in_branches(solve, system, request, first, stages)
+        return solve_in_branches(solve, system, request, error, stages)
+
+    def _solve_steep(
+        self, system: System, request: SolveRequest, report: Report, steep: Outcome
+    ) -> Outcome:
+        """Solve in branches what is steep in one order: trajectories may miss its events.
+
+        The steep outcome if that is no better, with what both took.
+        """
         stages = Stages()
-        stages.add(in_order.timings, in_order.work)
-        try:
-            outcome = solve_in_branches(solve, system, request, first, stages)
-        except ConvergenceError:
-            return in_order
-        return in_order if _is_better(in_order, outcome) else outcome
+        stages.add(steep.timings, steep.work)
+        error, better = OrderError(_STEEP_IN_ORDER), steep
+        with suppress(ConvergenceError):
+            outcome = self._solve_in_branches(system, request, report, error, stages)
+            better = steep if _is_better(steep, outcome) else outcome
+        return replace(better, timings={**stages.timings}, work={**stages.work})
 
     def _solve_in_order(
         self,

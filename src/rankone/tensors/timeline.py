@@ -22,7 +22,8 @@ _PRODUCTS = 1 << 21  # Numbers of values with derivatives, and of their products
 class HeightRoot:
     """The root of a height over a surface, from ``lower`` to ``upper``, as a coordinate of slabs.
 
-    The height is a ``row`` of another evaluator that is the same at all times.
+    The height, relative to that of the start, is a ``row`` of another evaluator that is the same at
+    all times.
     """
 
     evaluator: TimelineEvaluator

@@ -350,12 +350,15 @@ class _Follower:
         """About the elapsed time of a turn, (m,)."""
         return turn.times(self.points[:, : turn.columns])[:, 0]
 
-    def _at_turn(self, turn: Turn, flow: _Flow) -> tuple[Array, Array]:
-        """The elapsed times (m,) of a turn along a flow, and the heights there."""
+    def _at_turn(self, turn: Turn, flow: _Flow) -> tuple[Array, Array, Array]:
+        """The elapsed times (m,) of a turn along a flow, the heights there and above the start."""
         event = self.clock.system.events[turn.event]
         times, heights = _nearest_turns(flow, event, turn, self._expected(turn))
         self._raise(~np.isfinite(times), f"does not turn next to event {quote(event.name)}")
-        return times, heights
+        start = turn.sign * flow.heights(event, np.zeros((len(times), 1)))[:, 0]
+        rises = (times > 0.0) & (heights > start)
+        self._raise(~rises, f"turns no nearer to event {quote(event.name)} than it starts")
+        return times, heights, heights - start
 
     def _heights_at_turns(self, stretch: int, flow: _Flow, guards: Array, turns: Array) -> None:
         """Fill in the guards at turns of a stretch, and the elapsed times of these."""
@@ -363,7 +366,8 @@ class _Follower:
         assert forced is not None
         for row, guard in enumerate(forced.guards):
             if isinstance(guard, Turn) and guard.stretch == stretch:
-                turns[row], guards[row] = self._at_turn(guard, flow)
+                turns[row], height, rise = self._at_turn(guard, flow)
+                guards[row] = height / rise
 
     def _to_opened(
         self,
@@ -376,7 +380,8 @@ class _Follower:
     ) -> tuple[_Flow, Array]:
         """The flow past an opened event, and the elapsed times (m,) of its last root before a turn.
 
-        A ``column`` of the points is the root of the height to which the surface is moved.
+        The surface is moved between the start, where a ``column`` of the points would be one, and
+        the turn, where it would be zero: there is always a root.
         """
         event, i = self.clock.system.events[turn.event], turn.stretch
         forced = self.clock.forced
@@ -384,9 +389,9 @@ class _Follower:
         for factor in _WIDER:
             low = expected - factor * forced.margins[i]
             flow = self._flow(times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0), i)
-            at_turn, height = self._at_turn(turn, flow)
-            by = turn.sign * (self.points[:, column] ** 2 - height)
-            low = np.minimum(low, at_turn - factor * turn.margin)
+            at_turn, height, rise = self._at_turn(turn, flow)
+            by = turn.sign * (self.points[:, column] ** 2 * rise - height)
+            low = np.minimum(low, np.minimum(at_turn - factor * turn.margin, 0.0))
             never = np.zeros(times.shape, dtype=bool)
             roots = _nearest_roots(flow, event, (low, at_turn), at_turn, never, by)
             if np.isfinite(roots).all():

@@ -1,13 +1,15 @@
 """Events that trajectories meet just before a turn, or miss where they turn too early.
 
 Where the height of the turn over the surface vanishes, the event and the next crossing merge like
-a square root, and are gone beyond. An order with such an event is opened: the root s of the height
-becomes a coordinate behind the parameters, and for any s and p the surface is moved until the
-height is s². The trajectories are smooth functions of p and s, and true where s² is the height.
+a square root, and are gone beyond. An order with such an event is opened. Its relative height is
+that over the rise from the start of the stretch to the turn; the root s of this becomes a
+coordinate behind the parameters, and for any s < 1 and p the surface is moved until the relative
+height is s². The trajectories are smooth functions of p and s, and true where s² is the true one.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from rankone.ir.events import ForcedOrder, Turn
 from rankone.support.arrays import Array, spread
-from rankone.trajectories.events.forced import ContinuationError, guard_heights
+from rankone.trajectories.events.forced import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 
 _SAMPLES = 257  # Places behind an event at which its turn is looked for
@@ -25,7 +27,9 @@ _FURTHER = 256  # Points, evenly spread over parameters and roots, to which orde
 _ALIKE = 1e-9  # Largest difference of heights over the same surface, relative to them
 _NEAR = 0.1  # Share of the points that tell how many are next to the border
 _SLIVER = 0.003  # Share of the box, about, in which a height is as good as zero
-_ABOVE = 1.1  # Largest root of a height over that at the points
+_ABOVE = 1.1  # Largest root of a relative height over that at the points
+_TO_START = 0.5  # Share of what is left to the start by which it may be larger
+_MOST_SIDES = 8  # Coordinates up to which it is predicted at the corners too
 
 
 @dataclass(frozen=True)
@@ -47,16 +51,19 @@ def opened_after(
     """The points and turns of an order whose event at the end of a stretch a parent misses.
 
     The order holds at ``places``; both have the same stretches before. None if the parent does not
-    turn next to the event over the whole box.
+    turn next to the event, or does so nowhere but where the event is met.
+
+    Raises
+    ------
+    ContinuationError
+        If the turn cannot be continued over the whole box, or is no nearer to the event than the
+        start of the stretch.
     """
-    try:
-        turn = _turn(search, parent, order, places, stretch)
-        if turn is None:
-            return None
-        forced = replace(parent.forced, guards=(turn,))
-        heights = search.forced(parent.order, forced, parent.opened.points).guards[0]
-    except ContinuationError:
+    turn = _turn(search, parent, order, places, stretch)
+    if turn is None:
         return None
+    forced = replace(parent.forced, guards=(turn,))
+    heights = search.forced(parent.order, forced, parent.opened.points).guards[0]
     if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
         return None
     return _with_root(search, parent.opened, turn, heights)
@@ -146,15 +153,26 @@ def _surface(
 
 
 def _with_root(search: OrderSearch, parent: Opened, turn: Turn, heights: Array) -> Opened:
-    """The points of a parent with the roots of heights (m,) at a turn, and further ones."""
+    """The points of a parent with the roots of relative heights (m,), and further ones."""
     count = len(search.points)
     near = np.sort(np.abs(heights[:count]))
     k = int(_NEAR * count)
     lower = float(np.sqrt(near[k] * _SLIVER * count / k))
-    upper = _ABOVE * float(np.sqrt(heights.max()))
+    largest = float(np.sqrt(_highest(parent, heights)))
+    upper = min(_ABOVE * largest, largest + _TO_START * (1.0 - largest))
     roots = np.clip(np.sqrt(np.maximum(heights[:count], 0.0)), lower, upper)
     points = np.column_stack([parent.points[:count], roots])
     bounds = np.vstack([parent.bounds, [lower, upper]])
     shares = spread(_FURTHER, len(bounds), np.random.default_rng(20149))
     further = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * shares
     return Opened((*parent.turns, turn), np.concatenate([points, further]), bounds)
+
+
+def _highest(opened: Opened, heights: Array) -> float:
+    """The largest of heights (m,), and of those predicted at the corners, but for the start."""
+    highest = float(heights.max())
+    if len(opened.bounds) > _MOST_SIDES:
+        return highest
+    predicted = Lengths.through(opened.bounds, opened.points, heights[:, None])
+    corners = np.array(list(itertools.product(*opened.bounds.tolist())))
+    return max(highest, min(float(predicted(corners).max()), 0.5 * (1.0 + highest)))
