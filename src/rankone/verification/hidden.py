@@ -464,13 +464,13 @@ class _ShortSteps:
     def change(self, place: _Place, parts: Array) -> tuple[_Place | None, int]:
         """Where they leave it, or do not go on; and how many evaluations that took.
 
-        They begin anew where ``parts``, between shares of the step, become longer or shorter.
+        They begin anew where ``parts``, between shares of the step, become longer or shorter, and
+        where rates surprised: what is narrow there may be thinner than the parts.
         """
-        lengths = np.diff(parts)
-        firsts = np.flatnonzero(np.append(True, np.abs(np.diff(lengths)) > 0.1 * lengths[1:]))
-        begins, ends = parts[firsts], np.append(parts[firsts[1:]], 1.0)
+        begins, longest = self._begins(place, parts)
+        ends = np.append(begins[1:], 1.0)
         start, length = self.steps.starts[place.step], self.steps.lengths[place.step]
-        whole = Pieces(np.full(firsts.size, place.step), begins, ends - begins)
+        whole = Pieces(np.full(begins.size, place.step), begins, ends - begins)
         states = self.steps.at(whole)[1]
         state = states[:, 0, 0]
         p = self.steps.parameters[:, place.step : place.step + 1]
@@ -487,7 +487,7 @@ class _ShortSteps:
             return np.asarray(self.system.rhs(begin + since, y[:, None], p))[:, 0]
 
         for k, (a, b) in enumerate(zip(begins, ends, strict=True)):
-            span, shortest = length * (b - a), length * lengths[firsts[k]] / _SHORT_STEPS
+            span, shortest = length * (b - a), length * longest[k] / _SHORT_STEPS
             try:
                 solved = solve_ivp(
                     rates,
@@ -510,6 +510,18 @@ class _ShortSteps:
                 share, part = float(a), float(b - a)
                 return _Place(place.step, share, part, share + 0.5 * part, row), evaluations
         return None, evaluations
+
+    @staticmethod
+    def _begins(place: _Place, parts: Array) -> tuple[Array, Array]:
+        """Shares of the step where short steps begin anew, and the parts that they are within."""
+        lengths = np.diff(parts)
+        firsts = np.flatnonzero(np.append(True, np.abs(np.diff(lengths)) > 0.1 * lengths[1:]))
+        begins, longest = parts[firsts], lengths[firsts]
+        before = int(np.searchsorted(begins, place.share, side="right")) - 1
+        if begins[before] == place.share or place.share >= 1.0:
+            return begins, longest
+        begins = np.insert(begins, before + 1, place.share)
+        return begins, np.insert(longest, before + 1, longest[before])
 
     def hidden(self, place: _Place) -> HiddenRate:
         """What to say of a place."""
