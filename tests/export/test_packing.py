@@ -55,7 +55,7 @@ def test_smaller(name, share):
     assert entries(small) <= share * entries(full)
     path = Path("model.c")
     sizes = [len(c_model(model, path)[path]) for model in (full, small)]
-    assert sizes[1] <= share * sizes[0] + 20_000
+    assert sizes[1] <= share * sizes[0] + 30_000  # half of what stands besides the numbers
 
 
 def test_cores_stay_shared():

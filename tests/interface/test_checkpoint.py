@@ -113,7 +113,7 @@ def test_other_problems_and_options_are_refused(tmp_path, other, options, text):
 
 def test_more_memory_solves_what_lacked_it_and_nothing_else(tmp_path, solved):
     """The limit may change: solutions are kept, and what failed for lack of memory is tried."""
-    rates = {f"x{i}": f"k*x{i - 1} - k*x{i}" if i else "-k*x0" for i in range(300)}
+    rates = {f"x{i}": f"k*x{i - 1} - k*x{i}" if i else "-k*x0" for i in range(400)}
     initial = {name: "1" if name == "x0" else "0" for name in rates}
     chain = ro.Problem.from_strings(rates, initial, {"k": (1, 2)}, (0, 1))
     options = {"rtol": 1e-2, "unknowns": ["x3"], "check": 8, "checkpoint": tmp_path}
