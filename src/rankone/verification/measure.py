@@ -18,7 +18,7 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.ir.verdict import HiddenEvent, HiddenRate, NumericallyZero
 from rankone.support.arrays import Array
-from rankone.support.budget import charge, unlimited
+from rankone.support.budget import OutOfWorkError, charge, limited, unlimited, work_left
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain, modes_in_time
@@ -59,6 +59,7 @@ _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shar
 _LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
 _LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
 _LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
+_SINGLE_SHARE = 0.03  # Most of what is left of the budget for that
 _MOST_SINGLE_STATES = 200  # States up to which LSODA, whose matrices are dense, samples again
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
@@ -204,7 +205,8 @@ class ReferenceSet:
         choose = partial(integrator_for, self.system, accuracy=accuracy)
         if self.system.n_differential > _MOST_SINGLE_STATES:
             return choose(self.taken).sample(*work)
-        with suppress(OrderError):  # it may come to no end between events as well
+        # It may come to no end between events as well, or creep where a state passes zero
+        with suppress(OrderError, OutOfWorkError), limited(_SINGLE_SHARE * work_left()):
             samples = choose("single").sample(*work)
             if samples.reached == times.size:
                 return samples
