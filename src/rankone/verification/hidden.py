@@ -41,6 +41,7 @@ _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length
 _DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
 _SLOW = 0.1  # Part of a steady rate below which a state nearly stops: then errors are amplified
 _STEADY = 0.5  # Least part of the largest rate on a piece at which rates are steady
+_ROUNDINGS = 16.0  # Spacings of time in which no state stops
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
 _TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
@@ -410,7 +411,10 @@ class _Look:
         """
         if self.tolerated is None or isinstance(self.steps, Intervals):
             return np.zeros((len(rates), pieces.step.size))
-        return np.asarray(_steady(rates) * self.steps.left[pieces.step] / self.tolerated[:, None])
+        lost = _steady(rates) * self.steps.left[pieces.step] / self.tolerated[:, None]
+        lengths = self.steps.lengths[pieces.step] * pieces.length
+        rounding = _ROUNDINGS * np.spacing(np.abs(self.steps.starts[pieces.step]))
+        return np.asarray(np.where(lengths > rounding, lost, 0.0))  # steps may be that short
 
     def _rows(self, pieces: Pieces) -> tuple[Array, Sequence[Enclosure]]:
         """Times (nodes, N), and enclosures of the functions on pieces."""
