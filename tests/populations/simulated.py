@@ -22,7 +22,7 @@ def oral():
     problem = ro.Problem.from_strings(
         {"A": "-ka*A", "C": "ka*A/V - CL/V*C"}, {"A": "dose", "C": "0"}, BOX, (0, 24)
     )
-    return ro.solve(problem, 1e-5)
+    return ro.solve(problem, 1e-6)
 
 
 def concentration(t, dose, ka, CL, V):
