@@ -6,9 +6,10 @@ import pytest
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers import attempts
-from rankone.support.budget import OutOfWorkError
+from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.verification.finer import confirmed
 from rankone.verification.measure import ReferenceSet
+from tests.reference.published import PUBLISHED
 
 RTOL = 4e-3
 LAYER = "1/(1800*k*Heaviside(x - 0.5443)*Heaviside(0.5444 - x) + 1)"
@@ -75,6 +76,17 @@ def test_references_with_a_jump_at_a_compared_time_are_confirmed(rate):
 def test_references_as_fine_as_rounding_are_taken_as_they_are():
     first = reference_set(problem(), 1e-11)
     assert confirmed(first) == (first, None)
+
+
+@pytest.mark.parametrize(("name", "maker"), [("kepler", "stack"), ("duffing", "single")])
+def test_lsoda_follows_them_for_as_much_work_as_a_stack_would(name, maker):
+    first = reference_set(PUBLISHED[name].problem(), 1e-3)
+    few, times = np.arange(2), np.linspace(0.0, first.end, 7)
+    with limited(1e10):
+        samples = first.sampled_again(few, times, 1e-2 * first.accuracy)
+        taken = work_done()
+    assert samples.integrator == maker
+    assert taken < 4.0 * first._stacked_work(few.size, times.size, 1e-2 * first.accuracy)
 
 
 def test_no_success_where_the_limit_leaves_no_comparison(monkeypatch):

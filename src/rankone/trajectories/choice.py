@@ -153,6 +153,18 @@ def explicit_steps(system: System, dense: DenseTrajectories, accuracy: float) ->
     return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
 
 
+def stacked_work(
+    system: System, steps: float, tolerances: tuple[float, float], m: int, times: int
+) -> float:
+    """Expected work of a stack of m trajectories, sampled at so many times.
+
+    DOP853 takes so many ``steps`` at the first of two relative tolerances; the stack has the other.
+    """
+    known, asked = tolerances
+    steps *= (known / asked) ** _DOP853_POWER
+    return sampling_cost(system, asked, steps, m, times, function_cost(system.rhs))
+
+
 @dataclass
 class SamplingChoice:
     """The integrator of trajectories that are sampled for a solve, as counted work moves it.

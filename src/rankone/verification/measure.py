@@ -22,7 +22,12 @@ from rankone.support.budget import OutOfWorkError, charge, limited, unlimited, w
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain, modes_in_time
-from rankone.trajectories.choice import following, integrator_for
+from rankone.trajectories.choice import (
+    explicit_steps,
+    following,
+    integrator_for,
+    stacked_work,
+)
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.integrator import SampledTrajectories, Tolerances
@@ -59,7 +64,7 @@ _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shar
 _LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
 _LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
 _LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
-_SINGLE_SHARE = 0.03  # Most of what is left of the budget for that
+_SINGLE_SHARE = 0.15  # Most of what is left of the budget for finer trajectories by LSODA
 _MOST_SINGLE_STATES = 200  # States up to which LSODA, whose matrices are dense, samples again
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
@@ -194,8 +199,9 @@ class ReferenceSet:
     ) -> SampledTrajectories:
         """Some of the trajectories at times (T,), to another relative tolerance.
 
-        LSODA makes them unless there are many states, or it creeps: no implicit step goes through a
-        jump of the rates behind which a state is slow.
+        LSODA makes them unless there are many states, or it creeps: it may take as much work as the
+        stack that makes them then. No implicit step goes through a jump of the rates behind which a
+        state is slow.
         """
         points = self.reference.points[trajectories]
         finest = accuracy * np.minimum(NEGLIGIBLE * self.of_states, self.reference.floor)
@@ -206,11 +212,21 @@ class ReferenceSet:
         if self.system.n_differential > _MOST_SINGLE_STATES:
             return choose(self.taken).sample(*work)
         # It may come to no end between events as well, or creep where a state passes zero
-        with suppress(OrderError, OutOfWorkError), limited(_SINGLE_SHARE * work_left()):
+        most = self._stacked_work(len(points), times.size, accuracy)
+        with suppress(OrderError, OutOfWorkError), limited(min(most, _SINGLE_SHARE * work_left())):
             samples = choose("single").sample(*work)
             if samples.reached == times.size:
                 return samples
         return choose("stack").sample(*work)
+
+    def _stacked_work(self, count: int, times: int, accuracy: float) -> float:
+        """Operations that a stack of so many trajectories is expected to take."""
+        clock = self.system.clock
+        system = self.system if clock is None else clock.system
+        steps = max(
+            explicit_steps(system, dense, self.accuracy) for dense in self.reference.batches
+        )
+        return stacked_work(system, steps, (self.accuracy, accuracy), count, times)
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
