@@ -14,7 +14,9 @@ from rankone.support.budget import (
     OutOfWorkError,
     charge,
     check_time,
+    foresee,
     limited,
+    looking,
     operations_for,
     seconds_left,
     unlimited,
@@ -51,6 +53,19 @@ def test_work_inside_counts_outside():
             assert work_left() == 0.0
             check_time()
         assert (work_done(), work_left()) == (60.0, 40.0)
+
+
+def test_a_look_ends_where_it_foresees_too_much():
+    with limited(1000.0):
+        with looking(100.0):
+            charge(10.0)
+            foresee(1e9)  # so early it tells nothing
+            charge(20.0)
+            foresee(70.0)
+            with pytest.raises(OutOfWorkError):
+                foresee(71.0)
+        assert (work_done(), work_left()) == (30.0, 970.0)
+        foresee(1e9)  # nothing looks any more
 
 
 def test_what_must_be_done_is_counted_without_a_limit():

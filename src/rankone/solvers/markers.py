@@ -14,7 +14,7 @@ from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfWorkError, limited, memory_left, work_left
+from rankone.support.budget import OutOfWorkError, limited, looking, memory_left, work_left
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.event_trajectory import EventTrajectory
@@ -43,7 +43,7 @@ from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.sharing import reference_set_of
 
-# Operations of a reference over clock time after which pilots tell whether markers pay, since
+# Operations of a reference over clock time above which pilots tell whether markers pay, since
 # trajectories that are out of phase take many common steps
 _FIRST_LOOK = 2e8
 _PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
@@ -95,7 +95,7 @@ def start_of(
     if not markers or request.check.points == 0 or large or _interrupted(system):
         return SolveStart(request, reference_set_of(system, request, lines, workers))
     try:
-        with limited(_FIRST_LOOK):
+        with looking(_FIRST_LOOK):
             reference_set = reference_set_of(system, request, lines, workers)
     except OutOfWorkError:
         if work_left() <= 0.0:

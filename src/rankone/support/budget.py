@@ -27,6 +27,7 @@ _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
 _MOST_EFFORT = 1e6  # Largest factor on the budget: most of a year
+_TELLING_SHARE = 0.2  # Part of the work of a look after which it tells how much is left
 # Seconds of an operation, roughly: work that would end after the deadline is not begun
 _OPERATION_SECONDS = 1e-9
 
@@ -79,17 +80,18 @@ class OutOfMemoryError(OutOfBudgetError):
 class Account:
     """The work that was counted, and the limits on it.
 
-    ``done`` operations are counted, at most ``most`` may be. ``memory`` are the bytes that may be
-    held at once, infinite unless a user asked for a limit, and ``held`` those that are kept for
-    now. ``end`` is the deadline, by
+    ``done`` operations are counted, at most ``most`` may be; once ``telling`` ones are, those that
+    are foreseen count too. ``memory`` are the bytes that may be held at once, infinite unless a
+    user asked for a limit, and ``held`` those that are kept for now. ``end`` is the deadline, by
     ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
     whose answer is kept.
     """
 
-    __slots__ = ("done", "end", "held", "memory", "most", "once")
+    __slots__ = ("done", "end", "held", "memory", "most", "once", "telling")
 
     def __init__(self) -> None:
         self.done, self.most, self.end = 0.0, math.inf, math.inf
+        self.telling = math.inf
         self.held, self.memory = 0.0, math.inf
         self.once: set[Hashable] = set()
 
@@ -122,6 +124,21 @@ def limited(
     finally:
         account.most, account.end, account.memory = before
         _ACCOUNT.reset(token)
+
+
+@contextmanager
+def looking(operations: float) -> Iterator[Account]:
+    """Limit the work inside, which ends early where more than that is foreseen.
+
+    What is foreseen counts after a part of the work: before that it tells too little.
+    """
+    with limited(operations) as account:
+        before = account.telling
+        account.telling = account.done + _TELLING_SHARE * operations
+        try:
+            yield account
+        finally:
+            account.telling = before
 
 
 @contextmanager
@@ -174,6 +191,13 @@ def charge(operations: float) -> None:
         and clock.perf_counter() + _OPERATION_SECONDS * operations > account.end
     ):
         raise OutOfTimeError
+
+
+def foresee(operations: float) -> None:
+    """Raise an OutOfWorkError if so many further operations are more than a look has left."""
+    account = _ACCOUNT.get()
+    if account is not None and account.telling <= account.done > account.most - operations:
+        raise OutOfWorkError
 
 
 def charge_once(key: Hashable, operations: float) -> None:

@@ -20,7 +20,7 @@ from rankone.discretization.radau import inset
 from rankone.ir.features import OfStates
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
+from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
@@ -259,11 +259,14 @@ class _DenseRecord:
 
     def begin(self, start: float) -> None:
         self.times, self.steps, self.parts = [start], list[Piece](), 0
+        self.work_before = work_done()
         self.largest = self.early = np.zeros(self.shape)
 
     def add(self, solver: Stepper) -> None:
         piece = solver.dense_output().kept()
-        hold(piece, piece.nbytes, self._steps_left(solver) * piece.nbytes)
+        left = self._steps_left(solver)
+        hold(piece, piece.nbytes, left * piece.nbytes)
+        foresee(left * (work_done() - self.work_before) / (len(self.steps) + 1))
         self.times.append(solver.t)
         self.steps.append(piece)
         sizes = np.abs(piece.at_ends).max(axis=0).reshape(self.shape)
