@@ -181,3 +181,16 @@ def test_layers_in_which_a_state_nearly_stops_are_no_success(width, start):
     assert solution.status is Status.NARROW
     assert solution.outcome.cause.state == "x"
     assert solution.outcome.cause.time == pytest.approx(1.0 - start, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("layer", "start", "rtol"),
+    [
+        ("1/(1 + 1e6*k*exp(-1e14*(x + 1/x - 2)))", 0.1, 1e-4),  # left steps later
+        ("1/(1 + 5e5*k*exp(-1e12*(x/0.5 + 0.5/x - 2)))", 0.1, 1e-4),  # met by one sample
+        ("1/(1 + 494877*k*exp(-1.229e14*(x + 1/x - 2)))", 0.05, 1e-3),  # thinner than all errors
+    ],
+)
+def test_layers_are_no_success_whatever_steps_are_near_them(layer, start, rtol):
+    problem = ro.Problem.from_strings({"x": layer}, {"x": f"{start}"}, {"k": (1, 2)}, (0, 3))
+    assert ro.solve(problem, rtol).status is Status.NARROW

@@ -10,6 +10,7 @@ Read in this order:
 ``branches``       errors where several orders of events hold, and the share left undecided
 ``finer``          whether finer trajectories confirm those of the reference
 ``hidden``         what is narrow in the rates between the steps of reference trajectories
+``short_steps``    whether short steps over a place that surprised change the trajectory
 ``hidden_events``  events that take place between those steps
 ``steps``          steps of trajectories, and the pieces into which the two divide them
 ``enclosures``     what samples of a function may hide, by its range

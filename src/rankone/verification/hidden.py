@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from rankone.ir.observation import Observation
 from rankone.ir.system import System
@@ -34,12 +33,11 @@ from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.generated import UnsuitableError, enclosed
 from rankone.verification.reference import Reference
-from rankone.verification.steps import Pieces, Steps
+from rankone.verification.short_steps import ShortSteps
+from rankone.verification.steps import SLOW, Pieces, Place, Steps
 
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
-_DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
-_SLOW = 0.1  # Part of a steady rate below which a state nearly stops: then errors are amplified
 _STEADY = 0.5  # Least part of the largest rate on a piece at which rates are steady
 _ROUNDINGS = 16.0  # Spacings of time in which no state stops
 _HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
@@ -49,9 +47,6 @@ _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _MOST_TIMES = 400  # Most times at which narrow quantities are checked
 _LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
 _TRIED = 6  # Steps of each kind that are tried by short steps, at least
-_SHORT_STEPS = 4  # Steps over each part of a step, at least
-_ACCURACY = 1e-2  # Tolerance of short steps over that of the solve
-_MOST_EVALUATIONS = 20_000  # Of the rates by short steps over a step
 _FEW_EVALUATIONS = 100_000  # Up to these all steps are tried, once those of each kind are
 _ALL_EVALUATIONS = 1_000_000  # Of all short steps
 _ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
@@ -110,7 +105,7 @@ def _hidden(
             steps = Steps.of(system.jumps.times, paths, owners, points)
             cost = function_cost(system.rhs, system.user_functions)
             look = _Look(rates, cost, steps, tolerated, _DOUBT)
-            tried = _ShortSteps(system, cost, steps, tolerated, rtol)
+            tried = ShortSteps(system, cost, steps, tolerated, rtol)
             if (place := _missed(look, tried)) is not None:
                 return tried.hidden(place)
     return None
@@ -252,26 +247,14 @@ class _Suggested:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Part of a step, and the function that surprised there at a share, by so many tolerances."""
-
-    step: int
-    lower: float
-    length: float
-    share: float
-    row: int = 0
-    surprise: float = 0.0
-
-
-@dataclass(frozen=True)
 class _Seen:
     """Where functions surprised, and a place in doubt if there were too many to look at.
 
     Parts of steps (P,) that were looked at begin at shares ``lower``.
     """
 
-    surprises: list[_Place]
-    left: _Place | None
+    surprises: list[Place]
+    left: Place | None
     step: NDArray[np.intp]
     lower: Array
 
@@ -279,7 +262,7 @@ class _Seen:
         """Shares (k,) at which a step was halved, from zero to one."""
         return np.append(np.unique(self.lower[self.step == step]), 1.0)
 
-    def kinds(self, steps: Steps) -> list[list[_Place]]:
+    def kinds(self, steps: Steps) -> list[list[Place]]:
         """The largest surprise of each step, those of a kind together.
 
         Of one kind are surprises of the same function whose steps have the same position among
@@ -288,7 +271,7 @@ class _Seen:
         """
         by_step = {place.step: place for place in sorted(self.surprises, key=lambda p: p.surprise)}
         counts: dict[int, int] = {}
-        kinds: dict[tuple[int, int], list[_Place]] = {}
+        kinds: dict[tuple[int, int], list[Place]] = {}
         for step, place in sorted(by_step.items()):
             owner = int(steps.owners[step])
             counts[owner] = counts.get(owner, 0) + 1
@@ -296,7 +279,7 @@ class _Seen:
         return [_spread(sorted(kind, key=lambda p: -p.surprise)) for kind in kinds.values()]
 
 
-def _spread(places: list[_Place]) -> list[_Place]:
+def _spread(places: list[Place]) -> list[Place]:
     """Evenly spread ones first, in order, then the others."""
     first = np.unique(np.linspace(0, len(places) - 1, min(_TRIED, len(places))).astype(int))
     return [places[k] for k in [*first, *np.setdiff1d(np.arange(len(places)), first)]]
@@ -324,7 +307,7 @@ class _Look:
         """
         count = self.steps.starts.size
         suggested = _Suggested(pieces := Pieces.whole(count))
-        places: list[_Place] = []
+        places: list[Place] = []
         levels = [pieces]
         left = None
         tolerated = self._tolerated(pieces)
@@ -352,12 +335,12 @@ class _Look:
         step = np.concatenate([each.step for each in levels])
         return _Seen(places, left, step, np.concatenate([each.lower for each in levels]))
 
-    def _in_doubt(self, piece: Pieces, tolerated: Array) -> _Place:
+    def _in_doubt(self, piece: Pieces, tolerated: Array) -> Place:
         """A single piece, and the function that is most in doubt there."""
         rows = self._rows(piece)[1]
         row = int(self._doubts(rows, 1.0 / tolerated[:, None]).argmax())
         lower, length = float(piece.lower[0]), float(piece.length[0])
-        return _Place(int(piece.step[0]), lower, length, lower + 0.5 * length, row)
+        return Place(int(piece.step[0]), lower, length, lower + 0.5 * length, row)
 
     @staticmethod
     def _doubts(rows: Sequence[Enclosure], units: Array) -> Array:
@@ -379,7 +362,7 @@ class _Look:
         sizes = np.max(largest, axis=0)
         return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, _NOTHING))
 
-    def _look_at(self, suggested: _Suggested, tolerated: Array, places: list[_Place]) -> _Suggested:
+    def _look_at(self, suggested: _Suggested, tolerated: Array, places: list[Place]) -> _Suggested:
         """The halves of pieces that are in doubt; places where functions surprised are added."""
         pieces, expected = suggested.pieces, suggested.rates
         times, rows = self._rows(pieces)
@@ -390,28 +373,31 @@ class _Look:
         if expected is not None:
             change = np.nan_to_num(values - expected, nan=0.0, posinf=0.0, neginf=0.0)
             change = np.abs(change) * units[:, None]
-            slow = np.abs(values) < _SLOW * _steady(expected)[:, None]
-            change = np.where(slow, self._lost(pieces, expected)[:, None], change)
+            most = np.abs(expected).max(axis=1)
+            least = SLOW * most[:, None]
+            slow = (np.abs(values) < least) & (np.abs(values - expected) > least)
+            change = np.where(slow, self._lost(pieces, most)[:, None], change)
             for k in np.flatnonzero(change.max(axis=(0, 1)) > _SURPRISE):
                 row, node = np.unravel_index(change[:, :, k].argmax(), change.shape[:2])
                 lower, length = float(pieces.lower[k]), float(pieces.length[k])
                 share = lower + length * float(NODES[node])
                 part = int(pieces.step[k]), lower, length, share
-                places.append(_Place(*part, int(row), float(change[row, node, k])))
+                places.append(Place(*part, int(row), float(change[row, node, k])))
         doubts = self._doubts(rows, units)
-        stops = self._doubts(rows, np.ones_like(units)) > (1.0 - _SLOW) * _steady(values)
-        doubts = np.where(stops, np.maximum(doubts, self._lost(pieces, values)), doubts)
+        moving = _moving(values)
+        stops = self._doubts(rows, np.ones_like(units)) > (1.0 - SLOW) * moving
+        doubts = np.where(stops, np.maximum(doubts, self._lost(pieces, moving)), doubts)
         doubtful = np.flatnonzero(doubts.max(axis=0) > self.most)
         return _Suggested.on_halves(pieces.some(doubtful), values[:, :, doubtful])
 
     def _lost(self, pieces: Pieces, rates: Array) -> Array:
-        """What states lose that stop where rates (n, nodes, N) are steady, in tolerances: (n, N).
+        """What states lose that stop where their rates have sizes (n, N), in tolerances: (n, N).
 
         They stay where they are for the rest of the time, at most, however thin the place is.
         """
         if self.tolerated is None or isinstance(self.steps, Intervals):
-            return np.zeros((len(rates), pieces.step.size))
-        lost = _steady(rates) * self.steps.left[pieces.step] / self.tolerated[:, None]
+            return np.zeros_like(rates)
+        lost = rates * self.steps.left[pieces.step] / self.tolerated[:, None]
         lengths = self.steps.lengths[pieces.step] * pieces.length
         rounding = _ROUNDINGS * np.spacing(np.abs(self.steps.starts[pieces.step]))
         return np.asarray(np.where(lengths > rounding, lost, 0.0))  # steps may be that short
@@ -427,14 +413,17 @@ class _Look:
         )
 
 
-def _steady(rates: Array) -> Array:
-    """The least size on pieces of rates (n, nodes, N) that vary little: (n, N), NaN for others."""
+def _moving(rates: Array) -> Array:
+    """Sizes on pieces of rates (n, nodes, N) that keep their sign: (n, N), NaN for others.
+
+    It is the least one where they vary little, and else the largest: it may stop at some nodes.
+    """
     least, most = np.abs(rates).min(axis=1), np.abs(rates).max(axis=1)
-    steady = (rates.min(axis=1) * rates.max(axis=1) > 0.0) & (least > _STEADY * most)
-    return np.where(steady, least, np.nan)
+    size = np.where(least > _STEADY * most, least, most)
+    return np.where(rates.min(axis=1) * rates.max(axis=1) > 0.0, size, np.nan)
 
 
-def _missed(look: _Look, tried: _ShortSteps) -> _Place | None:
+def _missed(look: _Look, tried: ShortSteps) -> Place | None:
     """Where a step missed something that changes the trajectory, or doubts remain."""
     seen = look.seen()
     evaluations = 0
@@ -449,87 +438,3 @@ def _missed(look: _Look, tried: _ShortSteps) -> _Place | None:
             if change is not None:
                 return change
     return seen.left
-
-
-class _TooManyError(Exception):
-    """Short steps take too many evaluations."""
-
-
-@dataclass(frozen=True)
-class _ShortSteps:
-    """Tries whether short steps follow a trajectory over a step that has surprised."""
-
-    system: System
-    cost: Cost
-    steps: Steps
-    tolerated: Array
-    rtol: float
-
-    def change(self, place: _Place, parts: Array) -> tuple[_Place | None, int]:
-        """Where they leave it, or do not go on; and how many evaluations that took.
-
-        They begin anew where ``parts``, between shares of the step, become longer or shorter, and
-        where rates surprised: what is narrow there may be thinner than the parts.
-        """
-        begins, longest = self._begins(place, parts)
-        ends = np.append(begins[1:], 1.0)
-        start, length = self.steps.starts[place.step], self.steps.lengths[place.step]
-        whole = Pieces(np.full(begins.size, place.step), begins, ends - begins)
-        states = self.steps.at(whole)[1]
-        state = states[:, 0, 0]
-        p = self.steps.parameters[:, place.step : place.step + 1]
-        relative = max(_ACCURACY * self.rtol, 1e-12)
-        absolute = np.maximum(_ACCURACY * relative * self.tolerated / self.rtol, 1e-300)
-        evaluations = 0
-
-        def rates(since: float, y: Array, begin: float) -> Array:
-            nonlocal evaluations
-            evaluations += 1
-            if evaluations > _MOST_EVALUATIONS:
-                raise _TooManyError
-            charge(self.cost(1))
-            return np.asarray(self.system.rhs(begin + since, y[:, None], p))[:, 0]
-
-        for k, (a, b) in enumerate(zip(begins, ends, strict=True)):
-            span, shortest = length * (b - a), length * longest[k] / _SHORT_STEPS
-            try:
-                solved = solve_ivp(
-                    rates,
-                    (0.0, span),
-                    state,
-                    "LSODA",
-                    args=(start + length * a,),
-                    rtol=relative,
-                    atol=absolute,
-                    max_step=shortest,
-                )
-            except _TooManyError:
-                return place, evaluations
-            if not solved.success:
-                return place, evaluations
-            state = solved.y[:, -1]
-            change = np.abs(state - states[:, -1, k]) / self.tolerated
-            if not (change <= _DIFFERENCE).all():
-                row = int(np.nan_to_num(change, nan=np.inf).argmax())
-                share, part = float(a), float(b - a)
-                return _Place(place.step, share, part, share + 0.5 * part, row), evaluations
-        return None, evaluations
-
-    @staticmethod
-    def _begins(place: _Place, parts: Array) -> tuple[Array, Array]:
-        """Shares of the step where short steps begin anew, and the parts that they are within."""
-        lengths = np.diff(parts)
-        firsts = np.flatnonzero(np.append(True, np.abs(np.diff(lengths)) > 0.1 * lengths[1:]))
-        begins, longest = parts[firsts], lengths[firsts]
-        before = int(np.searchsorted(begins, place.share, side="right")) - 1
-        if begins[before] == place.share or place.share >= 1.0:
-            return begins, longest
-        begins = np.insert(begins, before + 1, place.share)
-        return begins, np.insert(longest, before + 1, longest[before])
-
-    def hidden(self, place: _Place) -> HiddenRate:
-        """What to say of a place."""
-        parameters = self.steps.parameters[:, place.step].tolist()
-        at = zip(self.system.parameters, parameters, strict=True)
-        time = self.steps.time(place.step, place.share)
-        return HiddenRate(self.system.states[place.row], time, tuple(at))

@@ -12,6 +12,9 @@ from rankone.discretization.radau import insets
 from rankone.support.arrays import Array
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 
+SLOW = 0.1
+"""Part of a steady rate below which a state nearly stops: then errors are amplified."""
+
 # From values at all nodes but the last one to that one
 _BASIS = np.vander(2.0 * NODES[:-1] - 1.0, increasing=True)
 _LAST = np.vander([1.0], NODES.size - 1, increasing=True) @ np.linalg.inv(_BASIS)
@@ -107,6 +110,15 @@ class Steps:
         """The time at a share of a step."""
         return float(self.starts[step] + self.lengths[step] * share)
 
+    def following(self, step: int) -> int | None:
+        """The step of the same trajectory that begins where one ends, if there is one."""
+        further = step + 1
+        if further >= self.starts.size or self.owners[further] != self.owners[step]:
+            return None
+        between = self.starts[further] - self.time(step, 1.0)
+        insets_at_most = 0.5 * (self.lengths[step] + self.lengths[further])
+        return further if 0.0 <= between <= insets_at_most else None
+
     def states(self, step: NDArray[np.intp], shares: Array) -> Array:
         """States (n, K, N) at shares (K, N) of steps (N,)."""
         powers = np.vander((2.0 * shares - 1.0).ravel(), NODES.size, increasing=True)
@@ -119,3 +131,15 @@ class Steps:
         if (pieces.length == 1.0).all():
             return times, np.ascontiguousarray(self.nodal[pieces.step].transpose(2, 1, 0))
         return times, self.states(pieces.step, pieces.shares)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Part of a step, and the function that surprised there at a share, by so many tolerances."""
+
+    step: int
+    lower: float
+    length: float
+    share: float
+    row: int = 0
+    surprise: float = 0.0
