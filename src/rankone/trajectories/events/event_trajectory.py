@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -106,7 +107,9 @@ class EventTrajectory:
     @property
     def fired(self) -> frozenset[int]:
         """The events where it is now."""
-        return frozenset(each.event for each in self.occurrences if each.time == self.end)
+        now = self.end
+        last = takewhile(lambda each: each.time == now, reversed(self.occurrences))
+        return frozenset(each.event for each in last)
 
     def copy(self) -> EventTrajectory:
         """One that may go on by itself."""
