@@ -238,6 +238,11 @@ class MovingFeatures(Cause):
     )
 
 
+def _near(time: float, at: tuple[tuple[str, float], ...]) -> str:
+    """A time, and the values of parameters."""
+    return f"near t = {time:.9g}" + "".join(f", {name} = {value:.6g}" for name, value in at)
+
+
 @dataclass(frozen=True)
 class HiddenRate(Cause):
     """A rate is narrow between the steps of a reference trajectory, at a time and parameters."""
@@ -248,10 +253,9 @@ class HiddenRate(Cause):
     at: tuple[tuple[str, float], ...]
 
     def sentence(self, status: Status) -> str:
-        place = "".join(f", {name} = {value:.6g}" for name, value in self.at)
         return (
-            f"the rate of {quote(self.state)} is so narrow near t = {self.time:.9g}{place} that "
-            "steps pass over it: the error is not known"
+            f"the rate of {quote(self.state)} is so narrow {_near(self.time, self.at)} that steps "
+            "pass over it: the error is not known"
         )
 
 
@@ -265,10 +269,9 @@ class HiddenEvent(Cause):
     at: tuple[tuple[str, float], ...]
 
     def sentence(self, status: Status) -> str:
-        place = "".join(f", {name} = {value:.6g}" for name, value in self.at)
         return (
-            f"the condition of {quote(self.event)} crosses zero so briefly near "
-            f"t = {self.time:.9g}{place} that steps pass over it: the error is not known"
+            f"the condition of {quote(self.event)} crosses zero so briefly "
+            f"{_near(self.time, self.at)} that steps pass over it: the error is not known"
         )
 
 

@@ -21,7 +21,7 @@ from rankone.ir.observation import Observation
 from rankone.ir.system import System
 from rankone.ir.verdict import HiddenRate
 from rankone.support.arrays import Array
-from rankone.support.budget import charge, unlimited
+from rankone.support.budget import unlimited
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.compiled import TaylorTrajectories
 from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
@@ -31,26 +31,20 @@ from rankone.trajectories.integrator import DenseTrajectories
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.verification.enclosures.enclosure import Enclosure
-from rankone.verification.enclosures.generated import UnsuitableError, enclosed
+from rankone.verification.enclosures.generated import UnsuitableError, arguments, enclosed
 from rankone.verification.reference import Reference
 from rankone.verification.short_steps import ShortSteps
-from rankone.verification.steps import SLOW, Pieces, Place, Steps
+from rankone.verification.steps import HALVINGS, SLOW, Allowance, Pieces, Place, Steps, blocks
 
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
 _STEADY = 0.5  # Least part of the largest rate on a piece at which rates are steady
 _ROUNDINGS = 16.0  # Spacings of time in which no state stops
-_HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
-_MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
-_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _MOST_TIMES = 400  # Most times at which narrow quantities are checked
-_LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
 _TRIED = 6  # Steps of each kind that are tried by short steps, at least
 _FEW_EVALUATIONS = 100_000  # Up to these all steps are tried, once those of each kind are
 _ALL_EVALUATIONS = 1_000_000  # Of all short steps
-_ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
-_CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the rates
 _NOTHING = 1e-280  # Size of functions that are zero at all samples: there any doubt counts
 _TO_NODES = np.vander(2.0 * NODES - 1.0, increasing=True)
 # From values at the nodes of a piece to those that they suggest at the nodes of its halves
@@ -305,31 +299,22 @@ class _Look:
 
         Where there are too many pieces, every second trajectory that is in doubt goes on.
         """
-        count = self.steps.starts.size
-        suggested = _Suggested(pieces := Pieces.whole(count))
+        suggested = _Suggested(pieces := Pieces.whole(self.steps.starts.size))
         places: list[Place] = []
         levels = [pieces]
         left = None
         tolerated = self._tolerated(pieces)
-        once, each = _MOST_PIECES
-        most = once + each * count
-        looked = 0
-        for _ in range(_HALVINGS):
-            looked += pieces.step.size
+        allowance = Allowance(self.steps.owners)
+        for _ in range(HALVINGS):
             if not pieces.step.size:
                 break
-            if looked > most:
-                owners = self.steps.owners[pieces.step]
-                distinct = np.unique(owners)
-                if distinct.size <= _LEAST_TRAJECTORIES:
-                    left = self._in_doubt(pieces.some(slice(1)), tolerated)
-                    break
-                suggested = suggested.some(np.isin(owners, distinct[::2]))
-                most += most // 4
-            size = suggested.pieces.step.size
-            blocks = [slice(a, a + _TOGETHER) for a in range(0, size, _TOGETHER)]
-            halves = [self._look_at(suggested.some(block), tolerated, places) for block in blocks]
-            suggested = _Suggested.joined(halves)
+            going_on = allowance.going_on(pieces)
+            if going_on is None:
+                left = self._in_doubt(pieces.some(slice(1)), tolerated)
+                break
+            suggested = suggested.some(going_on)
+            parts = map(suggested.some, blocks(suggested.pieces.step.size))
+            suggested = _Suggested.joined([self._look_at(p, tolerated, places) for p in parts])
             pieces = suggested.pieces
             levels.append(pieces)
         step = np.concatenate([each.step for each in levels])
@@ -354,10 +339,9 @@ class _Look:
         """What may be wrong of each function, (n,)."""
         if self.tolerated is not None:
             return self.tolerated
-        blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
         largest = [
             [np.abs(np.nan_to_num(row.values)).max() for row in self._rows(pieces.some(block))[1]]
-            for block in blocks
+            for block in blocks(pieces.step.size)
         ]
         sizes = np.max(largest, axis=0)
         return np.asarray(self.rtol * np.where(sizes > 0.0, sizes, _NOTHING))
@@ -405,12 +389,8 @@ class _Look:
     def _rows(self, pieces: Pieces) -> tuple[Array, Sequence[Enclosure]]:
         """Times (nodes, N), and enclosures of the functions on pieces."""
         times, states = self.steps.at(pieces)
-        charge(_CALL(0) + _ENCLOSURES * self.cost(times.size))
-        return times, self.functions(
-            Enclosure.of_samples(times, 0.0),
-            [Enclosure.of_samples(state) for state in states],
-            [Enclosure.of(parameter) for parameter in self.steps.parameters[:, pieces.step]],
-        )
+        parameters = self.steps.parameters[:, pieces.step]
+        return times, self.functions(*arguments(self.cost, times, states, parameters))
 
 
 def _moving(rates: Array) -> Array:

@@ -23,16 +23,10 @@ from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
 from rankone.trajectories.paths import NODES
 from rankone.verification.enclosures.enclosure import Enclosure
-from rankone.verification.enclosures.generated import UnsuitableError, enclosed
+from rankone.verification.enclosures.generated import UnsuitableError, arguments, enclosed
 from rankone.verification.enclosures.ranges import Function
-from rankone.verification.steps import Pieces, Steps
+from rankone.verification.steps import HALVINGS, Allowance, Pieces, Steps, blocks
 
-_HALVINGS = 42  # Most halvings of a step: then it is about as short as rounding
-_MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
-_LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
-_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
-_ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
-_CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the heights
 _LEAST_DOUBT = 1e-12  # Doubt over the largest height of an event that may hide a zero
 _ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
 _NEAR = 0.01  # Distance in time from an event that is not told from it, in horizons, over rtol
@@ -99,12 +93,7 @@ class _Conditions:
 
     def enclosed(self, times: Array, states: Array, parameters: Array) -> list[Enclosure]:
         """Heights on pieces, at times (nodes, N), states (n, nodes, N), parameters (d, N)."""
-        charge(_CALL(0) + _ENCLOSURES * self.cost(times.size))
-        all_rows = self.function(
-            Enclosure.of_samples(times, 0.0),
-            [Enclosure.of_samples(state) for state in states],
-            [Enclosure.of(parameter) for parameter in parameters],
-        )
+        all_rows = self.function(*arguments(self.cost, times, states, parameters))
         return [Enclosure.of(all_rows[row]) for row in self.rows]
 
 
@@ -180,22 +169,16 @@ class _Look:
 
         Where there are too many, every second trajectory that is in doubt goes on.
         """
-        count = self.steps.starts.size
-        pieces, in_doubt = Pieces.whole(count), np.ones((len(self.conditions.events), count), bool)
-        seen, left, looked, most = list[_Samples](), None, 0, _MOST_PIECES[0]
-        most += _MOST_PIECES[1] * count
+        pieces = Pieces.whole(self.steps.starts.size)
+        in_doubt = np.ones((len(self.conditions.events), pieces.step.size), bool)
+        allowance, seen, left = Allowance(self.steps.owners), list[_Samples](), None
         least: Array | None = None
-        for _ in range(_HALVINGS):
-            looked += pieces.step.size
-            if looked > most:
-                owners = self.steps.owners[pieces.step]
-                distinct = np.unique(owners)
-                if distinct.size <= _LEAST_TRAJECTORIES:
-                    left = self._first_of(pieces, in_doubt)
-                    break
-                going_on = np.isin(owners, distinct[::2])
-                pieces, in_doubt = pieces.some(going_on), in_doubt[:, going_on]
-                most += most // 4
+        for _ in range(HALVINGS):
+            going_on = allowance.going_on(pieces)
+            if going_on is None:
+                left = self._first_of(pieces, in_doubt)
+                break
+            pieces, in_doubt = pieces.some(going_on), in_doubt[:, going_on]
             values, hidden = self._heights(pieces)
             if least is None:
                 sizes = np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=(1, 2))
@@ -210,8 +193,7 @@ class _Look:
 
     def _heights(self, pieces: Pieces) -> tuple[Array, Array]:
         """Heights of events (events, nodes, N), and how much may hide a zero there (events, N)."""
-        blocks = [slice(a, a + _TOGETHER) for a in range(0, pieces.step.size, _TOGETHER)]
-        parts = [self._block(pieces.some(block)) for block in blocks]
+        parts = [self._block(pieces.some(block)) for block in blocks(pieces.step.size)]
         values, hidden = zip(*parts, strict=True)
         return np.concatenate(values, axis=2), np.concatenate(hidden, axis=1)
 

@@ -15,6 +15,11 @@ from rankone.trajectories.paths import NODES, Path, step_coefficients
 SLOW = 0.1
 """Part of a steady rate below which a state nearly stops: then errors are amplified."""
 
+HALVINGS = 42
+"""Most halvings of a step: then it is about as short as rounding."""
+_MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
+_LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
+_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
 # From values at all nodes but the last one to that one
 _BASIS = np.vander(2.0 * NODES[:-1] - 1.0, increasing=True)
 _LAST = np.vander([1.0], NODES.size - 1, increasing=True) @ np.linalg.inv(_BASIS)
@@ -131,6 +136,35 @@ class Steps:
         if (pieces.length == 1.0).all():
             return times, np.ascontiguousarray(self.nodal[pieces.step].transpose(2, 1, 0))
         return times, self.states(pieces.step, pieces.shares)
+
+
+class Allowance:
+    """How many pieces may be looked at of steps whose trajectories are ``owners`` (S,)."""
+
+    def __init__(self, owners: NDArray[np.intp]) -> None:
+        self._owners, self._looked = owners, 0
+        once, each = _MOST_PIECES
+        self._most = once + each * owners.size
+
+    def going_on(self, pieces: Pieces) -> slice | NDArray[np.bool_] | None:
+        """Which pieces may be looked at next; None where these are still too many.
+
+        Where all are too many, those of every second trajectory go on, down to a few.
+        """
+        self._looked += pieces.step.size
+        if self._looked <= self._most:
+            return slice(None)
+        owners = self._owners[pieces.step]
+        distinct = np.unique(owners)
+        if distinct.size <= _LEAST_TRAJECTORIES:
+            return None
+        self._most += self._most // 4
+        return np.isin(owners, distinct[::2])
+
+
+def blocks(count: int) -> list[slice]:
+    """Parts of so many pieces that are evaluated together."""
+    return [slice(a, a + _TOGETHER) for a in range(0, count, _TOGETHER)]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import Cost
 from rankone.verification.enclosures.enclosure import Condition, Enclosure
 from rankone.verification.enclosures.functions import (
     extreme,
@@ -35,6 +38,8 @@ from rankone.verification.enclosures.ranges import (
 )
 from rankone.verification.enclosures.samples import by_samples, of_scale_one
 
+_ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
+_CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the function
 _TABLES = "f_"  # First letters of tables and functions of the user in generated text
 
 
@@ -57,6 +62,19 @@ def enclosed(function: Callable[..., object]) -> Callable[..., Sequence[Enclosur
         elif isinstance(original, FunctionType):
             raise UnsuitableError
     return FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+
+
+def arguments(
+    cost: Cost, times: Array, states: Array, parameters: Array
+) -> tuple[Enclosure, list[Enclosure], list[Enclosure]]:
+    """Enclosures of times (nodes, N), states (n, nodes, N) and parameters (d, N) on N pieces.
+
+    They are for one evaluation of a function, which is charged by what it would ``cost`` at these
+    times alone.
+    """
+    charge(_CALL(0) + _ENCLOSURES * cost(times.size))
+    clock = Enclosure.of_samples(times, 0.0)
+    return clock, [*map(Enclosure.of_samples, states)], [*map(Enclosure.of, parameters)]
 
 
 def _is_generated(function: FunctionType) -> bool:
