@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.ir.events import ForcedOrder
@@ -207,15 +208,185 @@ def test_the_surface_is_moved_no_further_than_to_where_trajectories_start():
     assert np.abs(values - there)[~undecided].max() <= 5.0 * RTOL
 
 
-def test_a_search_for_orders_that_ends_without_success_counts():
-    """The second hit starts at the wall, so that no order with it is opened."""
-    rates = {"x": "v", "v": "d*cos(1.3*t) - 0.3*v - x"}
+D = 1.0
+UP = {"when": "x - c", "direction": "rising", "then": {"v": "0.8*v"}, "name": "up"}
+DOWN = {"when": "x + 1", "direction": "falling", "then": {"v": "0.8*v"}, "name": "down"}
+
+
+@cache
+def braked():
+    box = {"a": (0.8, 1.5), "c": (0.9, 1.1)}
+    return ro.solve(problem({"x": "v", "v": "-x"}, {"x": 0, "v": "a"}, box, 5.5, UP, DOWN), RTOL)
+
+
+def exact_swing(times, a, c):
+    """A swing that is braked at c and at -D where it comes there, and the times of both."""
+
+    def behind(size, level, begin, shift):
+        """Size and shift of the swing behind a level, and when that is."""
+        back = np.sqrt(np.maximum(size**2 - level**2, 0.0))
+        time = begin + np.arcsin(np.minimum(level / size, 1.0)) - shift
+        other = begin + np.arctan2(level, 0.8 * back) - time
+        met = size > level
+        return (
+            np.where(met, np.hypot(level, 0.8 * back), size),
+            np.where(met, other, shift),
+            np.where(met, time, np.inf),
+        )
+
+    size, shift, up = behind(a, c, 0.0, 0.0)
+    last_size, last_shift, down = behind(size, D, np.pi, shift)
+    swing = np.where(times >= up, size * np.sin(times + shift), a * np.sin(times))
+    swing = np.where(times >= down, last_size * np.sin(times + last_shift), swing)
+    return swing, up, down
+
+
+def test_an_event_behind_an_opened_one_is_opened_too():
+    """The brake at the left is missed behind the one at the right, or without it."""
+    solution = braked()
+    assert solution.success
+    assert {branch.instants for branch in solution.timeline.branches} == {
+        (),
+        (("up",),),
+        (("down",),),
+        (("up",), ("down",)),
+    }
+    rng = np.random.default_rng(7)
+    at = {"a": rng.uniform(0.8, 1.5, 2000), "c": rng.uniform(0.9, 1.1, 2000)}
+    times = np.linspace(0.0, 5.5, 12)[:, None]
+    values, (there, up, down) = quietly(solution, times, at), exact_swing(times, **at)
+    undecided = np.isnan(values).any(axis=0)
+    assert undecided.mean() <= 0.01
+    assert np.abs(values - there)[:, ~undecided].max() <= 3.0 * RTOL * 1.5
+    for name, exactly in (("up", up), ("down", down)):
+        met = solution.event_times(name, **at)[0]
+        assert (np.isfinite(met) == np.isfinite(exactly))[~undecided].mean() >= 0.99
+        both = np.isfinite(met) & np.isfinite(exactly)
+        assert np.abs(met - exactly)[both].max() <= 3.0 * RTOL * 5.5
+
+
+def test_a_branch_of_two_opened_events_is_used_everywhere(tmp_path):
+    solution, step = braked(), 1e-5
+    rng = np.random.default_rng(8)
+    at = {"a": rng.uniform(0.8, 1.5, 200), "c": rng.uniform(0.9, 1.1, 200)}
+    values = quietly(solution, 5.0, at)
+    loaded = ro.load(solution.save(tmp_path / "braked.npz"))
+    assert np.array_equal(quietly(loaded, 5.0, at), values, equal_nan=True)
+    assert loaded.timeline == solution.timeline
+    a = {"a": at["a"]}
+    fixed = quietly(solution.fix(c=1.0), 5.0, a)
+    there = quietly(solution, 5.0, {**a, "c": 1.0})
+    assert fixed == pytest.approx(there, abs=1e-13, nan_ok=True)
+    for here in ({"a": 1.35, "c": 1.0}, {"a": 1.05, "c": 1.098}, {"a": 0.9, "c": 1.0}):
+        slopes = solution.gradient(5.0, **here)[0]
+        for j, name in enumerate(here):
+            apart = [solution["x"](5.0, **{**here, name: here[name] + e}) for e in (-step, step)]
+            assert slopes[j] == pytest.approx((apart[1] - apart[0]) / (2.0 * step), abs=1e-3)
+    many = {"a": rng.uniform(0.8, 1.5, 200_000), "c": rng.uniform(0.9, 1.1, 200_000)}
+    exactly = exact_swing(5.0, **many)[0]
+    near = 5.0 * exactly.std() / np.sqrt(exactly.size)
+    assert solution.mean(5.0)[0] == pytest.approx(exactly.mean(), abs=near)
+    area = solution.output({"area": "integral(x, 0, 5.5)"})
+    assert area.success
+    times = np.linspace(0.0, 5.5, 5501)
+    there = np.trapezoid(exact_swing(times[:, None], **at)[0], times, axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        ours = area(**at)[0]
+    assert np.isnan(ours).mean() <= 0.02
+    assert np.nanmax(np.abs(ours - there)) <= 3.0 * area.rtol * np.abs(there).max()
+
+
+def struck(force, start, back, wall, end):
+    """x at the end, and the times of hits at a wall that throws it back."""
+    now, state, hits = 0.0, start, []
+
+    def at_wall(_, z):
+        return z[0] - wall
+
+    at_wall.terminal, at_wall.direction = True, 1.0
+    while now < end:
+        path = solve_ivp(
+            lambda t, z: (z[1], force(t) - 0.3 * z[1] - z[0]),
+            (now, end),
+            state,
+            "DOP853",
+            events=at_wall,
+            rtol=1e-9,
+            atol=1e-11,
+            max_step=0.05,
+        )
+        now, state = path.t[-1], path.y[:, -1]
+        if path.status == 1:
+            hits.append(now)
+            state = np.array([wall, -back * state[1]])
+    return state[0], hits
+
+
+def missed_by(solution, exactly, at, end):
+    """Largest error of x at the end, the share without value, and whether hits are as many."""
+    values, met = quietly(solution, end, at), solution.event_times("hit", **at)
+    errors = values - np.array([x for x, _ in exactly])
+    counts = np.isfinite(met).sum(axis=0) == [len(hits) for _, hits in exactly]
+    return np.nanmax(np.abs(errors)), np.isnan(errors).mean(), counts.mean()
+
+
+def test_a_second_hit_that_is_missed_starts_at_the_wall_itself():
+    """Its height is relative to the rise from the lowest place behind the first hit."""
+    hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.9*v"}, "name": "hit"}
+    box = {"a": (0.9, 1.5), "w": (0.42, 0.55)}
+    wall = problem({"x": "v", "v": "-0.3*v - x"}, {"x": 0, "v": "a"}, box, 6, hit)
+    solution = ro.solve(wall, RTOL)
+    assert solution.success
+    assert [len(branch.instants) for branch in solution.timeline.branches] == [1, 2]
+    rng = np.random.default_rng(9)
+    at = {name: rng.uniform(*ends, 150) for name, ends in box.items()}
+    exactly = [struck(lambda _: 0.0, (0, a), 0.9, w, 6) for a, w in zip(*at.values(), strict=True)]
+    assert {len(hits) for _, hits in exactly} == {1, 2}
+    error, undecided, alike = missed_by(solution, exactly, at, 6.0)
+    assert error <= 3.0 * RTOL
+    assert undecided <= 0.02
+    assert alike >= 0.98
+
+
+def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
+    """All hit the wall, so that the first hit alone does not tell who missed it before."""
     hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "hit"}
-    wall = problem(rates, {"x": 0, "v": 0}, {"d": (0.5, 1), "w": (0.4, 0.7)}, 9, hit)
-    system, engine, stages = ro.compile(wall).system, ENGINES["cross"], Stages()
+    box = {"d": (0.5, 1.0), "w": (0.4, 0.7)}
+    wall = problem({"x": "v", "v": "d*cos(1.3*t) - 0.3*v - x"}, {"x": 0, "v": 0}, box, 9, hit)
+    solution = ro.solve(wall, RTOL)
+    assert solution.success
+    rng = np.random.default_rng(10)
+    at = {name: rng.uniform(*ends, 150) for name, ends in box.items()}
+    exactly = [
+        struck(lambda t, d=d: d * np.cos(1.3 * t), (0, 0), 0.7, w, 9)
+        for d, w in zip(*at.values(), strict=True)
+    ]
+    first = np.array([hits[0] for _, hits in exactly])
+    assert (first < 2.0).any()
+    assert (first > 5.0).any()
+    error, undecided, alike = missed_by(solution, exactly, at, 9.0)
+    assert error <= 3.0 * RTOL * 1.5
+    assert undecided <= 0.02
+    assert alike >= 0.98
+    compiled = ro.compile(wall)
+    request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
+    search = order_search(timed_system(compiled.system, request.domain)[0], request)
+    roots = {order.roots[0] for order in search.orders}
+    assert roots == {0, 1}
+    for order, places in search.groups().items():
+        length = search.lengths(order, places)[:, 0]
+        assert (length > 5.0).all() if order.roots[0] else (length < 2.0).all()
+
+
+def test_a_search_for_orders_that_ends_without_success_counts():
+    """Trajectories that start beyond the level never turn next to it."""
+    event = {"when": "x - c", "direction": "falling", "then": {"x": "x - 1"}, "name": "drop"}
+    drop = problem({"x": "-k*t*x"}, {"x": 1}, {"c": (0.8, 1.2), "k": (0.1, 0.3)}, 3, event)
+    system, engine, stages = ro.compile(drop).system, ENGINES["cross"], Stages()
     request = SolveRequest.of(system, [], {}, rtol=RTOL)
     with limited(1e12):
-        with pytest.raises(OrderError, match="`hit`"):
+        with pytest.raises(OrderError, match="`drop`"):
             solve_in_branches(engine.run, system, request, OrderError("orders differ"), stages)
         spent = work_done()
     assert sum(stages.work.values()) == pytest.approx(spent, rel=0.05)

@@ -150,7 +150,8 @@ class Turn:
     zero the event is missed. It is on a ``stretch``, after an elapsed time that ``times`` predicts,
     (m, 1) at the first ``columns`` of points (m, d), to about ``margin``. ``surface`` has the
     events with the same surface, on sides of switches, and the factors of their ``when`` over that
-    of the event.
+    of the event. Heights are relative to the rise to the turn from the start of the stretch or,
+    where that is on the surface, from the ``lowest`` place between.
     """
 
     stretch: int
@@ -160,6 +161,7 @@ class Turn:
     times: OfPoints
     margin: float
     columns: int
+    lowest: bool = False
 
 
 @dataclass(frozen=True)
@@ -173,8 +175,8 @@ class ForcedOrder:
     and time.
 
     Events that are met just before a turn, and missed where its height is below zero, are
-    ``opened``: a coordinate behind the parameters is the root of the height over the rise from the
-    start of the stretch, and the surface is moved until that is so. Where it is the root of the
+    ``opened``: a coordinate behind the parameters is the root of the height over the rise to
+    the turn, and the surface is moved until that is so. Where it is the root of the
     true one, nothing is moved.
     """
 

@@ -155,8 +155,8 @@ class Grazing:
 class Opening:
     """An event that a branch meets just before a turn at which its ``parent`` misses the event.
 
-    The height of the turn over the surface, relative to the rise from the start of the stretch to
-    the turn, is a row of the parent behind its states, a ``guard``. The branch is smooth over its
+    The height of the turn over the surface, relative to the rise to the turn, is a row of the
+    parent behind its states, a ``guard``. The branch is smooth over its
     root: a coordinate behind the parameters of its slabs, from ``lower`` to ``upper``.
     """
 

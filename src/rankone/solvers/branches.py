@@ -77,6 +77,7 @@ _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
 _SAME_TIME = 0.1  # Difference of lengths of stretches that end at once, in horizons, over rtol
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
+_SAME_ROOT = 1e-3  # Most that stretches differ which end at one root, in horizons
 _WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
 # Solves a system over stretches
@@ -110,6 +111,10 @@ class _Branch:
         if guard not in guards:
             guards = (*guards, guard)
         return replace(self, forced=replace(self.forced, guards=guards)), guards.index(guard)
+
+    def is_opened_from(self, stretch: int) -> bool:
+        """Whether it has events that are opened on a stretch, or later."""
+        return any(turn.stretch >= stretch for turn in self.opened.turns)
 
     def turn_of(self, other: _Branch, step: int) -> Turn | None:
         """The turn of a step at which the branch misses an event that another one has opened."""
@@ -286,7 +291,7 @@ class _BranchSolve:
         """The orders, without those that a longer one goes on from or that are only grazed."""
         search, branches, failed = self.search, list[_Branch](), list[_Failed]()
         for order, places in search.groups().items():
-            if any(self._goes_on(order, places, other) for other in branches):
+            if any(self._is_part_of(other, order, places) for other in branches):
                 continue
             try:
                 forced = search.continued(order, places)
@@ -301,40 +306,66 @@ class _BranchSolve:
         for each in sorted(failed, key=lambda each: len(each.order.met)):
             if len(each.places) <= most_grazed and not each.order.terminal:
                 grazed.append(each.order)
-            else:
+            elif not any(self._is_part_of(b, each.order, each.places) for b in branches):
                 branches.append(self._opened(each, branches))
         return _Branches(branches, grazed)
 
-    def _opened(self, failed: _Failed, branches: Sequence[_Branch]) -> _Branch:
-        """A branch with an event that another one misses; the last error without one."""
-        order, places, missed = failed.order, failed.places, failed.error.missed
-        reason = failed.error
+    def _opened(self, failed: _Failed, branches: list[_Branch]) -> _Branch:
+        """A branch with an event that another one misses; the last error without one.
+
+        Branches that miss a later event of it are added to the others.
+        """
+        order, reason = failed.order, failed.error
         for k, parent in enumerate(branches):
-            if missed is None or order.parts_at(parent.order) != missed + 1:
+            stretch = order.parts_at(parent.order) - 1
+            if not 0 <= stretch < len(order.met) or parent.is_opened_from(stretch):
                 continue
+            at = parent.continued, order, failed.places, stretch
             try:
                 with limited(_MOST_OF_ONE * work_left()):
-                    at = parent.continued, order, places, missed
                     opened = opened_after(self.search, *at)
-                    if opened is None:
-                        continue
-                    forced = self.search.continued(order, places, opened)
+                    if opened is not None:
+                        parents = (*parent.parents, k)
+                        return self._behind(failed, opened, parents, branches)
             except ContinuationError as error:
                 reason = error
-                continue
             except OutOfBudgetError:
                 break
-            return _Branch(order, forced, places, opened, (*parent.parents, k))
         raise reason
 
-    def _goes_on(self, order: Order, places: NDArray[np.intp], other: _Branch) -> bool:
-        """Whether another branch has an order, and further events only after the end."""
-        if not order.begins(other.order):
+    def _behind(
+        self, failed: _Failed, opened: Opened, parents: tuple[int, ...], branches: list[_Branch]
+    ) -> _Branch:
+        """The branch behind an opened event.
+
+        A ContinuationError where a later event is missed in turn: then the branch up to that one is
+        added to the others.
+        """
+        order, places = failed.order, failed.places
+        try:
+            forced = self.search.continued(order, places, opened)
+        except ContinuationError as error:
+            missed = error.missed or 0
+            begun = order.until(missed)
+            if missed > opened.turns[-1].stretch and all(begun != b.order for b in branches):
+                forced = self.search.continued(begun, places, opened)
+                branches.append(_Branch(begun, forced, places[:0], opened, parents))
+            raise
+        return _Branch(order, forced, places, opened, parents)
+
+    def _is_part_of(self, other: _Branch, order: Order, places: NDArray[np.intp]) -> bool:
+        """Whether another branch holds for an order at some places too.
+
+        As an order with further events after the end, or one whose stretches end at the same roots.
+        """
+        lengths = other.lengths(self.search.points, places)
+        if order.begins(other.order):
+            end = lengths[:, : len(order.met) + 1].sum(axis=1)
+            return bool((end >= (1.0 - _PAST) * self.search.length).all())
+        if order.at_any_roots != other.order.at_any_roots:
             return False
-        further = len(order.met) + 1
-        lengths = other.lengths(self.search.points, places)[:, :further]
-        end = lengths.sum(axis=1)
-        return bool((end >= (1.0 - _PAST) * self.search.length).all())
+        apart = np.abs(lengths - self.search.lengths(order, places))
+        return bool((apart <= _SAME_ROOT * self.search.length).all())
 
     def _solved(self, solve: Solve, branch: _Branch) -> tuple[Outcome, Timeline]:
         """The outcome of one branch over the whole box, and its timeline."""
@@ -406,16 +437,19 @@ class _BranchSolve:
 
     def _fork_at_turn(self, branches: list[_Branch], a: int, b: int, step: int) -> Fork | None:
         """The fork of two branches of which one misses an event that is opened in the other."""
+        ways = []
         for first, second in ((a, b), (b, a)):
             turn = branches[first].turn_of(branches[second], step)
-            if turn is None:
-                continue
-            branches[first], row = branches[first].with_guard(turn)
-            opened = branches[second].opened
-            lower = opened.bounds[len(self.request.domain.box) + opened.turns.index(turn), 0]
-            scale = float(lower**2)
-            return Fork(first, second, step - 1, row, sign=-1.0, scale=scale, at_turn=True)
-        return None
+            if turn is not None:
+                lengths = branches[second].lengths(self.search.points)[:, step - 1]
+                ways.append((float(lengths.mean()), first, second, turn))
+        if not ways:
+            return None
+        _, first, second, turn = min(ways, key=lambda way: way[0])  # the event that comes first
+        branches[first], row = branches[first].with_guard(turn)
+        opened = branches[second].opened
+        lower = opened.bounds[len(self.request.domain.box) + opened.turns.index(turn), 0]
+        return Fork(first, second, step - 1, row, sign=-1.0, scale=float(lower**2), at_turn=True)
 
     def _openings(self, branches: Sequence[_Branch]) -> tuple[Opening, ...]:
         """The openings of all branches."""
@@ -467,9 +501,11 @@ class _BranchSolve:
         checked = with_points(replace(self.search, points=nothing, trajectories=[]), points)
         rtol = self.request.rtol
         errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
+        known = [order.at_any_roots for order in orders]
+        met = [order.at_any_roots for order in checked.orders]
         others = [
-            decided and not any(order.begins(o) or order == o for o in orders)
-            for order, decided in zip(checked.orders, errors.decided, strict=True)
+            decided and not any(order.begins(o) or order == o for o in known)
+            for order, decided in zip(met, errors.decided, strict=True)
         ]
         if any(others):
             return joined, points[np.array(others)]

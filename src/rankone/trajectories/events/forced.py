@@ -351,11 +351,15 @@ class _Follower:
         return turn.times(self.points[:, : turn.columns])[:, 0]
 
     def _at_turn(self, turn: Turn, flow: _Flow) -> tuple[Array, Array, Array]:
-        """The elapsed times (m,) of a turn along a flow, the heights there and above the start."""
-        event = self.clock.system.events[turn.event]
-        times, heights = _nearest_turns(flow, event, turn, self._expected(turn))
+        """The elapsed times (m,) of a turn along a flow, the heights there and the rises to it."""
+        event, expected = self.clock.system.events[turn.event], self._expected(turn)
+        around = expected - turn.margin, expected + turn.margin
+        times, heights = _nearest_turns(flow, event, turn.sign, around, expected)
         self._raise(~np.isfinite(times), f"does not turn next to event {quote(event.name)}")
-        start = turn.sign * flow.heights(event, np.zeros((len(times), 1)))[:, 0]
+        if turn.lowest:
+            start = -_nearest_turns(flow, event, -turn.sign, (np.zeros_like(times), times))[1]
+        else:
+            start = turn.sign * flow.heights(event, np.zeros((len(times), 1)))[:, 0]
         rises = (times > 0.0) & (heights > start)
         self._raise(~rises, f"turns no nearer to event {quote(event.name)} than it starts")
         return times, heights, heights - start
@@ -498,23 +502,30 @@ def _nearest_roots(
 
 
 def _nearest_turns(
-    flow: _Flow, event: SystemEvent, turn: Turn, expected: Array
+    flow: _Flow,
+    event: SystemEvent,
+    sign: float,
+    between: tuple[Array, Array],
+    expected: Array | None = None,
 ) -> tuple[Array, Array]:
-    """The turns nearest to what is expected, (m,), and their heights; NaN where there are none."""
-    rows = np.arange(len(expected))
-    low, high = expected - turn.margin, expected + turn.margin
-    exists = np.ones(len(expected), dtype=bool)
+    """The turns nearest to what is expected, (m,), and their heights; NaN where there are none.
+
+    Those of the largest heights, times a ``sign``, where nothing is ``expected``.
+    """
+    low, high = between
+    rows = np.arange(len(low))
+    exists = np.ones(len(low), dtype=bool)
     for finer in range(_FINER):
         elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
-        heights = turn.sign * flow.heights(event, elapsed)
-        inner = heights[:, 1:-1]
-        turns = (inner >= heights[:, :-2]) & (inner >= heights[:, 2:])
-        apart = np.abs(elapsed[:, 1:-1] - expected[:, None])
-        chosen = 1 + np.where(turns, apart, np.inf).argmin(axis=1)
+        heights = sign * flow.heights(event, elapsed)
+        chosen = np.clip(heights.argmax(axis=1), 1, _LOOKS - 2)
         if not finer:
+            inner = heights[:, 1:-1]
+            turns = (inner >= heights[:, :-2]) & (inner >= heights[:, 2:])
             exists[:] = turns.any(axis=1)
-        else:
-            chosen = np.clip(heights.argmax(axis=1), 1, _LOOKS - 2)
+            if expected is not None:
+                apart = np.abs(elapsed[:, 1:-1] - expected[:, None])
+                chosen = 1 + np.where(turns, apart, np.inf).argmin(axis=1)
         low, high = elapsed[rows, chosen - 1], elapsed[rows, chosen + 1]
     before, here, after = (heights[rows, chosen + k] for k in (-1, 0, 1))
     slope, bend = 0.5 * (after - before), after - 2.0 * here + before

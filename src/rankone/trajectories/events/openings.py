@@ -2,9 +2,10 @@
 
 Where the height of the turn over the surface vanishes, the event and the next crossing merge like
 a square root, and are gone beyond. An order with such an event is opened. Its relative height is
-that over the rise from the start of the stretch to the turn; the root s of this becomes a
-coordinate behind the parameters, and for any s < 1 and p the surface is moved until the relative
-height is s². The trajectories are smooth functions of p and s, and true where s² is the true one.
+that over the rise to the turn, from the start of the stretch or, if that is on the surface, from
+the lowest place between; the root s of this becomes a coordinate behind the parameters, and for
+any s < 1 and p the surface is moved until the relative height is s². The trajectories are smooth
+functions of p and s, and true where s² is the true one.
 """
 
 from __future__ import annotations
@@ -86,10 +87,12 @@ def _turn(
         return None
     opened = parent.opened
     surface = _surface(search, event, order.sides[stretch])
+    before = order.met[stretch - 1] if stretch else ()
+    on_surface = any(k in before for k, _, _ in surface)
 
     def turn(expected: Lengths, margins: tuple[float, ...]) -> Turn:
         columns = opened.points.shape[1]
-        return Turn(stretch, event, sign, surface, expected, margins[0], columns)
+        return Turn(stretch, event, sign, surface, expected, margins[0], columns, on_surface)
 
     def reached(
         expected: Lengths, margins: tuple[float, ...], chunk: NDArray[np.intp]
@@ -114,8 +117,9 @@ def _first_turns(
     """
     event = search.system.events[order.met[stretch][0]]
     forced = replace(parent.forced, guards=())
-    flow = search.forced(parent.order, forced, parent.opened.points[places]).flows[stretch]
     met = search.lengths(order, places)[:, stretch]
+    further = replace(search, horizon=(search.horizon[0], search.horizon[1] + float(met.max())))
+    flow = further.forced(parent.order, forced, parent.opened.points[places]).flows[stretch]
     shares = np.linspace(0.0, 1.0, _SAMPLES)
     elapsed = met[:, None] + np.maximum(flow.to_ahead - met, 0.0)[:, None] * shares
     heights = flow.heights(event, elapsed)
@@ -123,7 +127,8 @@ def _first_turns(
     heights = sign * heights
     turns = (heights[:, 1:-1] > heights[:, :-2]) & (heights[:, 1:-1] > heights[:, 2:])
     first, rows = 1 + turns.argmax(axis=1), np.arange(len(places))
-    times = np.where(turns.any(axis=1), elapsed[rows, first], np.nan)
+    near = turns.any(axis=1) & (heights[:, 1] > 0.0)  # and not beyond the turn already
+    times = np.where(near, elapsed[rows, first], np.nan)
     return times, heights[rows, first], sign
 
 

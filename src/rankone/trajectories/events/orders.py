@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,14 @@ _FIRST_CHUNK = 8  # Points to which an order is continued at once, next to those
 _GROWTH = 0.5  # The same over the points to which it is continued
 _FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths
 _SAFETY = 4.0  # The same over the errors of what was expected before
+_MOST_ROOTS = 4  # Roots at which stretches of one order may end
+_FEWEST = 12  # Lengths of stretches that tell such roots apart
+_APART = 4.0  # Gap between lengths of stretches that end at different roots, over further gaps
+_LEAST_APART = 0.01  # About the least such gap, over the horizon, and over ``_APART``
+
+
+Step: TypeAlias = tuple[tuple[int, ...], tuple[int, ...], int]
+"""The events at an instant, the sides after them, and which root the first of them is."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,14 @@ class Order:
     """The events that a trajectory meets before the end, in their order, and its sides.
 
     The first event at an instant ends the stretch. The ``sides`` of switches are those on each
-    stretch; nothing follows the last event if that is ``terminal``.
+    stretch; nothing follows the last event if that is ``terminal``. Where some trajectories miss an
+    event by grazing and meet it later, the ``roots`` tell them apart, one for each instant.
     """
 
     met: tuple[tuple[int, ...], ...]
     sides: tuple[tuple[int, ...], ...]
     terminal: bool
+    roots: tuple[int, ...]
 
     @classmethod
     def of(cls, system: System, trajectory: EventTrajectory, length: float) -> Order:
@@ -59,7 +70,8 @@ class Order:
         met = tuple(tuple(each.event for each in instant) for instant in instants)
         terminal = bool(met) and any(system.events[k].terminal for k in met[-1])
         stretches = len(met) + (not terminal)
-        return cls(met, sides_of(system, trajectory, stretches, length), terminal)
+        sides = sides_of(system, trajectory, stretches, length)
+        return cls(met, sides, terminal, (0,) * len(met))
 
     @property
     def ending(self) -> Ending:
@@ -67,14 +79,23 @@ class Order:
         return Ending.EVENT if self.terminal else Ending.HORIZON
 
     @property
-    def steps(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    def steps(self) -> list[Step]:
         """The sides at the start, and for each instant the events with the sides after them."""
         after = [*self.sides[1:], ()] if self.terminal else self.sides[1:]
-        return [((), self.sides[0]), *zip(self.met, after, strict=True)]
+        return [((), self.sides[0], 0), *zip(self.met, after, self.roots, strict=True)]
+
+    @property
+    def at_any_roots(self) -> Order:
+        """The order, without telling roots apart."""
+        return replace(self, roots=(0,) * len(self.met))
 
     def begins(self, other: Order) -> bool:
         """Whether another order goes on as this one, up to the end of the horizon and further."""
         return not self.terminal and other.steps[: len(self.steps)] == self.steps
+
+    def until(self, stretch: int) -> Order:
+        """The order that meets nothing from a stretch on."""
+        return Order(self.met[:stretch], self.sides[: stretch + 1], False, self.roots[:stretch])
 
     def ends_with(self, event: int) -> list[bool]:
         """Whether an event ends each of the stretches."""
@@ -92,6 +113,38 @@ class Order:
         instants = tuple(tuple(sorted(each)) for each in self.met)
         order = EventOrder(instants, self.ending, sides=self.sides)
         return Clock(system, order, horizon, forced=forced)
+
+
+def _with_roots(orders: Sequence[Order], lengths: Sequence[Array], least: float) -> list[Order]:
+    """Orders that tell apart at which roots stretches end, by their lengths (instants,)."""
+    orders = [*orders]
+    for instant in range(max((len(order.met) for order in orders), default=0)):
+        alike: dict[tuple[Step, ...], list[int]] = {}
+        for k, order in enumerate(orders):
+            if len(order.met) > instant:
+                alike.setdefault(tuple(order.steps[: instant + 2]), []).append(k)
+        for places in alike.values():
+            ends = np.array([lengths[k][instant] for k in places])
+            for k, root in zip(places, _groups_apart(ends, least), strict=True):
+                before, after = orders[k].roots[:instant], orders[k].roots[instant + 1 :]
+                orders[k] = replace(orders[k], roots=(*before, root, *after))
+    return orders
+
+
+def _groups_apart(lengths: Array, least: float) -> list[int]:
+    """Which group each of the lengths (m,) is in: a few gaps are far larger than all others."""
+    ordered = np.sort(lengths)
+    gaps = np.sort(np.diff(ordered))[::-1]
+    largest = gaps[:_MOST_ROOTS]
+    if len(lengths) < _FEWEST:
+        return [0] * len(lengths)
+    wider = largest[:-1] / np.maximum(largest[1:], least)
+    count = int(np.argmax(wider)) + 1
+    if wider[count - 1] < _APART:
+        return [0] * len(lengths)
+    starts = ordered[1:][np.diff(ordered) >= largest[count - 1]]
+    groups: list[int] = np.searchsorted(starts, lengths, side="right").tolist()
+    return groups
 
 
 @dataclass(frozen=True)
@@ -210,7 +263,9 @@ class OrderSearch:
     @cached_property
     def orders(self) -> list[Order]:
         """Those of the trajectories."""
-        return [Order.of(self.system, each, self.length) for each in self.trajectories]
+        orders = [Order.of(self.system, each, self.length) for each in self.trajectories]
+        lengths = [self._lengths(k) for k in range(len(orders))]
+        return _with_roots(orders, lengths, _LEAST_APART * self.length)
 
     def _check_end(self, trajectory: EventTrajectory, point: Array) -> None:
         """Raise an OrderError for a trajectory that ends although nothing ends it."""
@@ -251,13 +306,16 @@ class OrderSearch:
         return {order: np.array(places) for order, places in longest}
 
     def lengths(self, order: Order, places: NDArray[np.intp]) -> Array:
-        """Lengths (m, instants) of the stretches of trajectories of an order."""
-        times = np.empty((len(places), 1 + len(order.met)))
-        times[:, 0] = self.horizon[0]
-        for row, k in zip(times, places, strict=True):
-            instants = instants_of(self.trajectories[k], self.length)
-            row[1:] = [instant[0].time for instant in instants]
-        return np.diff(times, axis=1)
+        """Lengths (m, instants) of the stretches of trajectories that begin with an order."""
+        count = len(order.met)
+        lengths = [self._lengths(k)[:count] for k in places.tolist()]
+        return np.reshape(lengths, (len(places), count))
+
+    def _lengths(self, k: int) -> Array:
+        """Those of the trajectory at a position, (instants,)."""
+        instants = instants_of(self.trajectories[k], self.length)
+        times = [instant[0].time for instant in instants]
+        return np.diff(times, prepend=self.horizon[0])
 
     def continued(
         self, order: Order, places: NDArray[np.intp], opened: Opened | None = None
@@ -281,8 +339,21 @@ class OrderSearch:
             return np.diff(there.borders, axis=1)[:, : len(order.met)], chunk
 
         lengths = self.lengths(order, places)
-        forced = ForcedOrder(order.met, *opened.spread(places, lengths, reached))
-        return replace(forced, opened=opened.turns)
+        expected, margins = opened.spread(places, lengths, reached)
+        if max(margins, default=0.0) > self.length:
+            raise self._not_smooth(order, int(np.argmax(margins)), len(opened.points))
+        return ForcedOrder(order.met, expected, margins, opened=opened.turns)
+
+    def _not_smooth(self, order: Order, stretch: int, count: int) -> ContinuationError:
+        """The error for a stretch whose length jumps somewhere between so many points."""
+        event = quote(self.system.events[order.met[stretch][0]].name)
+        error = ContinuationError(
+            "an order of events that holds in a part of the box cannot be continued: the time "
+            f"of event {event} jumps as a function of the parameters",
+            remedy=REMEDY,
+        )
+        error.fails, error.missed = np.ones(count, dtype=bool), stretch
+        return error
 
     @property
     def unopened(self) -> Opened:
