@@ -43,8 +43,8 @@ from rankone.solvers.cross import CrossOptions  # noqa: E402
 from rankone.solvers.stretches import clock_of, over_stretches  # noqa: E402
 from rankone.support.budget import limited  # noqa: E402
 from rankone.trajectories.workers import Workers, open_workers  # noqa: E402
-from rankone.verification.measure import ReferenceSet  # noqa: E402
 from rankone.verification.reference import Reference  # noqa: E402
+from rankone.verification.reference_set import ReferenceSet  # noqa: E402
 from tests.benchmarks.many_states import CASES, Case  # noqa: E402
 
 

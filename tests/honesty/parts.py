@@ -42,17 +42,17 @@ def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> 
 
 _EFFORT = 0.3
 """Limit of the work of each solve."""
-_MEASURE = "rankone.verification.measure"
+_REFERENCE = "rankone.verification.reference_set"
 PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     "nothing": None,
     "cuts of one coordinate": (
-        f"{_MEASURE}.system_cuts",
+        f"{_REFERENCE}.system_cuts",
         lambda system, domain: _no_cuts(domain),
     ),
-    "three quarters of the evenly spread points": (f"{_MEASURE}.check_points", _few),
-    "points where products of factors are active": (f"{_MEASURE}.active_points", _no_points),
+    "three quarters of the evenly spread points": (f"{_REFERENCE}.check_points", _few),
+    "points where products of factors are active": (f"{_REFERENCE}.active_points", _no_points),
     "points on surfaces of several parameters": (
-        f"{_MEASURE}.surface_points",
+        f"{_REFERENCE}.surface_points",
         _no_points,
     ),
     "points of the residual": ("rankone.solvers.attempts.worst_points", _nothing),

@@ -19,7 +19,7 @@ from rankone.support.options import Options, integer
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 from tests.problems import REFERENCE
 
 

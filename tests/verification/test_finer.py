@@ -8,7 +8,7 @@ from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers import attempts
 from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.verification.finer import confirmed
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 from tests.reference.published import PUBLISHED
 
 RTOL = 4e-3

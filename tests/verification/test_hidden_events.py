@@ -4,7 +4,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.verdict import HiddenEvent, Status
-from rankone.verification import measure
+from rankone.verification import reference_set as reference_sets
 
 DIP = "1 - 2*exp(-1e12*(x + 1/x - 2))"
 """Below zero within 1e-6 of x = 1, which is at t = 0.8/k."""
@@ -66,8 +66,8 @@ def test_events_that_steps_meet_are_no_doubt(when, direction, monkeypatch):
         looked.append(hidden_event(*given))
         return looked[-1]
 
-    hidden_event = measure.hidden_event
-    monkeypatch.setattr(measure, "hidden_event", look)
+    hidden_event = reference_sets.hidden_event
+    monkeypatch.setattr(reference_sets, "hidden_event", look)
     assert solved(event(when, direction)).success
     assert looked == [None]
 

@@ -16,9 +16,10 @@ from rankone.support.budget import limited, work_done
 from rankone.trajectories.choice import WatchedStack
 from rankone.verification import reference, resolution
 from rankone.verification.growth import amplification
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import measure
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.resolution import Resolution
 from tests.benchmarks.many_states import truss
 from tests.problems import REFERENCE
@@ -95,11 +96,11 @@ def test_the_error_measure_sees_an_error_put_in_by_hand():
     system = module("decay")
     reference_set = ReferenceSet.of(system, SolveRequest(3e-10, Domain.of(system), Check(5)))
     slabs = list(solution.outcome.slabs)
-    assert reference_set.measured(slabs).error < 1e-7
+    assert measure(reference_set, slabs).error < 1e-7
     core = slabs[-1].cores[0].copy()
     core[0, 0] *= 1.0 + 1e-3
     spoiled = slabs[-1].with_first(core)
-    assert reference_set.measured([*slabs[:-1], spoiled]).error > 1e-5
+    assert measure(reference_set, [*slabs[:-1], spoiled]).error > 1e-5
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(1.0, np.exp(2.0)), (-1.0, 1.0)])

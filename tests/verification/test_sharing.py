@@ -6,8 +6,8 @@ import pytest
 import rankone as ro
 from rankone.ir.request import Domain, SolveRequest
 from rankone.trajectories.workers import Workers
-from rankone.verification import measure
-from rankone.verification.measure import ReferenceSet
+from rankone.verification import reference_set as reference_sets
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.sharing import reference_set_of, sharing_references
 from tests.problems import EXAMPLES
 
@@ -18,13 +18,13 @@ def compiled():
 
 
 def test_the_second_engine_takes_the_reference_of_the_first(compiled, monkeypatch):
-    counts, integrate = [], measure.integrate_reference
+    counts, integrate = [], reference_sets.integrate_reference
 
     def counted(system, points, *arguments):
         counts.append(len(points))
         return integrate(system, points, *arguments)
 
-    monkeypatch.setattr(measure, "integrate_reference", counted)
+    monkeypatch.setattr(reference_sets, "integrate_reference", counted)
     solution = compiled.solve(1e-6, max_nodes=5, max_attempts=1)
     assert "Also tried" in solution.message
     assert sum(count > 64 for count in counts) == 1  # others are a few further points

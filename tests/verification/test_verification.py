@@ -12,7 +12,8 @@ import rankone as ro
 from rankone.ir.observation import Observation
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.support.budget import limited, memory_left
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import measure
+from rankone.verification.reference_set import ReferenceSet
 from tests.problems import REFERENCE
 
 TIMES = np.linspace(0.0, 2.0, 11)
@@ -41,8 +42,8 @@ def test_more_points_are_integrated_alone() -> None:
 def test_the_error_at_added_points_counts() -> None:
     slabs = ro.solve(REFERENCE["decay"](), rtol=1e-8).outcome.slabs
     unchecked = reference_set(check=0)
-    assert unchecked.measured(slabs) is None
-    measured = unchecked.with_points(np.array([[0.9]])).measured(slabs)
+    assert measure(unchecked, slabs) is None
+    measured = measure(unchecked.with_points(np.array([[0.9]])), slabs)
     assert measured is not None
     assert measured.points == 2
     assert max(measured.interior) < 1e-6

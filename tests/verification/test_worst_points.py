@@ -7,7 +7,8 @@ import pytest
 
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import measure
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.worst_points import worst_points
 
 
@@ -61,5 +62,5 @@ def test_products_of_parameters_are_right_near_the_corner(rate, initial, end, rt
     stricter = ReferenceSet.of(
         compiled.system, SolveRequest(1e-3 * rtol, Domain.of(compiled.system), Check(24))
     )
-    measured = stricter.with_points(points).measured(solution.outcome.slabs)
+    measured = measure(stricter.with_points(points), solution.outcome.slabs)
     assert max(measured.interior) <= 5 * rtol

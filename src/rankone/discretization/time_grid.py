@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rankone.discretization.basis import legendre_derivative, legendre_values
 from rankone.support.arrays import Array, bisected
 
-__all__ = ["Polynomials", "TimeGrid", "resolving_breaks"]
+__all__ = ["Polynomials", "TimeGrid", "resolving_breaks", "times_within"]
 
 _SHORTEST_AT_TIME = 1e-12
 """Shortest slab, relative to its times: only near t = 0 fast layers have room."""
@@ -281,3 +281,8 @@ def _tops(dense: Array) -> NDArray[np.bool_]:
 def _sizes(dense: Array) -> Array:
     """Largest absolute value of each column, not zero."""
     return np.asarray(np.abs(dense).max(axis=0) + 1e-300)
+
+
+def times_within(start: float, end: float, shares: Array) -> Array:
+    """Times at shares of a slab; at its end, where states may jump, the last number before it."""
+    return np.asarray(np.minimum(start + (end - start) * shares, np.nextafter(end, start)))

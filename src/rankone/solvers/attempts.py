@@ -46,8 +46,9 @@ from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.trajectories.choice import tell_fallback
 from rankone.verification.finer import confirmed
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import measure
 from rankone.verification.reference import safe_intervals
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.worst_points import worst_points
 
 EXPLANATION_OPERATIONS = 5e9
@@ -104,7 +105,7 @@ class Attempt:
 
     def measured_by(self, reference_set: ReferenceSet) -> Attempt:
         """The same, measured against another reference set."""
-        return replace(self, measured=reference_set.measured(self.result.slabs))
+        return replace(self, measured=measure(reference_set, self.result.slabs))
 
     def better_than(self, best: Attempt | None) -> bool:
         """Whether to keep this attempt: it got further, or as far with a smaller error."""
@@ -416,7 +417,7 @@ def _attempts(
         before = marcher.reference_set
         with stages.of("check"):
             work = stages.work["march"] - marched
-            attempt = Attempt(result, before.measured(result.slabs), work)
+            attempt = Attempt(result, measure(before, result.slabs), work)
             try:
                 further = _further_points(before, attempt, rtol, index)
                 if further is not None:

@@ -23,7 +23,7 @@ from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.events.event_order import MoreEventsError, OrderError, TrajectoryEndError
 from rankone.trajectories.workers import Workers, open_workers
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches

@@ -40,7 +40,7 @@ from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.stacks.integrator import has_smooth_rates
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.workers import Workers
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.sharing import reference_set_of
 
 # Operations of a reference over clock time above which pilots tell whether markers pay, since

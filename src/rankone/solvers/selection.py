@@ -16,7 +16,8 @@ from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.engine import Engine, sums, without_last
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.progress import Report, quiet
-from rankone.verification.measure import ReferenceSet, drift
+from rankone.verification.measure import drift, measure
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.sharing import sharing_references
 
 # Statuses after which no other engine is tried
@@ -127,7 +128,7 @@ def _without_lifted(
     if outcome.status is not Status.CONVERGED:
         return replace(outcome, notes=(*outcome.notes, _AS_WRITTEN))
     try:
-        measured = ReferenceSet.of(truth, request).measured(outcome.slabs)
+        measured = measure(ReferenceSet.of(truth, request), outcome.slabs)
     except OutOfBudgetError as out:
         return replace(outcome, status=Status.of_limit(out), cause=None, notes=())
     assert measured is not None

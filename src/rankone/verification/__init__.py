@@ -3,7 +3,8 @@
 Read in this order:
 
 =================  ================================================================================
-``measure``        the reference set of a solve, and the error measured against it
+``reference_set``  the reference set of a solve: trajectories, and the sizes of what is solved for
+``measure``        errors measured against it
 ``sharing``        one reference set for all engines that a solve tries
 ``growth``         how much errors grow that are made on the way
 ``clock``          errors at clock times, where slabs are over stretches between events

@@ -19,8 +19,8 @@ from rankone.ir.verdict import HiddenRate
 from rankone.support.arrays import Array
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.stacks.integrator import has_smooth_rates
-from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import reference_accuracy
+from rankone.verification.reference_set import ReferenceSet
 
 _FINER = 1e-2  # Tolerance of finer trajectories over that of the reference
 _DIFFERENCE = 0.3  # Difference to these, over the tolerance of the solve, that matters

@@ -11,8 +11,8 @@ from rankone.ir.jacobian import PatternJacobian, pattern_of
 from rankone.support.arrays import Array
 from rankone.support.budget import reserve
 from rankone.support.sparse import SparseFactors
-from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import Reference
+from rankone.verification.reference_set import ReferenceSet
 
 _STEPS = 32  # Steps over the horizon by which the growth of errors is followed
 _TRAJECTORIES = 5  # Check points at which it is followed, the centre first

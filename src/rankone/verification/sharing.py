@@ -12,7 +12,7 @@ from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.workers import Workers
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 
 @dataclass

@@ -20,8 +20,9 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.coverage import Coverage
-from rankone.verification.measure import ReferenceSet, with_contractions
+from rankone.verification.measure import with_contractions
 from rankone.verification.points import FEW_PARAMETERS, points_in_elements
+from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.search import Climb, climbed
 
 _CANDIDATES = 512  # Points at which residuals are looked at, with up to three parameters

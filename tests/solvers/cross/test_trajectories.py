@@ -12,7 +12,8 @@ from rankone.support.budget import OutOfMemoryError, OutOfWorkError, limited, wo
 from rankone.tensors.cross import Samples
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks.integrator import StackedIntegrator
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import measured_from
+from rankone.verification.reference_set import ReferenceSet
 from tests.problems import EXAMPLES
 
 
@@ -66,7 +67,7 @@ def test_errors_on_lines_count():
     reference_set = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(24)), lines)
     errors = np.full((3, len(reference_set.reference.points)), 1e-9)
     errors[1, 9] = 1e-3  # after the centre and eight corners
-    measured = reference_set._measured(errors, np.zeros(errors.shape[1]))
+    measured = measured_from(reference_set, errors, np.zeros(errors.shape[1]))
     assert measured.error == 1e-3
     assert measured.worst == (0.5, 1.0, 1.0)
     assert measured.quantile == 1e-9

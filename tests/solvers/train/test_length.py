@@ -14,7 +14,7 @@ from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths, TrainSpan
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 COLLOCATION = RadauCollocation.of(8)
 

@@ -57,9 +57,9 @@ from rankone.tensors.slab import slab_trains
 from rankone.tensors.train import Train
 from rankone.trajectories.workers import Workers
 from rankone.verification.cuts import Cuts, in_scale, resolving_pieces
-from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import FEW_PARAMETERS, candidate_points, steepest_point
 from rankone.verification.reference import Reference
+from rankone.verification.reference_set import ReferenceSet
 
 # Failures for which a steep dependence on a parameter may be the reason
 _UNRESOLVED = (

@@ -17,7 +17,7 @@ from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrat
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.integrator import Integrator, Tolerances
 from rankone.trajectories.workers import Workers
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 # Copies of sampled trajectories that are held at once: stages of steps, columns, coefficients
 _COPIES = 6

@@ -32,7 +32,7 @@ from rankone.support.budget import memory_left, reserve
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
 from rankone.verification.growth import amplification
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 _STIFFNESS_SAMPLES = 101  # Evenly spaced times at which stiffness is measured
 _HELD_ENTRIES = 2**22  # Entries of Jacobians that are held at once, unless one time has more

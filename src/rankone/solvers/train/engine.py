@@ -24,8 +24,8 @@ from rankone.solvers.train.options import (
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
 from rankone.verification.growth import amplification
-from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
+from rankone.verification.reference_set import ReferenceSet
 
 
 class TrainMarcher(Marcher):

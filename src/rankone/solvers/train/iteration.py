@@ -33,7 +33,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfMemoryError, memory_left, reserve
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.reference_set import ReferenceSet
 
 
 @dataclass

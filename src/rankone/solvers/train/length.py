@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rankone.discretization import Basis1D, RadauCollocation
+from rankone.discretization.time_grid import times_within
 from rankone.ir.verdict import Status
 from rankone.solvers.march import Span, Trial
 from rankone.solvers.train.options import (
@@ -25,7 +26,7 @@ from rankone.solvers.train.options import (
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.tensors.train import Train
-from rankone.verification.measure import ReferenceSet, times_within
+from rankone.verification.reference_set import ReferenceSet
 
 
 @dataclass(frozen=True)
