@@ -436,6 +436,10 @@ def test_an_event_that_comes_before_the_start_in_a_part_of_the_box():
     wanted = np.exp(-1.5) + np.where(at > 0.0, np.exp(-0.5 * (3.0 - at)), 0.0)
     np.testing.assert_allclose(solution(3.0, a=at)[0], wanted, rtol=2.0 * RTOL)
     assert np.isnan(solution.event_times("dose", a=at)[0]).tolist() == [True, True, False, False]
+    with pytest.raises(
+        ro.OptionError, match="no occurrence 0 before the end in `order 1` of the 2"
+    ):
+        solution.output({"when": "event_time(dose, 0)"})
 
 
 def test_events_that_coincide_at_a_corner_alone():

@@ -122,3 +122,8 @@ def test_the_guide_shows_what_it_saves():
     assert text.count(".savefig(") == len(pictures) + 1
     for name in plotting.__all__:
         assert f"`{name}" in text
+
+
+def test_an_unknown_in_place_of_values_is_told_its_keyword():
+    with pytest.raises(ro.OptionError, match="unknowns='u'"):
+        ro.solve(decay.problem).plot("u")

@@ -71,3 +71,15 @@ def test_a_long_oscillation():
     np.testing.assert_allclose(solution.std(59.9), table.std(axis=1), rtol=1e-3)
     by_y0 = table.reshape(2, 300, 300).var(axis=1).mean(axis=1) / table.var(axis=1)
     np.testing.assert_allclose(solution.sobol(59.9).total[:, 1, 0], by_y0, atol=1e-2)
+
+
+def test_few_points_tell_the_shares_of_the_variance_to_two_digits():
+    dose = {"when": "t - a", "direction": "rising", "then": {"x": "x + b"}, "name": "dose"}
+    problem = ro.Problem.from_strings(
+        {"x": "-x/2"}, {"x": 1}, {"a": (1, 2), "b": (0.5, 1.5)}, (0, 4), events=[dose]
+    )
+    solution = ro.solve(problem, 1e-4)
+    times = np.array([1.3, 1.7, 2.5, 4.0])
+    pictured = solution._first_and_total(times, solution._statistics())
+    sobol = solution.sobol(times)
+    np.testing.assert_allclose(pictured, [sobol.first, sobol.total], atol=2e-2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,27 @@ def test_curves_of_slabs_that_share_cores_or_not(
     )
     for times in (np.empty((0, 1)), np.empty((0, 11))):
         assert evaluator.curves(times, points, rows).shape == (2, 0, 11)
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_curves_whose_times_are_alike_for_some_rows(name):
+    slab = random_slab(BASES[name])
+    slabs = [slab, replace(slab, start=1.5, end=2.0)]
+    evaluator, rng = TrainEvaluator(slabs), np.random.default_rng(5)
+    points = np.array([[-1.95, 0.3, 2.9, 0.35], [0.15, 0.65, 0.3, 0.6]])
+    alike = np.array([0.1, 1.9, 1.5, 0.7])
+    times = np.concatenate([np.repeat(alike[:, None], 4, axis=1), 2.0 * rng.random((3, 4))])
+    times = times[rng.permutation(len(times))]
+    wanted = np.array(
+        [
+            [slabs[int(t >= 1.5)](np.array([t]), p[:, None])[:, 0] for t, p in zip(row, points.T)]
+            for row in times
+        ]
+    )
+    scale = 1e-13 * np.abs(wanted).max()
+    curves = evaluator.curves(times, points, slice(None))
+    np.testing.assert_allclose(curves, wanted.transpose(2, 0, 1), atol=scale)
+    fixed = evaluator.at_times(alike, np.array([1]))
+    np.testing.assert_allclose(
+        fixed(points), evaluator.curves(alike[:, None], points, np.array([1])), atol=scale
+    )

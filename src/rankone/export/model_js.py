@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import re
-import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -167,4 +166,5 @@ def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
 
 def _base64(arrays: Sequence[NDArray[np.generic]], dtype: str) -> str:
     joined = np.concatenate(arrays) if arrays else np.empty(0)
-    return "\n".join(textwrap.wrap(base64.b64encode(joined.astype(dtype).tobytes()).decode(), LINE))
+    text = base64.b64encode(joined.astype(dtype).tobytes()).decode()
+    return "\n".join(text[begin : begin + LINE] for begin in range(0, len(text), LINE))

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from rankone.solution.presentation import dataset
 from rankone.solution.smaller import merged
 from rankone.statistics.densities import DistributionOverBox
-from rankone.support.errors import optional_module
+from rankone.support.errors import OptionError, optional_module
+from rankone.support.wording import shown
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 
 if TYPE_CHECKING:
@@ -176,8 +177,16 @@ class OtherForms(DistributionOverBox):
             If Matplotlib is not installed.
         EvaluationError
             If nothing depends on time.
+        OptionError
+            If the values are no mapping, such as the name of an unknown.
         """
         plotting = optional_module("rankone.plotting", "plots need Matplotlib", "pip install it")
+        if values is not None and not isinstance(values, Mapping):
+            raise OptionError(
+                f"plot takes values of the parameters by name, not {shown(values)}",
+                term=values,
+                remedy=f"choose unknowns by a keyword: solution.plot(unknowns={shown(values)})",
+            )
         if values or not self.metadata.parameters or set(options) & set(self.metadata.parameters):
             return plotting.plot_trajectories(self, values, **options)
         return plotting.plot_bands(self, **options)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock
 from rankone.support.wording import count
 
+_LONGEST_TURN, _FEWEST_TIMES = 8, 4  # Events that come in turn, and how often, to be one line
 CLOCK_STATES = 2
 """States of slabs over stretches behind those of the problem: the clock, and the length."""
 
@@ -70,7 +71,7 @@ class Timeline:
         stretches = count(self.stretches, "stretch", "stretches")
         verb = "ends" if self.stretches == 1 else "end"
         lines = [f"{stretches} over [{start:g}, {end:g}], which {verb} with"]
-        return "\n".join([*lines, *(f"  {name}" for name in names)])
+        return "\n".join([*lines, *(f"  {name}" for name in _in_turns(names))])
 
     def fixed(self, parameter: int, value: float) -> Timeline:
         """The timeline where the parameter at a position is no longer a coordinate."""
@@ -240,6 +241,27 @@ class BranchedTimeline:
         for k, branch in enumerate(self.branches):
             lines += [f"order {k}: {branch}"]
         return "\n".join(lines)
+
+
+def _in_turns(names: Sequence[str]) -> Iterator[str]:
+    """The names, with one line for those that come in the same turn many times."""
+    place = 0
+    while place < len(names):
+        turns = [(_times(names[place:], length), length) for length in range(1, _LONGEST_TURN + 1)]
+        times, length = max(turns, key=lambda turn: (turn[0] * turn[1], -turn[1]))
+        if not times:
+            times = length = 1
+        line = ", then ".join(names[place : place + length])
+        yield line if times == 1 else f"{line}, {times} times"
+        place += times * length
+
+
+def _times(names: Sequence[str], length: int) -> int:
+    """How many times the first names come one after the other; 0 if not often."""
+    turn, times = names[:length], 1
+    while names[times * length : (times + 1) * length] == turn:
+        times += 1
+    return times if times >= _FEWEST_TIMES else 0
 
 
 def _resets(event: SystemEvent) -> bool:

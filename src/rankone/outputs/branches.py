@@ -19,9 +19,9 @@ from rankone.solution.branches import branch_evaluator, slabs_of_branches
 from rankone.solution.core import SolutionCore
 from rankone.solvers.branches import MOST_UNDECIDED, one_after_the_other
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.executors import Pool
-from rankone.support.wording import quote
+from rankone.support.wording import listing, quote
 from rankone.tensors.branches import BranchEvaluator, ContinuedBranch
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.branches import undecided_share
@@ -87,13 +87,12 @@ def over_branches(
     """
     timeline = solution.outcome.timeline
     assert isinstance(timeline, BranchedTimeline)
-    outcomes, tolerances, every = list[Outcome](), list[float](), list[Quantities]()
+    outcomes, tolerances = list[Outcome](), list[float]()
     count = len(timeline.branches)
-    for k, branch in enumerate(timeline.branches):
-        part = BranchPart(solution, k)
-        quantities = of_branch(part, branch)
+    parts = [BranchPart(solution, k) for k in range(count)]
+    every = _of_all(parts, timeline, of_branch)
+    for k, (part, quantities) in enumerate(zip(parts, every, strict=True)):
         require_states(quantities)
-        every.append(quantities)
         further = len(part.parameters) - len(solution.parameters)
         guarded = _with_guards(quantities, len(solution.states), timeline.guards[k], further)
         interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes), pool=pool)
@@ -104,6 +103,33 @@ def over_branches(
     least = np.zeros(len(quantities.names))
     least[: len(sizes)] = sizes
     return _joined(solution, outcomes, rtol, least), rtol, quantities
+
+
+def _of_all(
+    parts: Sequence[BranchPart], timeline: BranchedTimeline, of_branch: OfBranch
+) -> list[Quantities]:
+    """The quantities over each branch.
+
+    An OptionError says in which orders of events they are not defined, if they are in others.
+    """
+    every, refused = list[Quantities](), dict[int, OptionError]()
+    for k, (part, branch) in enumerate(zip(parts, timeline.branches, strict=True)):
+        try:
+            every.append(of_branch(part, branch))
+        except OptionError as error:
+            refused[k] = error
+    if not refused:
+        return every
+    first = next(iter(refused.values()))
+    if not every:
+        raise first
+    orders = listing([f"order {k}" for k in refused])
+    raise OptionError(
+        f"{first.message} in {orders} of the {len(parts)} orders of events in the box",
+        term=first.term,
+        remedy="ask for what is there in all orders (print solution.timeline), or solve on a box "
+        "in which one order holds",
+    ) from first
 
 
 def require_states(quantities: Quantities) -> None:

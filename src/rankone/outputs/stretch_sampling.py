@@ -50,6 +50,7 @@ class StretchSampler(Sampler):
             self._trains[1] = TrainEvaluator([slab.derivative() for slab in evaluator.slabs])
         self._late = 0.0
         self._bordered = (np.empty(0),) * 3
+        self._read_whole = np.empty(0), grid, np.empty(0)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -73,9 +74,18 @@ class StretchSampler(Sampler):
     ) -> tuple[Array, Array]:
         if self.quantities.timeless:
             return times, sources
-        stretch, share, clock, length = self._whole(points)
-        whole = self._read(stretch, share, length, points)
+        *_, clock, _ = self._whole(points)
+        whole = self._whole_sources(points)
         return clock, whole if shifts is None else whole + shifts[:, None, None]
+
+    def _whole_sources(self, points: Array) -> Array:
+        """Sources (sources, T, m) on the grid over whole stretches."""
+        before, grid, sources = self._read_whole
+        if points is not before or self.grid is not grid:  # a chunk needs them several times
+            stretch, share, _, length = self._whole(points)
+            sources = self._read(stretch, share, length, points)
+            self._read_whole = points, self.grid, sources
+        return sources
 
     def _whole(self, points: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
         """Stretches, shares, clock times and lengths (T, m) on the grid over whole stretches."""
@@ -128,8 +138,14 @@ class StretchSampler(Sampler):
         """Clock times (stretches + 1, m) of borders, and the same within the horizon."""
         if points is not self._bordered[0]:  # a chunk needs them several times
             borders = self.evaluator.borders(np.ascontiguousarray(points.T))
-            self._bordered = points, borders, np.minimum(borders, self.evaluator.horizon[1])
+            within = np.minimum(borders, self.evaluator.horizon[1]) if self._ends else borders
+            self._bordered = points, borders, within
         return self._bordered[1:]
+
+    @property
+    def _ends(self) -> bool:
+        """Whether stretches end with the horizon: other functions are held over whole ones."""
+        return bool(self.quantities.reductions)
 
     def _place(self, times: Array) -> NDArray[np.intp]:
         """The stretch of each pseudo-time."""
@@ -149,12 +165,15 @@ class StretchSampler(Sampler):
         borders, within = self._borders(points)
         stretch = self._place(times)
         # behind the horizon the states are those at its end
-        met = (within[1:-1] < self.evaluator.horizon[1]).sum(axis=0)
-        stretch = np.minimum(stretch, met)
+        if self._ends:
+            met = (within[1:-1] < self.evaluator.horizon[1]).sum(axis=0)
+            stretch = np.minimum(stretch, met)
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
         share = (self._clock(times, points) - begin) / np.where(length != 0.0, length, 1.0)
-        return self._read(stretch, share, length, points)
+        ends = np.take_along_axis(within, stretch + 1, axis=0)
+        whole = (ends == begin + length) & (length != 0.0) & (stretch == self._place(times))
+        return self._read(stretch, np.where(whole, times - stretch, share), length, points)
 
     def _read(self, stretch: NDArray[np.intp], share: Array, length: Array, points: Array) -> Array:
         """Sources in stretches, at shares of them."""
@@ -180,6 +199,8 @@ class StretchSampler(Sampler):
         return sources
 
     def _sources(self, times: Array, points: Array) -> Array:
+        if times is self.grid.times and not self._ends:
+            return self._whole_sources(points).copy()
         return self._states(np.broadcast_to(times[:, None], (times.size, len(points))), points)
 
     def _paired(self, times: Array, points: Array) -> Array:

@@ -322,7 +322,8 @@ class StatisticsOverBox(SolutionCore):
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
         times = None if t is None else checked
         clock = np.empty(0) if times is None else times
-        share, spread, sizes, errors = self._shares_of_variance(times, statistics)
+        variance = self._at(times, statistics.variance)
+        share, spread, sizes, errors = self._shares_of_variance(variance, statistics)
         first, total = self._at(times, statistics.first), self._at(times, statistics.total)
         second = self._at(times, statistics.second) * share[:, None, None]
         indices = first * share[:, None], total * share[:, None], second
@@ -332,18 +333,25 @@ class StatisticsOverBox(SolutionCore):
         return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), doubts
 
     def _first_and_total(self, times: Array, statistics: Statistics) -> tuple[Array, Array]:
-        """Sobol indices of first order and total ones, (unknowns, parameters, times) each."""
-        share = self._shares_of_variance(times, statistics)[0][:, None]
-        return statistics.first(times) * share, statistics.total(times) * share
+        """Sobol indices of first order and total ones, (unknowns, parameters, times) each.
+
+        To two digits with events.
+        """
+        if isinstance(statistics, TimelineStatistics):
+            variance, first, total = statistics.shares_at_points(times)
+        else:
+            variance = self._at(times, statistics.variance)
+            first, total = statistics.first(times), statistics.total(times)
+        share = self._shares_of_variance(variance, statistics)[0][:, None]
+        return first * share, total * share
 
     def _shares_of_variance(
-        self, times: Array | None, statistics: Statistics
+        self, variance: Array, statistics: Statistics
     ) -> tuple[Array, Array, Array, Array]:
         """One over the variance, NaN where it is below the error of the solution.
 
         After it the standard deviations (unknowns, times), and sizes and errors of the unknowns.
         """
-        variance = self._at(times, statistics.variance)
         ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
         squares = self._at(ends, statistics.root_mean_squares)
         largest = squares.reshape(len(squares), -1)

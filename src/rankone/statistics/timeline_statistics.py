@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
+import scipy
 
 from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.line_averages import (
@@ -28,6 +29,7 @@ from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
+_PAIRS = 13  # Power of two of the pairs of points that tell parts of the variance to two digits
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
 
@@ -205,6 +207,31 @@ class TimelineStatistics(Statistics):
             total[:, i] = self._of_pairs(others, times, _half_mean_square)
         self._latest = times.copy(), (np.maximum(first, 0.0), total)
         return self._latest[1]
+
+    def shares_at_points(self, times: Array) -> tuple[Array, Array, Array]:
+        """Variances, and those of first order and total ones, to two digits, from few points.
+
+        (states, times), and (states, parameters, times) each, as :meth:`first` and :meth:`total`.
+        NaN where some trajectory has ended.
+        """
+        count = len(self.parameters.measures)
+        sequence = scipy.stats.qmc.Sobol(2 * count, scramble=False).random_base2(_PAIRS)
+        shares = (sequence.T + np.random.default_rng(20145).random((2 * count, 1))) % 1.0
+        here, there = (self._at_even(times, half) for half in np.split(shares, 2))
+        first, total = np.empty((2, len(self.rows), count, times.size))
+        for i in range(count):
+            mixed = shares[:count].copy()
+            mixed[i] = shares[count + i]
+            between = self._at_even(times, mixed)
+            first[:, i] = 0.5 * np.square(there - between).mean(axis=2)
+            total[:, i] = 0.5 * np.square(here - between).mean(axis=2)
+        variance = 0.5 * (here.var(axis=2) + there.var(axis=2))
+        return variance, np.maximum(variance[:, None] - first, 0.0), total
+
+    def _at_even(self, times: Array, shares: Array) -> Array:
+        """States (rows, times, M) at points of the unit cube (d, M)."""
+        points = self.parameters.points(shares)
+        return np.stack([states for _, states in self._at_all(times, points, self.rows)], axis=1)
 
     def _variance_given(self, fixed: Sequence[int], times: Array) -> Array:
         """Variances of the means given some parameters, (states, times)."""

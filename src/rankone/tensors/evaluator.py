@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -111,14 +111,13 @@ class _Dimension:
         """Multiply the core, at points (N,), with the contraction (right, N): shape (left, N)."""
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree)
-        occupied = _occupied(element)
-        if len(occupied) == 1:
-            return self._applied(occupied[0], polynomials, contraction, rows)
+        groups = _by_element(element)
+        if len(groups) == 1:
+            return self._applied(groups[0][0], polynomials, contraction, rows)
         contracted = np.empty((self.left if rows is None else self.count(rows), xi.size))
-        for e in occupied:
-            here = np.flatnonzero(element == e)
-            columns = None if contraction is None else contraction.take(here, 1)
-            contracted[:, here] = self._applied(e, polynomials.take(here, 1), columns, rows)
+        for e, here in groups:
+            columns = None if contraction is None else _columns(contraction, here)
+            contracted[:, here] = self._applied(e, _columns(polynomials, here), columns, rows)
         return contracted
 
     def _applied(
@@ -149,8 +148,7 @@ class _Dimension:
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree)
         contracted = np.empty((self.count(rows), xi.size))
-        for e in _occupied(element):
-            here = slice(None) if element is None else np.flatnonzero(element == e)
+        for e, here in _by_element(element):
             columns = of[here]
             first, last = columns.min(), columns.max()
             products = self.tensor[e, rows] @ contraction[:, first : last + 1]
@@ -164,12 +162,11 @@ class _Dimension:
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree).T
         tensor = self.tensor if rows is None else self.tensor[:, rows]
-        occupied = _occupied(element)
-        if len(occupied) == 1:
-            return _multiplied(polynomials, tensor[occupied[0]], contraction)
+        groups = _by_element(element)
+        if len(groups) == 1:
+            return _multiplied(polynomials, tensor[groups[0][0]], contraction)
         contracted = np.empty((tensor.shape[1], xi.size, contraction.shape[1]))
-        for e in occupied:
-            here = np.flatnonzero(element == e)
+        for e, here in groups:
             contracted[:, here] = _multiplied(polynomials[here], tensor[e], contraction)
         return contracted
 
@@ -198,9 +195,29 @@ class _UnequalDimension(_Dimension):
         return 2.0 * position - 1.0, element
 
 
-def _occupied(element: NDArray[np.intp] | None) -> list[int]:
-    """The elements that have points, at least one."""
-    return [0] if element is None else np.flatnonzero(np.bincount(element)).tolist() or [0]
+def _by_element(element: NDArray[np.intp] | None) -> list[tuple[int, Rows]]:
+    """The elements that have points, and which points these are; at least one element."""
+    counts = np.zeros(0, dtype=np.intp) if element is None else np.bincount(element)
+    occupied = np.flatnonzero(counts).tolist()
+    if element is None or len(occupied) < 2:
+        return [(occupied[0] if occupied else 0, slice(None))]
+    ends = np.cumsum(counts).tolist()
+    groups = [slice(ends[e] - int(counts[e]), ends[e]) for e in occupied]
+    if (element[1:] >= element[:-1]).all():
+        return [*zip(occupied, groups, strict=True)]
+    order = _stable_order(element, counts.size)
+    return [(e, order[here]) for e, here in zip(occupied, groups, strict=True)]
+
+
+def _stable_order(integers: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """The order of integers below a count; equal ones stay in theirs."""
+    # the stable sort of 16-bit integers is a radix sort
+    return np.argsort(integers.astype(np.min_scalar_type(count)), kind="stable")
+
+
+def _columns(array: Array, here: Rows) -> Array:
+    """Some columns of an array."""
+    return array[:, here] if isinstance(here, slice) else array.take(here, 1)
 
 
 def _multiplied(polynomials: Array, core: Array, contraction: Array) -> Array:
@@ -297,6 +314,26 @@ def _parts(axes: Sequence[Array], most: int) -> Iterator[tuple[int, Sequence[Arr
         yield begin * after, part
 
 
+@dataclass(frozen=True)
+class AtTimes:
+    """Trains at fixed times: for each train its times, and the matrix of its first core there.
+
+    The ``shape`` is (rows, T).
+    """
+
+    shape: tuple[int, int]
+    matrices: Sequence[tuple[_Train, NDArray[np.intp], Array]]
+
+    def __call__(self, points: Array) -> Array:
+        """States (rows, T, N) at points (d, N)."""
+        states = np.empty((*self.shape, points.shape[1]))
+        for train, owned, matrix in self.matrices:
+            for here in _chunks(np.arange(points.shape[1]), train.chunk):
+                values = matrix @ train.over_parameters(points[:, here])
+                states[:, owned[:, None], here] = values.reshape(len(states), owned.size, -1)
+        return states
+
+
 class TrainEvaluator:
     """Tensor trains on consecutive time slabs, arranged for fast evaluation.
 
@@ -341,12 +378,27 @@ class TrainEvaluator:
             return self._at_all(times[:, 0], count, contractions, rows)
         if several == 1:
             return self.many(np.concatenate([times, points]), rows)[:, None]
+        alike = (times == times[:, :1]).all(axis=1)
+        if count and alike.any():
+            states = np.empty((self.count(rows), several, count))
+            states[:, alike] = self.curves(times[alike, :1], points, rows)
+            if not alike.all():
+                states[:, ~alike] = self.curves(times[~alike], points, rows)
+            return states
         states = np.empty((self.count(rows), count, several))
         for begin in range(0, count, _POINTS):
             columns = slice(begin, begin + _POINTS)
             block = self._paired_curves(times[:, columns], points[:, columns], rows)
             states[:, columns] = block
         return states.swapaxes(1, 2)
+
+    def at_times(self, times: Array, rows: Rows) -> AtTimes:
+        """What evaluates at the same times (T,) for any points (d, N): the cores of time there."""
+        matrices = list[tuple[_Train, NDArray[np.intp], Array]]()
+        for train, owned in self._owned(times, self._breaks):
+            matrix = train.time.outer(times[owned], np.eye(train.time.right), rows)
+            matrices.append((train, owned, matrix.reshape(-1, train.time.right)))
+        return AtTimes((self.count(rows), times.size), matrices)
 
     def _paired_curves(self, times: Array, points: Array, rows: Rows) -> Array:
         """The same at times (T, N) of their own for some points: shape (rows, N, T)."""
@@ -411,8 +463,7 @@ class TrainEvaluator:
             yield self.trains[0], np.arange(times.size)
             return
         owner = np.searchsorted(breaks, times, side="right")
-        # the stable sort of 16-bit integers is a radix sort
-        order = np.argsort(owner.astype(np.min_scalar_type(len(breaks) + 1)), kind="stable")
+        order = _stable_order(owner, len(breaks) + 1)
         counts = np.cumsum(np.bincount(owner, minlength=len(breaks) + 1))
         last = [*np.searchsorted(breaks, self._breaks).tolist(), len(breaks)]
         begin = 0

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.evaluator import AtTimes, Rows, TrainEvaluator
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
 
@@ -81,9 +82,12 @@ class TimelineEvaluator(ClockEvaluator):
 
     def borders_as_solved(self, points: Array) -> Array:
         """The same, in the order of the stretches, in which they need not ascend."""
-        pseudo = np.append(self._begins, self._last)[:, None]
-        times = self.on_stretches(pseudo, points, self._clock)[0]
-        return self._with_affine(times, points)
+        return self._with_affine(self._clock_at_borders(self.own(points))[0], points)
+
+    @cached_property
+    def _clock_at_borders(self) -> AtTimes:
+        """The clock at the borders of stretches."""
+        return self.trains.at_times(np.append(self._begins, self._last), self._clock)
 
     def own(self, points: Array) -> Array:
         """Points (d, N) with the roots of heights behind them."""
@@ -228,9 +232,15 @@ class TimelineEvaluator(ClockEvaluator):
 
     def stretches(self, times: Array, borders: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """Stretches (T, N) of clock times, by the clock times of borders, and which are in none."""
+        inner = np.maximum.accumulate(borders, axis=0)[1:-1]  # none ends before it begins
         stretch = np.zeros(times.shape, dtype=np.intp)
-        for border in np.maximum.accumulate(borders, axis=0)[1:-1]:  # none ends before it begins
-            stretch += times >= border
+        size = 1 << len(inner).bit_length() >> 1  # halved down to one: by bisection
+        while size:
+            tried = stretch + size
+            inside = np.minimum(tried, len(inner)) - 1
+            passed = times >= np.take_along_axis(inner, inside, axis=0)
+            stretch = np.where((tried <= len(inner)) & passed, tried, stretch)
+            size >>= 1
         rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
         return stretch, times > borders[-1] + rounding
 
