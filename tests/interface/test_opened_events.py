@@ -18,6 +18,7 @@ from rankone.solvers.stretches import timed_system
 from rankone.support.budget import limited, work_done
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after
+from rankone.trajectories.events.stretches import in_stretches
 
 pytestmark = pytest.mark.slow
 RTOL = 1e-4
@@ -168,6 +169,8 @@ def test_opened_trajectories_are_true_where_the_root_is_that_of_the_height():
     assert opened is not None
     forced = search.continued(kick, places, opened)
     assert isinstance(forced, ForcedOrder)
+    names = in_stretches(kick.clock(timed, search.horizon, forced)).parameters
+    assert names == ("a", "c", "turn past kick")
     a, c = 1.2, 1.0
     for moved in (0.0, 0.05, -0.15):  # the height is a - c, of a rise by a, and that is moved
         root = np.sqrt((a - c + moved) / a)
@@ -377,6 +380,18 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
     for order, places in search.groups().items():
         length = search.lengths(order, places)[:, 0]
         assert (length > 5.0).all() if order.roots[0] else (length < 2.0).all()
+
+
+@pytest.mark.parametrize("effort", [0.03, 0.1])
+def test_a_budget_that_ends_before_branches_are_solved_is_said_to(effort):
+    """And not that a parameter is steep: the event is named, and that more effort helps."""
+    hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "hit"}
+    box = {"d": (0.5, 1.0), "w": (0.4, 0.7)}
+    wall = problem({"x": "v", "v": "d*cos(1.3*t) - 0.3*v - x"}, {"x": 0, "v": 0}, box, 9, hit)
+    solution = ro.solve(wall, RTOL, effort=effort)
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert "`hit`" in solution.message
+    assert "raise effort, or narrow " in solution.message
 
 
 def test_a_search_for_orders_that_ends_without_success_counts():

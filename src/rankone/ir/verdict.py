@@ -558,6 +558,14 @@ class SwitchesNotHeld(Note):
 
 
 @dataclass(frozen=True)
+class SeveralOrders(Note):
+    """Why orders of events are not solved as branches, where in one order the solution is steep."""
+
+    reason: str
+    text = "events do not come in one order over the box: {reason}"
+
+
+@dataclass(frozen=True)
 class PartOfSolution(Note):
     """The solution is a part of another one, whose error was measured on the whole box."""
 

@@ -80,6 +80,9 @@ _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 _SAME_ROOT = 1e-3  # Most that stretches differ which end at one root, in horizons
 _WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
+# What to do where a limit is reached, before what always helps
+_RAISED = {Status.WORK_LIMIT: "raise effort, or ", Status.TIME_LIMIT: "raise max_seconds, or "}
+
 # Solves a system over stretches
 Solve = Callable[[System, SolveRequest], Outcome]
 
@@ -136,6 +139,7 @@ def solve_in_branches(
     besides the solves of branches.
     """
     timed, cuts = timed_system(system, request.domain)
+    search: OrderSearch | None = None
     put_off = any(e.starts is not None or e.cancels is not None for e in timed.events)
     if put_off or timed.constraints.names or not request.domain.box:
         raise error
@@ -160,38 +164,58 @@ def solve_in_branches(
     except OutOfBudgetError as out:
         if out.reached is not None and out.reached.chattering is not None:
             return out_at_reference(out, timed, stages)
-        return _out_at_search(out, error, stages)
+        return _out_at_search(out, error, search, stages)
     except TrajectoryEndError:
         raise error from None
     except OrderError as failure:
+        if search is None:
+            raise
+        if len(search.groups()) == 1:
+            raise error from None
         with stages.of("reference"):
-            raise _with_part(failure, search) from None
+            failure.remedy = (failure.remedy or REMEDY).replace(REMEDY, _remedy(search))
+        raise
     if len(further):  # each check meets yet another order
         raise error
     return outcome
 
 
-def _out_at_search(out: OutOfBudgetError, error: OrderError, stages: Stages) -> Outcome:
+def _out_at_search(
+    out: OutOfBudgetError, error: OrderError, search: OrderSearch | None, stages: Stages
+) -> Outcome:
     """The outcome when a limit is met by the search for orders, which differ by an error."""
     status, notes = Status.of_limit(out), list[Note]()
     if (memory_needed := MemoryNeeded.of(out)) is not None:
         notes.append(memory_needed)
-    ended = Outcome((), status, None, (), stages.timings, stages.work)
-    notes.append(Remedy(f"raise effort, or {REMEDY}" if status is Status.WORK_LIMIT else REMEDY))
-    return replace(ended, cause=OrderSearchLimit(error.message), notes=tuple(notes))
+    with stages.of("reference"):
+        remedy = REMEDY if search is None else _remedy(search)
+    ended = Outcome((), status, None, (), {**stages.timings}, {**stages.work})
+    notes.append(Remedy(_RAISED.get(status, "") + remedy))
+    reason = error.message if search is None else f"{error.message}: {_largest_orders(search)}"
+    return replace(ended, cause=OrderSearchLimit(reason), notes=tuple(notes))
 
 
-def _with_part(failure: OrderError, search: OrderSearch) -> OrderError:
-    """The failure, with a part of the box in which events come in one order, if there is one."""
+def _largest_orders(search: OrderSearch) -> str:
+    """The two orders that hold in the largest parts of the box."""
+    groups = sorted(search.groups().items(), key=lambda pair: -len(pair[1]))
+    shares = [
+        f"{search.named(order)} holds in about {len(places) / len(search.points):.0%} of the box"
+        for order, places in groups[:2]
+    ]
+    return ", ".join(shares)
+
+
+def _remedy(search: OrderSearch) -> str:
+    """What to do about orders that cannot be continued: a part of the box, if there is one."""
     try:
-        with limited(_PART_SHARE * work_left()):
+        with limited(_PART_SHARE * work_left(), seconds_left()):
             part = one_order(search)
     except OutOfBudgetError:
         part = None
     if part is None:
-        return failure
+        return REMEDY
     narrowed = narrowing_text(search.system.parameters, search.bounds, part)
-    return OrderError(failure.message, remedy=f"narrow {narrowed}: events come in one order there")
+    return f"narrow {narrowed}: events come in one order there"
 
 
 def order_search(timed: System, request: SolveRequest) -> OrderSearch:
@@ -261,11 +285,13 @@ class _BranchSolve:
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:
                 errors = tuple(note for note in outcome.notes if isinstance(note, MeasuredError))
-                raise OrderError(
+                unresolved = OrderError(
                     f"{self.search.named(branch.order)}, which holds in a part of the box, is not "
                     f"resolved: {replace(outcome, notes=errors).message}",
-                    remedy=REMEDY,
+                    remedy=_RAISED.get(outcome.status, "") + REMEDY,
                 )
+                unresolved.limit = outcome.status if outcome.status in _RAISED else None
+                raise unresolved
             outcomes.append(outcome)
             timelines.append(timeline)
         rtol = self.request.rtol
@@ -322,15 +348,13 @@ class _BranchSolve:
                 continue
             at = parent.continued, order, failed.places, stretch
             try:
-                with limited(_MOST_OF_ONE * work_left()):
+                with limited(_MOST_OF_OPENED * work_left()):
                     opened = opened_after(self.search, *at)
                     if opened is not None:
                         parents = (*parent.parents, k)
                         return self._behind(failed, opened, parents, branches)
             except ContinuationError as error:
                 reason = error
-            except OutOfBudgetError:
-                break
         raise reason
 
     def _behind(

@@ -11,7 +11,14 @@ from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
-from rankone.ir.verdict import Status, SwitchesNotHeld
+from rankone.ir.verdict import (
+    Note,
+    OrderSearchLimit,
+    Remedy,
+    SeveralOrders,
+    Status,
+    SwitchesNotHeld,
+)
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import FirstPoints, SolveStart, goes_in_step, start_of
@@ -145,9 +152,20 @@ class Engine:
         stages = Stages()
         stages.add(steep.timings, steep.work)
         error, better = OrderError(_STEEP_IN_ORDER), steep
-        with suppress(ConvergenceError):
+        try:
             outcome = self._solve_in_branches(system, request, report, error, stages)
-            better = steep if _is_better(steep, outcome) else outcome
+            if isinstance(outcome.cause, OrderSearchLimit):
+                verdict = outcome.verdict
+                better = replace(
+                    steep, status=verdict.status, cause=verdict.cause, notes=verdict.notes
+                )
+            elif not _is_better(steep, outcome):
+                better = outcome
+        except OrderError as failure:
+            if failure is not error:
+                better = _with_orders(steep, failure)
+        except ConvergenceError:
+            pass
         return replace(better, timings={**stages.timings}, work={**stages.work})
 
     def _solve_in_order(
@@ -246,6 +264,16 @@ def observing(system: System, request: SolveRequest) -> SolveRequest:
     if request.observed is not None or rows is None or needed:
         return request
     return replace(request, observed=Observation.of_some(system.unknowns, rows))
+
+
+def _with_orders(steep: Outcome, failure: OrderError) -> Outcome:
+    """A steep outcome that says which orders of events are not solved as branches."""
+    notes: list[Note] = [*steep.verdict.without_remedy().notes, SeveralOrders(failure.message)]
+    if failure.remedy is not None:
+        notes.append(Remedy(failure.remedy))
+    if failure.limit is None:
+        return replace(steep, notes=tuple(notes))
+    return replace(steep, status=failure.limit, cause=None, notes=tuple(notes))
 
 
 def _is_better(one: Outcome, other: Outcome) -> bool:

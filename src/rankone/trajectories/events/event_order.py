@@ -9,6 +9,7 @@ import numpy as np
 
 from rankone.ir.events import Ending, EventOrder
 from rankone.ir.system import Clock, System
+from rankone.ir.verdict import Status
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
@@ -27,7 +28,12 @@ REMEDY = "narrow the box to where all trajectories meet the same events in the s
 
 
 class OrderError(ConvergenceError):
-    """A trajectory does not meet the events of the others, or not in their order."""
+    """A trajectory does not meet the events of the others, or not in their order.
+
+    ``limit`` is the one that was reached where that is known, and not solved for that.
+    """
+
+    limit: Status | None = None
 
 
 class TrajectoryEndError(OrderError):

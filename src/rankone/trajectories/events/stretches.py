@@ -123,6 +123,15 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
     return [*put_off, *further]
 
 
+def _names_of_turns(clock: Clock) -> list[str]:
+    """Names of the roots of heights of opened events, as messages have them."""
+    events, names = clock.system.events, list[str]()
+    for turn in () if clock.forced is None else clock.forced.opened:
+        name = f"turn past {events[turn.event].name}"
+        names.append(f"{name}, event {turn.stretch + 1}" if name in names else name)
+    return names
+
+
 def in_stretches(clock: Clock) -> System:
     """The system over the pseudo-time of stretches, with its clock and their lengths as states.
 
@@ -208,7 +217,7 @@ def in_stretches(clock: Clock) -> System:
         system.starting_at(initial),
         separated=False,
         states=(*system.states[:n], *(f"G{k}" for k in range(guards)), "t", "T"),
-        parameters=(*system.parameters, *(f"root {k}" for k in range(len(opened)))),
+        parameters=(*system.parameters, *_names_of_turns(clock)),
         n_differential=now + CLOCK_STATES,
         n_lifted=0,
         n_sides=0,
