@@ -10,7 +10,7 @@ from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock
 from rankone.support.wording import count
 
-_LONGEST_TURN, _FEWEST_TIMES = 8, 4  # Events that come in turn, and how often, to be one line
+_LONGEST_TURN, _FEWEST_TIMES = 8, 5  # Events that come in turn, and how often, to be one line
 CLOCK_STATES = 2
 """States of slabs over stretches behind those of the problem: the clock, and the length."""
 
