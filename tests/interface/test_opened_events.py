@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import rankone as ro
 from rankone.ir.events import ForcedOrder
 from rankone.ir.request import SolveRequest
+from rankone.outputs.check import CheckPoints
 from rankone.solvers.attempts import Stages
 from rankone.solvers.branches import order_search, solve_in_branches
 from rankone.solvers.registry import ENGINES
@@ -289,6 +290,10 @@ def test_a_branch_of_two_opened_events_is_used_everywhere(tmp_path):
     exactly = exact_swing(5.0, **many)[0]
     near = 5.0 * exactly.std() / np.sqrt(exactly.size)
     assert solution.mean(5.0)[0] == pytest.approx(exactly.mean(), abs=near)
+    at_once = solution.at(5.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        assert np.nanmax(np.abs(at_once["x"](**at) - exact_swing(5.0, **at)[0])) <= 5.0 * RTOL * 1.5
     area = solution.output({"area": "integral(x, 0, 5.5)"})
     assert area.success
     times = np.linspace(0.0, 5.5, 5501)
@@ -298,6 +303,17 @@ def test_a_branch_of_two_opened_events_is_used_everywhere(tmp_path):
         ours = area(**at)[0]
     assert np.isnan(ours).mean() <= 0.02
     assert np.nanmax(np.abs(ours - there)) <= 3.0 * area.rtol * np.abs(there).max()
+
+
+def test_checks_of_a_branch_that_holds_nowhere_are_everywhere():
+    """Such a branch only leads to another one, with one more event."""
+    whole = CheckPoints(1, np.zeros((3, 2)), np.ones((2, 2)))
+    nowhere = whole.where(lambda points: np.zeros(len(points), dtype=bool))
+    assert nowhere is whole
+    zeros = whole.where(lambda points: points[:, 0] == 0.0)
+    assert zeros is whole  # no further points would be left
+    held = whole.where(lambda points: np.arange(len(points)) > 0)
+    assert (held.corners, len(held.aimed), len(held.further)) == (0, 2, 1)
 
 
 def struck(force, start, back, wall, end):

@@ -193,12 +193,20 @@ def _joined(
     evaluator = branch_evaluator(slabs, timeline)
     timeline = replace(timeline, undecided=undecided_share(evaluator, Coverage.of_domain(domain)))
     measured = [_of_quantities(outcome.measured, least.size) for outcome in outcomes]
+    held = _held_somewhere(evaluator, domain)
     if timeline.openings:
         missed = _errors_of_roots(solution, evaluator, domain, sizes)
         measured = [each and _with_errors(each, missed) for each in measured]
-    return replace(
-        _over_all(outcomes, measured, rtol, timeline.undecided), slabs=slabs, timeline=timeline
-    )
+    outcomes, measured = [outcomes[k] for k in held], [measured[k] for k in held]
+    joined = _over_all(outcomes, measured, rtol, timeline.undecided)
+    return replace(joined, slabs=slabs, timeline=timeline)
+
+
+def _held_somewhere(evaluator: BranchEvaluator, domain: Domain) -> list[int]:
+    """The branches that hold at some of evenly spread points: others only lead to further ones."""
+    points = np.ascontiguousarray(spread_over(domain, _ROOT_POINTS).T)
+    held: list[int] = np.unique(evaluator.decided(points).chosen).tolist()
+    return held
 
 
 def _over_all(

@@ -141,10 +141,12 @@ class CheckPoints:
         return cls(len(at_corners), aimed, further)
 
     def where(self, holds: Callable[[Array], NDArray[np.bool_]]) -> CheckPoints:
-        """The points at which a condition holds."""
-        corners = int(holds(self.aimed[: self.corners]).sum())
-        aimed, further = (points[holds(points)] for points in (self.aimed, self.further))
-        return CheckPoints(corners, aimed, further)
+        """The points at which a condition holds; all of them where it holds for no check."""
+        at_aimed, at_further = holds(self.aimed), holds(self.further)
+        if not at_aimed.any() or not at_further.any():
+            return self
+        corners = int(at_aimed[: self.corners].sum())
+        return CheckPoints(corners, self.aimed[at_aimed], self.further[at_further])
 
 
 def spread_over(domain: Domain, count: int) -> Array:

@@ -65,7 +65,9 @@ def _at_instant(
     quantities = _as_they_are(metadata, texts, sources, reductions)
     domain = OutputInterpolation(solution, quantities).domain
     points = np.ascontiguousarray(CheckPoints.of(domain, quantities).aimed.T)
-    borders = evaluator.borders(points[:, evaluator.holds(points)])
+    if not (holds := evaluator.holds(points)).any():
+        return quantities
+    borders = evaluator.borders(points[:, holds])
     jumping = [i for i, resets in enumerate(timeline.resets) if resets or timeline.terminal]
     jumped = (borders[1:][jumping] <= time).sum(axis=0)
     passed = (borders[1:] <= time).sum(axis=0)
