@@ -170,6 +170,7 @@ def solve_in_branches(
     except OrderError as failure:
         if search is None:
             raise
+        search = replace(search, tells_roots=True)
         if len(search.groups()) == 1:
             raise error from None
         with stages.of("reference"):
@@ -273,8 +274,14 @@ class _BranchSolve:
 
     def outcome(self, solve: Solve) -> tuple[Outcome, Array]:
         """The outcome, and points (m, d) at which other orders hold than those of its branches."""
-        with self.stages.of("reference"):
-            parted = self._with_grazings(self._with_forks(self._branches()))
+        try:
+            with self.stages.of("reference"):
+                parted = self._with_grazings(self._with_forks(self._branches()))
+        except OrderError:
+            telling = replace(self.search, tells_roots=True)
+            if telling.orders == self.search.orders:
+                raise
+            return replace(self, search=telling).outcome(solve)
         branches = parted.branches
         outcomes, timelines = list[Outcome](), list[Timeline]()
         whole = work_left()

@@ -234,7 +234,10 @@ class Opened:
 
 @dataclass(frozen=True)
 class OrderSearch:
-    """Orders of trajectories at points (m, d) of a box (d, 2), and their continuation."""
+    """Orders of trajectories at points (m, d) of a box (d, 2), and their continuation.
+
+    It ``tells_roots`` apart where orders cannot be continued without.
+    """
 
     system: System
     horizon: tuple[float, float]
@@ -243,6 +246,7 @@ class OrderSearch:
     trajectories: Sequence[EventTrajectory]
     integrator: SpanIntegrator
     tolerances: Tolerances
+    tells_roots: bool = False
 
     @property
     def length(self) -> float:
@@ -264,6 +268,8 @@ class OrderSearch:
     def orders(self) -> list[Order]:
         """Those of the trajectories."""
         orders = [Order.of(self.system, each, self.length) for each in self.trajectories]
+        if not self.tells_roots:
+            return orders
         lengths = [self._lengths(k) for k in range(len(orders))]
         return _with_roots(orders, lengths, _LEAST_APART * self.length)
 
