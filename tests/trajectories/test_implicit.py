@@ -58,19 +58,19 @@ def test_newton_matrices_serve_several_steps(monkeypatch):
 
     monkeypatch.setattr(np.linalg, "inv", noted)
     problem = ro.Problem.from_strings(
-        {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2"},
-        {"a": "1", "b": "0", "c": "0"},
+        {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2", "d": "a - d"},
+        {"a": "1", "b": "0", "c": "0", "d": "0"},
         {"k": (0.02, 0.06)},
         (0, 1000),
     )
-    tolerances = Tolerances(1e-7, np.array([[1e-9], [1e-13], [1e-9]]))
+    tolerances = Tolerances(1e-7, np.array([[1e-9], [1e-13], [1e-9], [1e-9]]))
     points = np.linspace(0.02, 0.06, 30)[:, None]
     trajectories = STIFF.run(ro.compile(problem).system, points, (0.0, 1000.0), tolerances)
     assert trajectories.end == 1000.0
     real = inverted.count(np.dtype(float))
     assert inverted.count(np.dtype(complex)) == 2 * real
-    assert real < 0.4 * trajectories.steps
-    np.testing.assert_allclose(trajectories.state.sum(axis=0), 1.0, atol=1e-9)
+    assert 0 < real < 0.4 * trajectories.steps
+    np.testing.assert_allclose(trajectories.state[:3].sum(axis=0), 1.0, atol=1e-9)
 
 
 def test_a_step_after_one_that_was_tried_again_is_no_longer(monkeypatch):

@@ -29,6 +29,7 @@ from rankone.trajectories.stacks.integrator import StackedIntegrator
 from rankone.trajectories.stacks.newton import (
     COFACTOR_STATES,
     DenseJacobians,
+    SmallJacobians,
     SparseJacobians,
     entries_at,
     jacobians_for,
@@ -87,12 +88,23 @@ def test_sparse_solutions_are_those_of_inverses(system, stack, shift) -> None:
 def test_inverses_of_few_states_are_those_of_numpy(n, shift) -> None:
     generator = np.random.default_rng(n)
     blocks = generator.normal(size=(40, n, n)) * np.geomspace(1e-3, 1e6, 40)[:, None, None]
-    matrices = DenseJacobians(blocks).newton(shift)
+    matrices = SmallJacobians(blocks).newton(shift)
     right = generator.normal(size=(n, 40))
     expected = np.linalg.solve(shift * np.eye(n) - blocks, right.T[:, :, None])[:, :, 0].T
     assert np.allclose(matrices.solve(right.ravel()).reshape(n, 40), expected, rtol=1e-10, atol=0.0)
     some = matrices.solve_some(np.array([7, 2]), right[:, [7, 2]])
     assert np.allclose(some, expected[:, [7, 2]], rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.parametrize("of_blocks", [SmallJacobians, DenseJacobians])
+def test_pairs_are_real_and_imaginary_parts_of_complex_solutions(of_blocks) -> None:
+    generator, shifts = np.random.default_rng(5), [1.5 + 2.0j, 0.5 + 4.0j]
+    jacobians, right = of_blocks(generator.normal(size=(40, 3, 3))), generator.random((4, 120))
+    solution = jacobians.paired(shifts).solve(right)
+    for shift, (a, b), (x, y) in zip(
+        shifts, right.reshape(2, 2, -1), solution.reshape(2, 2, -1), strict=True
+    ):
+        assert np.allclose(x + 1j * y, jacobians.newton(shift).solve(a + 1j * b), rtol=1e-10)
 
 
 def test_chains_are_bands_and_nets_are_not() -> None:

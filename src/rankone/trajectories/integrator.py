@@ -173,5 +173,5 @@ def jacobians(system: System, points: Array, time: float | Array, states: Array)
 
 def finite_blocks(blocks: Array) -> Array:
     """Matrices (m, n, n) with zero in place of each that is not finite."""
-    finite = np.isfinite(blocks).all(axis=(1, 2), keepdims=True)
-    return blocks if finite.all() else np.where(finite, blocks, 0.0)
+    finite = np.isfinite(blocks)
+    return blocks if finite.all() else np.where(finite.all((1, 2), keepdims=True), blocks, 0.0)

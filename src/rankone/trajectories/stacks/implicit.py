@@ -21,13 +21,12 @@ from rankone.discretization.radau import RadauCollocation
 from rankone.support.arrays import Array
 from rankone.trajectories.defects import DefectControl, Interpolant
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices
+from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices, PairedMatrices
 from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
 _MOST_ITERATIONS = 6  # Newton's iterations of a step of three stages before it is halved
-_MOST_EXCESS = 10.0  # Iterations that old Newton matrices may cost before they are made anew
 _LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
 _KEPT_FACTOR = 3.0  # Growth of the step below which its length stays while its matrices serve
@@ -128,20 +127,20 @@ class _Newton:
     h: float
     jacobians: Jacobians
     real: NewtonMatrices
-    paired: tuple[NewtonMatrices, ...]
+    paired: PairedMatrices
     fresh: int = 0
     excess: float = 0.0
 
     @staticmethod
     def of(t: float, h: float, jacobians: Jacobians, scheme: _Scheme) -> _Newton:
         real = jacobians.newton(scheme.real / h)
-        paired = tuple(jacobians.newton(mode / h) for mode in scheme.paired)
+        paired = jacobians.paired([mode / h for mode in scheme.paired])
         return _Newton(t, h, jacobians, real, paired)
 
     def serves(self, h: float) -> bool:
         """Whether to try them for a step of this length."""
         similar = 1.0 / _LENGTH_RATIO <= h / self.h <= _LENGTH_RATIO
-        return similar and self.excess < _MOST_EXCESS
+        return similar and self.excess < self.jacobians.iterations
 
     def count(self, iterations: int) -> None:
         """Count the iterations of a step that converged."""
@@ -271,11 +270,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             slopes[:] = self.fun.at(times, y + states)
             right = np.dot(to_right, both.reshape(-1, self.n))
             corrections[0] = newton.real.solve(right[0])
-            for k, matrices in zip(range(1, scheme.stages, 2), newton.paired, strict=True):
-                paired = np.empty(self.n, dtype=complex)
-                paired.real, paired.imag = right[k], right[k + 1]
-                paired = matrices.solve(paired)
-                corrections[k], corrections[k + 1] = paired.real, paired.imag
+            corrections[1:] = newton.paired.solve(right[1:])
             size = _mean(corrections / scale)
             if not math.isfinite(size):
                 return None

@@ -6,9 +6,9 @@ sparse factors of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ _LEAST_STAGES, _FEW_STAGES, _MOST_STAGES = 3, 5, 7
 _TIGHT = 1e-5  # Relative tolerance from which on least stages are enough
 _STEP_MATRICES = 4.0  # Matrices of a step that are held at once, for each trajectory
 _ITERATIONS = 4  # Of Newton, in a step
+# What new matrices cost, in Newton's iterations: made of cofactors, and by LAPACK or sparse factors
+_CHEAP_ITERATIONS, _COSTLY_ITERATIONS = 2.0, 10.0
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
 
 
@@ -43,11 +45,28 @@ class NewtonMatrices(Protocol):
         """Inverses of some trajectories times their vectors (n, c)."""
 
 
+class PairedMatrices(Protocol):
+    """Inverses of complex matrices (n, n), of one or several shifts, for each trajectory."""
+
+    def solve(self, right: Array) -> Array:
+        """Inverses times stacked vectors: for each shift the real and the imaginary part.
+
+        They are rows (2 k, n m) of k shifts.
+        """
+
+
 class Jacobians(Protocol):
     """Jacobians (n, n) of m trajectories."""
 
+    @property
+    def iterations(self) -> float:
+        """What Jacobians and Newton matrices cost, in Newton's iterations."""
+
     def newton(self, shift: complex) -> NewtonMatrices:
         """Inverses of ``shift`` minus the Jacobians; the budget is checked in between."""
+
+    def paired(self, shifts: Sequence[complex]) -> PairedMatrices:
+        """The same for several complex shifts."""
 
 
 def jacobians_for(system: System, points: Array) -> Callable[[float, Array], Jacobians]:
@@ -59,7 +78,8 @@ def jacobians_for(system: System, points: Array) -> Callable[[float, Array], Jac
     """
     pattern = sparse_pattern(system)
     if pattern is None:
-        return lambda t, y: DenseJacobians(finite_blocks(jacobians(system, points, t, y)))
+        of_blocks = SmallJacobians if system.n_differential <= COFACTOR_STATES else DenseJacobians
+        return lambda t, y: of_blocks(finite_blocks(jacobians(system, points, t, y)))
     elimination = elimination_of(pattern)
     return lambda t, y: SparseJacobians(elimination, entries_at(system, pattern, points, t, y))
 
@@ -73,8 +93,11 @@ def sparse_pattern(system: System) -> PatternJacobian | None:
 
 
 def stages_for(system: System, tolerance: float) -> int:
-    """The stages of Radau: more at tight tolerances, most with sparse factors, which cost less."""
-    if tolerance >= _TIGHT:
+    """The stages of Radau: more at tight tolerances, most with sparse factors, which cost less.
+
+    Up to three states a stage more costs little beside the calls of a step.
+    """
+    if tolerance >= _TIGHT and system.n_differential > COFACTOR_STATES:
         return _LEAST_STAGES
     return _FEW_STAGES if sparse_pattern(system) is None else _MOST_STAGES
 
@@ -106,14 +129,10 @@ class DenseJacobians:
     """All entries (m, n, n)."""
 
     blocks: Array
+    iterations: ClassVar[float] = _COSTLY_ITERATIONS
 
     def newton(self, shift: complex) -> NewtonMatrices:
         size = self.blocks.shape[-1]
-        if size <= COFACTOR_STATES:
-            charge(inverse(size, isinstance(shift, float)) * len(self.blocks))
-            blocks = np.ascontiguousarray(self.blocks.transpose(1, 2, 0))
-            matrices = np.asarray(shift * np.eye(size)[:, :, None] - blocks)
-            return SmallInverses(by_cofactors(matrices))
         cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
         reserve(_STEP_MATRICES * self.blocks.size * np.dtype(type(shift)).itemsize)
         inverses = np.empty(self.blocks.shape, dtype=type(shift))
@@ -123,6 +142,38 @@ class DenseJacobians:
             inverses[first : first + len(some)] = np.linalg.inv(diagonal - some)
             first += len(some)
         return Inverses(inverses)
+
+    def paired(self, shifts: Sequence[complex]) -> PairedMatrices:
+        return Pairs(tuple(map(self.newton, shifts)))
+
+
+@dataclass(frozen=True)
+class SmallJacobians:
+    """All entries (m, n, n) of up to three states, whose inverses are made of cofactors."""
+
+    blocks: Array
+    iterations: ClassVar[float] = _CHEAP_ITERATIONS
+
+    def newton(self, shift: complex) -> NewtonMatrices:
+        return SmallInverses(self._inverses([shift])[:, :, 0])
+
+    def paired(self, shifts: Sequence[complex]) -> PairedMatrices:
+        inverses = self._inverses(shifts).transpose(2, 0, 1, 3)
+        count, n, _, m = inverses.shape
+        parts = np.empty((count, 2, n, 2, n, m))
+        parts[:, 0, :, 0] = parts[:, 1, :, 1] = inverses.real
+        parts[:, 1, :, 0] = inverses.imag
+        np.negative(parts[:, 1, :, 0], out=parts[:, 0, :, 1])
+        return SmallPairs(parts.reshape(count, 2 * n, 2 * n, m))
+
+    def _inverses(self, shifts: Sequence[complex]) -> Array:
+        """Inverses (n, n, k, m) for k shifts."""
+        m, n, _ = self.blocks.shape
+        charge(inverse(n, isinstance(shifts[0], float)) * m * len(shifts))
+        matrices = np.empty((n, n, len(shifts), m), dtype=type(shifts[0]))
+        np.negative(self.blocks.transpose(1, 2, 0)[:, :, None], out=matrices)
+        matrices.reshape(n * n, len(shifts), m)[:: n + 1] += np.array(shifts)[:, None]
+        return by_cofactors(matrices.reshape(n, n, -1)).reshape(matrices.shape)
 
 
 @dataclass(frozen=True)
@@ -150,23 +201,60 @@ class SmallInverses:
     def solve(self, right: Array) -> Array:
         n, _, m = self.inverses.shape
         charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
-        return np.asarray((self.inverses * right.reshape(n, m)).sum(axis=1).ravel())
+        return np.asarray(np.einsum("ijm,jm->im", self.inverses, right.reshape(n, m)).ravel())
 
     def solve_some(self, columns: NDArray[np.intp], right: Array) -> Array:
         return np.asarray((self.inverses[:, :, columns] * right).sum(axis=1))
 
 
+@dataclass(frozen=True)
+class SmallPairs:
+    """The same of k complex shifts, as real matrices (k, 2 n, 2 n, m) of both parts."""
+
+    inverses: Array
+
+    def solve(self, right: Array) -> Array:
+        count, n, _, m = self.inverses.shape
+        charge(5.0 * CALL + count * m * _PRODUCT_COST(n * n))
+        parts = np.einsum("kijm,kjm->kim", self.inverses, right.reshape(count, n, m))
+        return np.asarray(parts.reshape(right.shape))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Complex matrices of some shifts, which solve one after the other."""
+
+    of_shifts: Sequence[NewtonMatrices]
+
+    def solve(self, right: Array) -> Array:
+        solution = np.empty(right.shape)
+        for k, matrices in enumerate(self.of_shifts):
+            paired = np.empty(right.shape[1], dtype=complex)
+            paired.real, paired.imag = right[2 * k], right[2 * k + 1]
+            paired = matrices.solve(paired)
+            solution[2 * k], solution[2 * k + 1] = paired.real, paired.imag
+        return solution
+
+
 def by_cofactors(matrices: Array) -> Array:
     """Inverses of matrices (n, n, m) of up to three rows."""
     (n, _, m), size = matrices.shape, COFACTOR_STATES
-    wide = np.zeros((size + 2, size + 2, m), dtype=matrices.dtype)  # the first two come again
-    wide[range(n, size), range(n, size)] = 1.0
-    wide[:n, :n] = matrices
-    wide[size:, :size] = wide[:2, :size]
-    wide[:, size:] = wide[:, :2]
-    cofactors = wide[1:-1, 1:-1] * wide[2:, 2:] - wide[2:, 1:-1] * wide[1:-1, 2:]
-    determinants = (wide[:size, 0] * cofactors[:, 0]).sum(axis=0)
-    return np.asarray(cofactors[:n, :n].swapaxes(0, 1) / determinants)
+    if n < size:
+        wide = np.zeros((size, size, m), dtype=matrices.dtype)
+        wide[:n, :n], wide[range(n, size), range(n, size)] = matrices, 1.0
+        return by_cofactors(wide)[:n, :n]
+    (a, b, c), (d, e, f), (g, h, i) = matrices
+    cofactors = (
+        (e * i - f * h, c * h - b * i, b * f - c * e),
+        (f * g - d * i, a * i - c * g, c * d - a * f),
+        (d * h - e * g, b * g - a * h, a * e - b * d),
+    )
+    reciprocal = 1.0 / (a * cofactors[0][0] + b * cofactors[1][0] + c * cofactors[2][0])
+    inverses = np.empty_like(matrices)
+    for row, entries in zip(inverses, cofactors, strict=True):
+        for place, entry in zip(row, entries, strict=True):
+            np.multiply(entry, reciprocal, out=place)
+    return inverses
 
 
 @dataclass(frozen=True)
@@ -175,6 +263,10 @@ class SparseJacobians:
 
     elimination: Elimination
     entries: Array
+    iterations: ClassVar[float] = _COSTLY_ITERATIONS
+
+    def paired(self, shifts: Sequence[complex]) -> PairedMatrices:
+        return Pairs(tuple(map(self.newton, shifts)))
 
     def newton(self, shift: complex) -> NewtonMatrices:
         kept, m = self.elimination, self.entries.shape[1]
