@@ -227,7 +227,7 @@ class System:
         for coefficient, state, factors in self.initial_terms:
             product = np.full(m, coefficient)
             for row, index in zip(rows, factors, strict=True):
-                product = product * row[index]
+                product = product * row[index] if index else product  # row 0 is one
             start[state] += product
         coupled = self.unseparated_initial(p)
         return start + coupled if coupled.size else start

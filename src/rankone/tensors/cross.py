@@ -31,7 +31,8 @@ FULL_GRID_NODES = 1600
 _LEAST_JOINED, _JOINED_NODES = 3, 64
 _CORNER_SHARE = 0.8  # Part of the left points that are corners of their grid
 _CORNER_WEIGHT = 0.5  # Weight of corners in the error of a skeleton: it may be larger there
-# Largest ratio of the rank of a bond to that of the next one that is expected: ranks grow ever less
+# Largest ratio of the rank of a bond to that of the next one that is expected: ranks grow ever
+# less, and by as much less as from the bond before
 _MOST_GROWTH = 2.0
 _EXTRA_RANK = 16  # Added to the expected rank of a bond
 # Error of a skeleton at left points that it was not made for, over the tolerance, that shows that
@@ -162,17 +163,18 @@ def interpolate(
     """
     right = np.zeros((1, 0), dtype=np.int64)
     cores: list[Array] = []
-    limited, growth = False, _MOST_GROWTH
+    limited, growth, slowing = False, _MOST_GROWTH, 1.0
     for b in range(len(bases) - 1, -1, -1):
         if begun is not None:
             begun(len(bases) - 1 - b, len(bases), len(right))
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
-        expected = math.ceil(growth * len(right)) + _EXTRA_RANK
+        expected = math.ceil(slowing * growth * len(right)) + _EXTRA_RANK
         block = _Block(samples, left[b], [basis.size for basis in bases[:b]], columns)
         found = block.skeleton(tolerance, max_rank, expected)
         limited |= found.rank == max_rank
-        growth = min(found.rank / len(right), _MOST_GROWTH)
+        before, growth = growth, min(found.rank / len(right), _MOST_GROWTH)
+        slowing = min(growth / before, 1.0)
         cores.insert(0, found.coefficients.reshape(found.rank, size, len(right)))
         right = columns[found.columns]
     roots = [np.sqrt(basis.weights)[:, None] for basis in bases]

@@ -218,10 +218,14 @@ def _rough_steepness(paths: Sequence[Path], state: int, level: float) -> tuple[f
 def _rough_crossings(paths: Sequence[Path], state: int, level: float) -> list[tuple[Array, Array]]:
     """Times and absolute rates at which a state of each path crosses a level, by straight lines."""
     crossings: list[tuple[Array, Array]] = []
+    breaks, times = np.zeros(0), np.zeros(0)
     for path in paths:
+        if path.breaks is not breaks:  # paths of a stack share them
+            breaks = path.breaks
+            times = (breaks[:-1, None] + np.diff(breaks)[:, None] * NODES).ravel()
         heights = path.nodal[:, :, state].ravel() - level
-        times = (path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES).ravel()
-        k = np.flatnonzero(np.diff(np.signbit(heights)))
+        below = np.signbit(heights)
+        k = np.flatnonzero(below[1:] != below[:-1])
         rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], 1e-300)
         crossings.append((times[k] - heights[k] / rates, np.abs(rates)))
     return crossings
