@@ -37,6 +37,7 @@ _MARGIN = 0.1  # Absolute tolerances of all trajectories over those that a few o
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
 _DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
+_ZERO_FLOOR = 1e-18  # That over its size if it starts from zero: no step leaves zero without one
 _PART = 1e-10  # Least part of a state in an eigenvector: others are rounding
 _LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _UNSEEN = 1e-100  # Size of a state that nobody asks for, over the largest, that is not resolved
@@ -78,6 +79,7 @@ class Resolution:
         self.system, self.points, self.rtol = system, points, rtol
         self.start, self.end, self.horizon = start, end, end - start
         self.first = size = np.abs(initial).max(axis=1, keepdims=True)
+        self.from_zero = (initial == 0.0).any(axis=1, keepdims=True)
         self.rounding = self._rounding([(start, initial)], size)
         self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
         self.floor = np.full((len(initial), 1), np.inf)
@@ -138,7 +140,8 @@ class Resolution:
         dips = ~zero & self._grows_again(dense)
         self.size = np.where(small, largest, self.size)
         self.floor = np.where(lingers, _LINGERING * early, self.floor)
-        self.floor = np.where(dips, _DIP_FLOOR, self.floor)
+        deepest = np.where(self.from_zero, _ZERO_FLOOR * largest, _DIP_FLOOR)
+        self.floor = np.where(dips, np.minimum(deepest, self.floor), self.floor)
         return self._resolves(small | lingers | dips | coarse)
 
     def _resolves(self, changed: NDArray[np.bool_]) -> bool:
