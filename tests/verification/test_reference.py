@@ -176,6 +176,16 @@ def test_of_several_lost_states_the_one_that_grows_again_is_named():
         integrate_reference(ro.compile(problem).system, np.array([[60.0]]), (0.0, 10.0), 1e-3)
 
 
+def test_a_state_that_starts_from_zero_is_left_an_absolute_tolerance():
+    """It falls far later and grows again; resolved all the way down, it would not begin."""
+    rates = {"x": "y*exp(x/(1 + 0.05*x)) - a*x", "y": "-0.01*y*exp(x/(1 + 0.05*x))"}
+    problem = ro.Problem.from_strings(rates, {"x": "0", "y": "1"}, {"a": (1.2, 1.8)}, (0, 20))
+    system, points = ro.compile(problem).system, np.array([[1.2], [1.5], [1.8]])
+    reference = integrate_reference(system, points, (0.0, 20.0), 3e-6, integrator="single")
+    assert reference.end == 20.0
+    assert (reference.floor[0] > 0.0) & (reference.floor[0] < 1e-12)
+
+
 @pytest.mark.slow
 def test_states_from_zero_that_are_amplified_take_two_integrations(monkeypatch):
     """Each is made by the one before it, so that it is as small at first as steps are short."""
