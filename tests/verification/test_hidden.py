@@ -194,3 +194,20 @@ def test_layers_in_which_a_state_nearly_stops_are_no_success(width, start):
 def test_layers_are_no_success_whatever_steps_are_near_them(layer, start, rtol):
     problem = ro.Problem.from_strings({"x": layer}, {"x": f"{start}"}, {"k": (1, 2)}, (0, 3))
     assert ro.solve(problem, rtol).status is Status.NARROW
+
+
+@pytest.mark.parametrize(
+    ("rates", "start"),
+    [
+        ({"P": "2 + LAYER", "y": "0"}, {"P": "0.05", "y": "0"}),
+        ({"P": "20 + LAYER", "y": "0"}, {"P": "0.05", "y": "0"}),
+        ({"P": "LAYER - (P - y)/2", "y": "LAYER + (P - y)/2"}, {"P": "2.05", "y": "-1.95"}),
+    ],
+)
+def test_layers_that_move_with_a_state_are_no_success(rates, start):
+    """It goes on with the layer for a while, at a rate that is not much smaller than before."""
+    front = "((P + y)/2)" if "LAYER" in rates["y"] else f"(P - {rates['P'][:-8]}*t)"
+    layer = f"1/(1 + 2e4*k*exp(-2.5e9*({front}/0.5 + 0.5/{front} - 2)))"
+    rates = {name: rate.replace("LAYER", layer) for name, rate in rates.items()}
+    problem = ro.Problem.from_strings(rates, start, {"k": (0.5, 1.5)}, (0, 1.5))
+    assert ro.solve(problem, 1e-3).status is Status.NARROW

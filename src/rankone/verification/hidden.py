@@ -34,7 +34,7 @@ from rankone.verification.enclosures.enclosure import Enclosure
 from rankone.verification.enclosures.generated import UnsuitableError, arguments, enclosed
 from rankone.verification.reference import Reference
 from rankone.verification.short_steps import ShortSteps
-from rankone.verification.steps import HALVINGS, SLOW, Allowance, Pieces, Place, Steps, blocks
+from rankone.verification.steps import CHANGED, HALVINGS, Allowance, Pieces, Place, Steps, blocks
 
 _DOUBT = 10.0  # What a piece may hide, times its length, over the tolerance: samples see the rest
 _SURPRISE = 1.0  # Rates that the longer piece did not suggest, times the length, over the tolerance
@@ -355,33 +355,31 @@ class _Look:
         if self.tolerated is not None:
             units *= self.steps.lengths[pieces.step] * pieces.length
         if expected is not None:
-            change = np.nan_to_num(values - expected, nan=0.0, posinf=0.0, neginf=0.0)
-            change = np.abs(change) * units[:, None]
-            most = np.abs(expected).max(axis=1)
-            least = SLOW * most[:, None]
-            slow = (np.abs(values) < least) & (np.abs(values - expected) > least)
-            change = np.where(slow, self._lost(pieces, most)[:, None], change)
+            apart = np.abs(np.nan_to_num(values - expected, nan=0.0, posinf=0.0, neginf=0.0))
+            matters = apart > CHANGED * np.abs(expected).max(axis=1, keepdims=True)
+            change = np.where(matters, self._lost(pieces, apart), apart * units[:, None])
             for k in np.flatnonzero(change.max(axis=(0, 1)) > _SURPRISE):
                 row, node = np.unravel_index(change[:, :, k].argmax(), change.shape[:2])
                 lower, length = float(pieces.lower[k]), float(pieces.length[k])
                 share = lower + length * float(NODES[node])
                 part = int(pieces.step[k]), lower, length, share
                 places.append(Place(*part, int(row), float(change[row, node, k])))
-        doubts = self._doubts(rows, units)
-        moving = _moving(values)
-        stops = self._doubts(rows, np.ones_like(units)) > (1.0 - SLOW) * moving
-        doubts = np.where(stops, np.maximum(doubts, self._lost(pieces, moving)), doubts)
+        doubts, moving = self._doubts(rows, np.ones_like(units)), _moving(values)
+        lost = self._lost(pieces, np.minimum(doubts, moving)[:, None])[:, 0]
+        matters = doubts > CHANGED * moving
+        doubts = np.where(matters, np.maximum(doubts * units, lost), doubts * units)
         doubtful = np.flatnonzero(doubts.max(axis=0) > self.most)
         return _Suggested.on_halves(pieces.some(doubtful), values[:, :, doubtful])
 
-    def _lost(self, pieces: Pieces, rates: Array) -> Array:
-        """What states lose that stop where their rates have sizes (n, N), in tolerances: (n, N).
+    def _lost(self, pieces: Pieces, changes: Array) -> Array:
+        """What states lose if rates stay changed, in tolerances: (n, nodes, N) as the ``changes``.
 
-        They stay where they are for the rest of the time, at most, however thin the place is.
+        They stay so for the rest of the time, at most, however thin the place is: a state may come
+        to rest in it, or move with it.
         """
         if self.tolerated is None or isinstance(self.steps, Intervals):
-            return np.zeros_like(rates)
-        lost = rates * self.steps.left[pieces.step] / self.tolerated[:, None]
+            return np.zeros_like(changes)
+        lost = changes * self.steps.left[pieces.step] / self.tolerated[:, None, None]
         lengths = self.steps.lengths[pieces.step] * pieces.length
         rounding = _ROUNDINGS * np.spacing(np.abs(self.steps.starts[pieces.step]))
         return np.asarray(np.where(lengths > rounding, lost, 0.0))  # steps may be that short

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -12,13 +12,13 @@ from rankone.ir.verdict import HiddenRate
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
-from rankone.verification.steps import SLOW, Pieces, Place, Steps
+from rankone.verification.steps import CHANGED, Pieces, Place, Steps
 
 _DIFFERENCE = 0.3  # Difference to a trajectory by short steps, over the tolerance, that matters
 _SHORT_STEPS = 4  # Steps over each part of a step, at least
 _ACCURACY = 1e-2  # Tolerance of short steps over that of the solve
 _MOST_EVALUATIONS = 20_000  # Of the rates by short steps over a step
-_TWICE = 2.0  # How long a state is waited for that may have stopped, over what it takes to tell
+_TWICE = 2.0  # How long a state is followed that may stay behind, over what it takes to tell
 
 
 class _TooManyError(Exception):
@@ -36,8 +36,8 @@ class _ShortTrajectory:
     state: Array
     evaluations: int = 0
 
-    def goes_on(self, start: float, length: float, longest: float) -> bool:
-        """Whether it goes on from a time over a length, by steps that are no longer than this."""
+    def goes_on(self, start: float, length: float, part: float) -> bool:
+        """Whether it goes on from a time over a length, by several steps over each such part."""
         relative, absolute = self.tolerances
         try:
             solved = solve_ivp(
@@ -47,7 +47,7 @@ class _ShortTrajectory:
                 "LSODA",
                 rtol=relative,
                 atol=absolute,
-                max_step=longest,
+                max_step=part / _SHORT_STEPS,
             )
         except _TooManyError:
             return False
@@ -87,10 +87,11 @@ class ShortSteps:
         states = self.steps.at(whole)[1]
         short = self._begun(place.step, states[:, 0, 0])
         for k, (a, b) in enumerate(zip(begins, ends, strict=True)):
-            if a == place.share:
-                short.state = states[:, 0, k]
-            most = float(length * longest[k] / _SHORT_STEPS)
-            if not short.goes_on(float(start + length * a), float(length * (b - a)), most):
+            span = float(start + length * a), float(length * (b - a)), float(longest[k] * length)
+            at_surprise = replace(short, state=states[:, 0, k]) if a == place.share else short
+            if at_surprise.goes_on(*span):
+                short = at_surprise
+            elif at_surprise is short or not short.goes_on(*span):  # it may not begin in a peak
                 return place, short.evaluations
             row = self._left(short.state, states[:, -1, k])
             if row is not None:
@@ -114,9 +115,9 @@ class ShortSteps:
         return int(np.nan_to_num(change, nan=np.inf).argmax())
 
     def _change_behind(self, place: Place, short: _ShortTrajectory) -> Place | None:
-        """Where short steps leave the trajectory behind a step at whose end a state stops.
+        """Where short steps leave the trajectory behind a step at whose end rates differ.
 
-        Steps may be so short that the state has not stayed behind by much so far.
+        Steps may be so short that a state has not stayed behind by much so far.
         """
         step = place.step
         end = self.steps.time(step, 1.0)
@@ -124,7 +125,7 @@ class ShortSteps:
         following = self._following(step)
         while end < until and following is not None:
             start, length = self.steps.starts[following], self.steps.lengths[following]
-            if not short.goes_on(float(start), float(length), float(length) / _SHORT_STEPS):
+            if not short.goes_on(float(start), float(length), float(length)):
                 return place
             row = self._left(short.state, self.steps.nodal[following, -1])
             if row is not None:
@@ -142,11 +143,12 @@ class ShortSteps:
         return following if (jump <= _ACCURACY * self.tolerated).all() else None
 
     def _needed(self, step: int, short: _ShortTrajectory) -> float:
-        """How long it takes to tell whether a state has stopped at the end of a step."""
+        """How long it takes to tell whether a state goes on otherwise at the end of a step."""
         end, left = self.steps.time(step, 1.0), self.steps.left[step] - self.steps.lengths[step]
-        rates = np.abs(short.rates(end, self.steps.nodal[step, -1]))
-        stops = np.abs(short.rates(end, short.state)) < SLOW * rates
-        times = _TWICE * _DIFFERENCE * self.tolerated / np.where(stops, rates, np.inf)
+        rates = short.rates(end, self.steps.nodal[step, -1])
+        apart = np.abs(short.rates(end, short.state) - rates)
+        apart = np.where(apart > CHANGED * np.abs(rates), apart, 0.0)
+        times = _TWICE * _DIFFERENCE * self.tolerated / apart
         return float(times[times < left].max(initial=0.0))
 
     @staticmethod

@@ -12,8 +12,8 @@ from rankone.discretization.radau import insets
 from rankone.support.arrays import Array
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 
-SLOW = 0.1
-"""Part of a steady rate below which a state nearly stops: then errors are amplified."""
+CHANGED = 0.01
+"""Part of a rate by which it changes where a state may stay behind, or run ahead, for long."""
 
 HALVINGS = 42
 """Most halvings of a step: then it is about as short as rounding."""
