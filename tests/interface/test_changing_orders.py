@@ -440,6 +440,12 @@ def test_an_event_that_comes_before_the_start_in_a_part_of_the_box():
         ro.OptionError, match="no occurrence 0 before the end in `order 1` of the 2"
     ):
         solution.output({"when": "event_time(dose, 0)"})
+    with pytest.raises(ro.OptionError, match="no occurrence 5 before the end") as raised:
+        solution.output({"when": "event_time(dose, 5)"})
+    assert raised.value.remedy == (
+        "in order 0: those before the end are from 0 to 0; "
+        "in order 1: those before the end are none"
+    )
 
 
 def test_events_that_coincide_at_a_corner_alone():

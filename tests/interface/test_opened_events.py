@@ -409,6 +409,8 @@ def test_a_budget_that_ends_before_branches_are_solved_is_said_to(effort):
     assert solution.status is ro.Status.WORK_LIMIT
     assert "`hit`" in solution.message
     assert "raise effort, or narrow " in solution.message
+    assert solution.message.count(ro.Status.WORK_LIMIT.value) == 1
+    assert "4.0e-05" not in solution.message  # the tolerance of branches is not that of the user
 
 
 def test_a_search_for_orders_that_ends_without_success_counts():

@@ -73,7 +73,7 @@ def test_a_long_oscillation():
     np.testing.assert_allclose(solution.sobol(59.9).total[:, 1, 0], by_y0, atol=1e-2)
 
 
-def test_few_points_tell_the_shares_of_the_variance_to_two_digits():
+def test_few_points_tell_the_shares_of_the_variance():
     dose = {"when": "t - a", "direction": "rising", "then": {"x": "x + b"}, "name": "dose"}
     problem = ro.Problem.from_strings(
         {"x": "-x/2"}, {"x": 1}, {"a": (1, 2), "b": (0.5, 1.5)}, (0, 4), events=[dose]

@@ -178,7 +178,8 @@ def _one_timeline(solution: SolutionCore, allow_failed: bool) -> Timeline | None
     timeline = solution.outcome.timeline
     if isinstance(timeline, BranchedTimeline):
         raise ExportError(
-            "models do not take solutions in which the order of events changes inside the box",
+            "neither models nor pages take solutions in which the order of events changes inside "
+            "the box",
             remedy="solve on a box in which one order holds (print solution.timeline)",
         )
     return timeline

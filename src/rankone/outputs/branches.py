@@ -55,11 +55,12 @@ class BranchPart(SolutionCore):
             measured=measured,
         )
         roots = timeline.roots_of(branch)
+        turns = (f"turn {k} past an event" for k in range(1, 1 + len(roots)))
         metadata = replace(
             metadata,
             states=(*metadata.states, *guards),
             roles=(*metadata.roles, *(Role.LIFTED for _ in guards)),
-            parameters=(*metadata.parameters, *(f"root {k}" for k in range(len(roots)))),
+            parameters=(*metadata.parameters, *turns),
             box=(*metadata.box, *roots),
         )
         super().__init__(outcome, metadata)
@@ -110,7 +111,8 @@ def _of_all(
 ) -> list[Quantities]:
     """The quantities over each branch.
 
-    An OptionError says in which orders of events they are not defined, if they are in others.
+    An OptionError says in which orders of events they are not defined, if they are in others, and
+    what holds in each order if they are in none.
     """
     every, refused = list[Quantities](), dict[int, OptionError]()
     for k, (part, branch) in enumerate(zip(parts, timeline.branches, strict=True)):
@@ -122,7 +124,10 @@ def _of_all(
         return every
     first = next(iter(refused.values()))
     if not every:
-        raise first
+        if len({error.remedy for error in refused.values()}) == 1:
+            raise first
+        in_each = [f"in order {k}: {error.remedy}" for k, error in refused.items()]
+        raise OptionError(first.message, term=first.term, remedy="; ".join(in_each)) from first
     orders = listing([f"order {k}" for k in refused])
     raise OptionError(
         f"{first.message} in {orders} of the {len(parts)} orders of events in the box",

@@ -82,6 +82,11 @@ _WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
 # What to do where a limit is reached, before what always helps
 _RAISED = {Status.WORK_LIMIT: "raise effort, or ", Status.TIME_LIMIT: "raise max_seconds, or "}
+# How a branch is not resolved where a limit is reached
+_SPENT = {
+    Status.WORK_LIMIT: " within its share of the budget",
+    Status.TIME_LIMIT: " within its share of the time",
+}
 
 # Solves a system over stretches
 Solve = Callable[[System, SolveRequest], Outcome]
@@ -291,14 +296,7 @@ class _BranchSolve:
             with limited(min(share * work_left(), most), share * seconds_left()):
                 outcome, timeline = self._solved(solve, branch)
             if not outcome.slabs or outcome.status not in _SOLVED:
-                errors = tuple(note for note in outcome.notes if isinstance(note, MeasuredError))
-                unresolved = OrderError(
-                    f"{self.search.named(branch.order)}, which holds in a part of the box, is not "
-                    f"resolved: {replace(outcome, notes=errors).message}",
-                    remedy=_RAISED.get(outcome.status, "") + REMEDY,
-                )
-                unresolved.limit = outcome.status if outcome.status in _RAISED else None
-                raise unresolved
+                raise self._unresolved(branch, outcome)
             outcomes.append(outcome)
             timelines.append(timeline)
         rtol = self.request.rtol
@@ -319,6 +317,18 @@ class _BranchSolve:
         orders = [*(branch.order for branch in branches), *parted.grazed]
         with self.stages.of("check"):
             return self._checked(outcomes, branched, orders, len(branches))
+
+    def _unresolved(self, branch: _Branch, outcome: Outcome) -> OrderError:
+        """The error of a branch whose outcome is no success; its tolerance is not the user's."""
+        status = outcome.status
+        why = _SPENT.get(status) or f": {replace(outcome, notes=()).message}"
+        order = self.search.named(branch.order)
+        error = OrderError(
+            f"{order}, which holds in a part of the box, is not resolved{why}",
+            remedy=_RAISED.get(status, "") + REMEDY,
+        )
+        error.limit = status if status in _RAISED else None
+        return error
 
     def _branches(self) -> _Branches:
         """The orders, without those that a longer one goes on from or that are only grazed."""

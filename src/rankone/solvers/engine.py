@@ -12,6 +12,7 @@ from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import (
+    Budget,
     Note,
     OrderSearchLimit,
     Remedy,
@@ -273,7 +274,9 @@ def _with_orders(steep: Outcome, failure: OrderError) -> Outcome:
         notes.append(Remedy(failure.remedy))
     if failure.limit is None:
         return replace(steep, notes=tuple(notes))
-    return replace(steep, status=failure.limit, cause=None, notes=tuple(notes))
+    # Shares of the budget are those of the steep solve alone
+    ended = tuple(note for note in notes if not isinstance(note, Budget))
+    return replace(steep, status=failure.limit, cause=None, notes=ended)
 
 
 def _is_better(one: Outcome, other: Outcome) -> bool:
