@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from rankone.discretization import ChebyshevBasis
+from rankone.tensors import skeleton
 from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
     InterpolationLimits,
@@ -103,6 +104,32 @@ def test_left_points_are_taken_until_further_ones_add_nothing():
         lambda i: needy[:, *i.T], bases, [[np.zeros((1, 0), dtype=int)], *diagonal], 1e-12, 50
     )
     assert train.ranks[2] == 20
+
+
+def test_few_sums_of_rows_are_taken_where_ranks_grow_ever_less(monkeypatch):
+    """Ranks 12, 24, 30 and 32: growth by 2 and then by 1.25 tells that it ends."""
+    size, sums = 14, []
+    combined, generator = skeleton._combined, np.random.default_rng(6)
+    outer = generator.standard_normal((12, 32))
+    factors = [
+        generator.standard_normal((size, rank))[:, np.minimum(np.arange(32), rank - 1)]
+        for rank in (32, 32, 30, 24, 12)
+    ]
+
+    def samples(indices):
+        rows = [factor[row] for factor, row in zip(factors, indices.T, strict=True)]
+        return outer @ np.prod(rows, axis=0).T
+
+    def noted(matrices, count):
+        sums.append(count)
+        return combined(matrices, count)
+
+    monkeypatch.setattr(skeleton, "_combined", noted)
+    left = batched(left_points((size,) * 5, 30, 0), 20)
+    train, _ = interpolate(samples, [ChebyshevBasis(0.0, 1.0, size)] * 5, left, 1e-9, 100)
+    assert train.ranks[1:] == (32, 30, 24, 12)
+    assert len(sums) == 4  # enough at once at each bond
+    assert 32 < sums[3] < 2 * 32
 
 
 @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])

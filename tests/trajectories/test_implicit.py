@@ -5,6 +5,7 @@ import pytest
 
 import rankone as ro
 from rankone.trajectories.integrator import Spans, Tolerances
+from rankone.trajectories.stacks import integrator, newton
 from rankone.trajectories.stacks.implicit import StackedRadau
 from rankone.trajectories.stacks.integrator import StackedIntegrator
 
@@ -48,6 +49,23 @@ def test_spans_of_their_own():
     np.testing.assert_allclose(last, np.diag(exact(points, ends)), atol=1e-6)
 
 
+def robertson(tolerance, more_rates=()):
+    """Thirty trajectories of Robertson's reaction, and of states that follow it."""
+    rates = {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2"}
+    rates |= dict(more_rates)
+    initial = dict.fromkeys(rates, "0") | {"a": "1"}
+    problem = ro.Problem.from_strings(rates, initial, {"k": (0.02, 0.06)}, (0, 1000))
+    absolute = np.full((len(rates), 1), 1e-2 * tolerance)
+    absolute[1] *= 1e-4
+    points = np.linspace(0.02, 0.06, 30)[:, None]
+    trajectories = STIFF.run(
+        ro.compile(problem).system, points, (0.0, 1000.0), Tolerances(tolerance, absolute)
+    )
+    assert trajectories.end == 1000.0
+    np.testing.assert_allclose(trajectories.state[:3].sum(axis=0), 1.0, atol=1e-2 * tolerance)
+    return trajectories
+
+
 def test_newton_matrices_serve_several_steps(monkeypatch):
     inverted = []
     inv = np.linalg.inv
@@ -57,20 +75,39 @@ def test_newton_matrices_serve_several_steps(monkeypatch):
         return inv(some)
 
     monkeypatch.setattr(np.linalg, "inv", noted)
-    problem = ro.Problem.from_strings(
-        {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2", "d": "a - d"},
-        {"a": "1", "b": "0", "c": "0", "d": "0"},
-        {"k": (0.02, 0.06)},
-        (0, 1000),
-    )
-    tolerances = Tolerances(1e-7, np.array([[1e-9], [1e-13], [1e-9], [1e-9]]))
-    points = np.linspace(0.02, 0.06, 30)[:, None]
-    trajectories = STIFF.run(ro.compile(problem).system, points, (0.0, 1000.0), tolerances)
-    assert trajectories.end == 1000.0
+    trajectories = robertson(1e-7, {"d": "a - d"})
     real = inverted.count(np.dtype(float))
     assert inverted.count(np.dtype(complex)) == 2 * real
     assert 0 < real < 0.4 * trajectories.steps
-    np.testing.assert_allclose(trajectories.state[:3].sum(axis=0), 1.0, atol=1e-9)
+
+
+def test_cofactors_of_three_states_serve_several_steps(monkeypatch):
+    inverted = []
+    by_cofactors = newton.by_cofactors
+
+    def noted(matrices):
+        inverted.append((matrices.dtype, matrices.shape))
+        return by_cofactors(matrices)
+
+    monkeypatch.setattr(newton, "by_cofactors", noted)
+    trajectories = robertson(1e-7)
+    real = inverted.count((np.dtype(float), (3, 3, 30)))
+    assert inverted.count((np.dtype(complex), (3, 3, 60))) == real  # both shifts at once
+    assert len(inverted) == 2 * real
+    assert 0 < real < 0.55 * trajectories.steps
+
+
+def test_cofactors_are_made_anew_sooner_which_saves_steps(monkeypatch):
+    """Slow iterations of old matrices keep steps from growing."""
+    often = robertson(3e-5).steps
+    monkeypatch.setattr(newton.SmallJacobians, "iterations", newton.DenseJacobians.iterations)
+    assert often < 0.7 * robertson(3e-5).steps
+
+
+def test_three_states_take_five_stages_at_loose_tolerances_and_fewer_steps(monkeypatch):
+    five = robertson(3e-5).steps
+    monkeypatch.setattr(integrator, "stages_for", lambda *_: 3)
+    assert five < 0.75 * robertson(3e-5).steps
 
 
 def test_a_step_after_one_that_was_tried_again_is_no_longer(monkeypatch):

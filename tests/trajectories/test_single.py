@@ -143,8 +143,9 @@ def test_a_stack_that_stalls_goes_on_as_single_trajectories():
             work[integrator] = work_done() - before
         assert reference.end == 2000
         assert reference.integrator == ("single" if integrator == "auto" else integrator)
-    assert work["auto"] < 0.9 * work["stack"]
-    assert work["auto"] < 2.5 * work["single"]
+    assert work["auto"] < work["stack"]
+    # the stack that is given up, and pilots, cost less than single trajectories from the start
+    assert work["auto"] < 2.0 * work["single"]
 
 
 def test_smooth_stacks_pay_nothing():
