@@ -66,6 +66,9 @@ def test_a_look_ends_where_it_foresees_too_much():
                 foresee(71.0)
         assert (work_done(), work_left()) == (30.0, 970.0)
         foresee(1e9)  # nothing looks any more
+        with looking(971.0):  # more than is left: it goes on to the end
+            charge(800.0)
+            foresee(1e9)
 
 
 def test_what_must_be_done_is_counted_without_a_limit():

@@ -130,11 +130,14 @@ def limited(
 def looking(operations: float) -> Iterator[Account]:
     """Limit the work inside, which ends early where more than that is foreseen.
 
-    What is foreseen counts after a part of the work: before that it tells too little.
+    What is foreseen counts after a part of the work: before that it tells too little. It does not
+    where less is left in all: then the work goes on, to say how far it came.
     """
+    lasts = work_left() >= operations
     with limited(operations) as account:
         before = account.telling
-        account.telling = account.done + _TELLING_SHARE * operations
+        if lasts:
+            account.telling = account.done + _TELLING_SHARE * operations
         try:
             yield account
         finally:
