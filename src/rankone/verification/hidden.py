@@ -256,6 +256,10 @@ class _Seen:
         """Shares (k,) at which a step was halved, from zero to one."""
         return np.append(np.unique(self.lower[self.step == step]), 1.0)
 
+    def first(self, place: Place) -> Place:
+        """The first place of the same step at which a function surprised: a layer begins there."""
+        return min((p for p in self.surprises if p.step == place.step), key=lambda p: p.share)
+
     def kinds(self, steps: Steps) -> list[list[Place]]:
         """The largest surprise of each step, those of a kind together.
 
@@ -411,8 +415,9 @@ def _missed(look: _Look, tried: ShortSteps) -> Place | None:
                 return place if k == 0 else seen.left
             if k >= _TRIED and evaluations > _FEW_EVALUATIONS:
                 return seen.left
-            change, needed = tried.change(place, seen.parts(place.step))
-            evaluations += needed
-            if change is not None:
-                return change
+            for begin in dict.fromkeys([seen.first(place), place]):
+                change, needed = tried.change(begin, seen.parts(place.step))
+                evaluations += needed
+                if change is not None:
+                    return change
     return seen.left
