@@ -211,3 +211,11 @@ def test_layers_that_move_with_a_state_are_no_success(rates, start):
     rates = {name: rate.replace("LAYER", layer) for name, rate in rates.items()}
     problem = ro.Problem.from_strings(rates, start, {"k": (0.5, 1.5)}, (0, 1.5))
     assert ro.solve(problem, 1e-3).status is Status.NARROW
+
+
+def test_layers_of_which_samples_meet_both_edges_are_no_success():
+    """The largest surprise is behind the middle, from where the state leaves the layer at once."""
+    layer = "1/(1 + 2e4*k*exp(-2.5e9*(x/0.5 + 0.5/x - 2)))"
+    rates, start = {"x": layer, "y": "-y"}, {"x": "0.05", "y": "2"}
+    problem = ro.Problem.from_strings(rates, start, {"k": (0.5, 1.5)}, (0, 1.5))
+    assert ro.solve(problem, 1e-3).status is Status.NARROW
