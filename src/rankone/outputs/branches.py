@@ -31,6 +31,7 @@ OfBranch = Callable[[SolutionCore, Timeline | None], Quantities]
 """The quantities of one branch, or of a solution without, whose timeline places their events."""
 
 _ROOT_POINTS = 1024  # Points that tell errors of roots of heights
+_HELD_POINTS = 2**14  # Points that tell whether a branch holds anywhere
 _SIZE_POINTS, _SIZE_TIMES = 256, 25  # Points and times that tell the sizes of quantities
 
 
@@ -209,7 +210,7 @@ def _joined(
 
 def _held_somewhere(evaluator: BranchEvaluator, domain: Domain) -> list[int]:
     """The branches that hold at some of evenly spread points: others only lead to further ones."""
-    points = np.ascontiguousarray(spread_over(domain, _ROOT_POINTS).T)
+    points = np.ascontiguousarray(spread_over(domain, _HELD_POINTS).T)
     held: list[int] = np.unique(evaluator.decided(points).chosen).tolist()
     return held
 
