@@ -265,14 +265,23 @@ GRAZING = {
 """Larger parts of these boxes graze a switch or an event."""
 
 
+def refusal(compiled: ro.CompiledProblem) -> str:
+    """Why a solve with a small budget is no success, whether it ends by a limit or raises."""
+    try:
+        solution = compiled.solve(1e-3, effort=0.4)
+    except ro.ConvergenceError as error:
+        return str(error)
+    assert not solution.success
+    return solution.message
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GRAZING)
 def test_a_refusal_where_trajectories_graze_names_a_box_that_works(name):
     *parts, events = GRAZING[name]
     compiled = ro.compile(ro.Problem.from_strings(*parts[:3], (0, parts[3]), events=events))
-    with pytest.raises(ro.ConvergenceError, match="events come in one order there") as caught:
-        compiled.solve(1e-3, effort=0.4)
-    message = str(caught.value)
+    message = refusal(compiled)
+    assert "events come in one order there" in message
     assert f"`{'wall' if events else 'switch_0'}`" in message
     assert "not finite" not in message
     narrow = message[: message.index("events come in one order")]
