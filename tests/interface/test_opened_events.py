@@ -391,7 +391,7 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
     compiled = ro.compile(wall)
     request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
     search = order_search(timed_system(compiled.system, request.domain)[0], request)
-    search = replace(search, tells_roots=True)
+    search = search.telling_roots
     roots = {order.roots[0] for order in search.orders}
     assert roots == {0, 1}
     for order, places in search.groups().items():
@@ -421,6 +421,6 @@ def test_a_search_for_orders_that_ends_without_success_counts():
     request = SolveRequest.of(system, [], {}, rtol=RTOL)
     with limited(1e12):
         with pytest.raises(OrderError, match="`drop`"):
-            solve_in_branches(engine.run, system, request, OrderError("orders differ"), stages)
+            solve_in_branches(engine.run, system, request, "orders differ", stages)
         spent = work_done()
     assert sum(stages.work.values()) == pytest.approx(spent, rel=0.05)

@@ -17,7 +17,8 @@ from rankone.outputs.interpolation import OutputInterpolation
 from rankone.outputs.quantities import Quantities, Source
 from rankone.solution.branches import branch_evaluator, slabs_of_branches
 from rankone.solution.core import SolutionCore
-from rankone.solvers.branches import MOST_UNDECIDED, one_after_the_other
+from rankone.solvers.branch_check import MOST_UNDECIDED
+from rankone.solvers.branches import one_after_the_other
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.executors import Pool

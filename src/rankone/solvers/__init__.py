@@ -10,6 +10,8 @@
 ``interpolation``  initial values and states after jumps, interpolated in a tensor train
 ``stretches``      solves over stretches between events
 ``branches``       solves of several orders of events, each a branch
+``branching``      the branches of a search for orders, and where each two of them part
+``branch_check``   their check against trajectories that follow their own order
 ``one_order``      a part of the box in which events come in one order, for messages
 ``markers``        the reference over stretches between markers, where they pay
 ``cross``          the engine that interpolates trajectories

@@ -123,7 +123,10 @@ class Engine:
         except OrderError as error:
             if self.name != "cross":
                 raise
-            return self._solve_in_branches(system, request, report, error, stages)
+            branched = self._solve_in_branches(system, request, report, error.message, stages)
+            if branched is None:
+                raise
+            return branched
         if self.name == "cross" and outcome.status is Status.STEEP:
             return self._solve_steep(system, request, report, outcome)
         return outcome
@@ -133,15 +136,15 @@ class Engine:
         system: System,
         request: SolveRequest,
         report: Report,
-        error: OrderError,
+        reason: str,
         stages: Stages,
-    ) -> Outcome:
-        """Solve each order of events, which an error says to differ, as a branch of its own."""
+    ) -> Outcome | None:
+        """Solve each order of events as a branch of its own; None where there are no branches."""
 
         def solve(stretched: System, over_it: SolveRequest) -> Outcome:
             return self._attempted(stretched, over_it, report)
 
-        return solve_in_branches(solve, system, request, error, stages)
+        return solve_in_branches(solve, system, request, reason, stages)
 
     def _solve_steep(
         self, system: System, request: SolveRequest, report: Report, steep: Outcome
@@ -150,23 +153,19 @@ class Engine:
 
         The steep outcome if that is no better, with what both took.
         """
-        stages = Stages()
+        stages, better = Stages(), steep
         stages.add(steep.timings, steep.work)
-        error, better = OrderError(_STEEP_IN_ORDER), steep
         try:
-            outcome = self._solve_in_branches(system, request, report, error, stages)
-            if isinstance(outcome.cause, OrderSearchLimit):
-                verdict = outcome.verdict
-                better = replace(
-                    steep, status=verdict.status, cause=verdict.cause, notes=verdict.notes
-                )
-            elif not _is_better(steep, outcome):
-                better = outcome
+            outcome = self._solve_in_branches(system, request, report, _STEEP_IN_ORDER, stages)
         except OrderError as failure:
-            if failure is not error:
-                better = _with_orders(steep, failure)
+            better = _with_orders(steep, failure)
         except ConvergenceError:
             pass
+        else:
+            if outcome is not None and isinstance(outcome.cause, OrderSearchLimit):
+                better = _as_ended(steep, outcome)
+            elif outcome is not None and not _is_better(steep, outcome):
+                better = outcome
         return replace(better, timings={**stages.timings}, work={**stages.work})
 
     def _solve_in_order(
@@ -277,6 +276,11 @@ def _with_orders(steep: Outcome, failure: OrderError) -> Outcome:
     # Shares of the budget are those of the steep solve alone
     ended = tuple(note for note in notes if not isinstance(note, Budget))
     return replace(steep, status=failure.limit, cause=None, notes=ended)
+
+
+def _as_ended(steep: Outcome, ended: Outcome) -> Outcome:
+    """A steep outcome with the verdict on the search for orders, which met a limit."""
+    return replace(steep, status=ended.status, cause=ended.cause, notes=ended.notes)
 
 
 def _is_better(one: Outcome, other: Outcome) -> bool:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.measures import Interval
 from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
 from rankone.support.wording import quote
-from rankone.trajectories.events.event_order import OrderError
+from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.orders import OrderSearch
 from rankone.verification.points import check_points
 
@@ -22,6 +22,7 @@ _CHECKED = 48  # Trajectories inside of a part that have to be of one order as w
 _ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
 _UNITS = 20.0  # Units of the last digit in an interval that is told, at least
 _ROUNDING = 1e-6  # Of such a unit
+_SHARE = 0.3  # Of what is left of the budget, for the search for a part
 _LEAST = 0.05  # Width of a part, over that of the box, below which it is of no use
 
 
@@ -36,17 +37,26 @@ def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
             return None
         points = check_points(part, _CHECKED, every_corner=True)
         try:
-            inside = replace(search, points=points, trajectories=search.followed(points))
+            inside = search.at(points)
         except OrderError:
             return None
         if len(inside.groups()) == 1:
             return tuple((float(lower), float(upper)) for lower, upper in part)
-        search = replace(
-            search,
-            points=np.concatenate([search.points, points]),
-            trajectories=[*search.trajectories, *inside.trajectories],
-        )
+        search = search.joined_with(inside)
     return None
+
+
+def remedy_of(search: OrderSearch) -> str:
+    """What to do about orders that cannot be continued: a part of the box, if there is one."""
+    try:
+        with limited(_SHARE * work_left(), seconds_left()):
+            part = one_order(search)
+    except OutOfBudgetError:
+        part = None
+    if part is None:
+        return REMEDY
+    narrowed = narrowing_text(search.system.parameters, search.bounds, part)
+    return f"narrow {narrowed}: events come in one order there"
 
 
 def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> str:

@@ -198,6 +198,11 @@ class Opened:
     points: Array
     bounds: Array
 
+    @property
+    def root_bounds(self) -> Array:
+        """Those of the roots, (turns, 2)."""
+        return self.bounds[len(self.bounds) - len(self.turns) :]
+
     def spread(
         self, places: NDArray[np.intp], values: Array, reach: Reach
     ) -> tuple[Lengths, tuple[float, ...]]:
@@ -265,6 +270,11 @@ class OrderSearch:
         return np.where(sizes > 0.0, sizes, 1.0)
 
     @cached_property
+    def telling_roots(self) -> OrderSearch:
+        """The same search, which tells apart at which roots stretches end."""
+        return self if self.tells_roots else replace(self, tells_roots=True)
+
+    @cached_property
     def orders(self) -> list[Order]:
         """Those of the trajectories."""
         orders = [Order.of(self.system, each, self.length) for each in self.trajectories]
@@ -292,6 +302,19 @@ class OrderSearch:
         for trajectory, point in zip(followed, points, strict=True):
             self._check_end(trajectory, point)
         return followed
+
+    def at(self, points: Array) -> OrderSearch:
+        """The search with trajectories at points (m, d) in place of its own."""
+        return replace(self, points=points, trajectories=self.followed(points))
+
+    def joined_with(self, other: OrderSearch) -> OrderSearch:
+        """The search with the trajectories of another one as well."""
+        points = np.concatenate([self.points, other.points])
+        return replace(self, points=points, trajectories=[*self.trajectories, *other.trajectories])
+
+    def with_points(self, points: Array) -> OrderSearch:
+        """The search with trajectories at further points (m, d)."""
+        return self.joined_with(self.at(points))
 
     def named(self, order: Order) -> str:
         """An order of events, as messages name it."""
