@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import rankone as ro
 from rankone.ir.events import ForcedOrder
@@ -77,6 +78,42 @@ def test_an_event_that_part_of_the_box_misses_is_opened_at_the_root_of_its_heigh
     assert (np.isfinite(met) == (at["a"] > at["c"]))[clear].all()
     late = met - np.arcsin(np.minimum(at["c"] / at["a"], 1.0))
     assert np.nanmax(np.abs(late)) <= 3.0 * RTOL * END
+
+
+def test_a_window_of_one_parameter_in_which_an_event_comes_a_swing_later():
+    """Swings grow, and the first one misses the hill of the surface: no false times beside."""
+    end, edge = 8.2, 0.05
+
+    def slope(t):
+        return 0.3 * np.sin(t) + (1 + 0.3 * t) * np.cos(t)
+
+    start, top, low, last = 0.0, *(brentq(slope, t - 0.5, t + 0.5) for t in (1.8, 4.8, 7.9))
+    height = float((1 + 0.3 * top) * np.sin(top))
+    hill = f"{height!r} + 0.05*(2*exp(-log(2)*((a - 0.4)/{edge})**2) - 1)"
+    hit = {"when": f"x - ({hill})", "direction": "rising", "then": {"y": "y + 1"}, "name": "hit"}
+    rates = {"x": "0.3*sin(t) + (1 + 0.3*t)*cos(t)", "y": "-y/2"}
+    solution = ro.solve(problem(rates, {"x": 0, "y": 1}, {"a": (0, 1)}, end, hit), RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 2
+
+    def above(t, a):
+        return (
+            (1 + 0.3 * t) * np.sin(t) - height - 0.05 * (2 * 0.5 ** (((a - 0.4) / edge) ** 2) - 1)
+        )
+
+    def exact(a):
+        swings = [(s, t) for s, t in ((start, top), (low, last)) if above(t, a) > 0.0]
+        hits = [brentq(above, *swing, args=(a,)) for swing in swings]
+        return np.exp(-end / 2) + sum(np.exp((hit - end) / 2) for hit in hits)
+
+    distances = np.outer([-1, 1], [1e-7, 1e-6, 1e-5, 1e-4, 3e-3, 1e-2]).ravel()
+    a = np.concatenate([0.4 - edge + distances, 0.4 + edge + distances, np.linspace(0, 1, 41)])
+    with pytest.warns(ro.RankoneWarning, match="undecided"):
+        values = solution["y"](end, a=a)
+    decided = ~np.isnan(values)
+    assert decided.mean() > 0.7
+    expected = np.array([exact(each) for each in a[decided]])
+    assert values[decided] == pytest.approx(expected, abs=3 * RTOL)
 
 
 def test_an_opened_branch_is_stored_fixed_and_restricted(tmp_path):

@@ -201,12 +201,17 @@ class CrossMarcher:
         """Raise an error if an attempt with these bases would be in vain.
 
         An OutOfWorkError if it would not come to its end. In the first attempt a _JumpFound if
-        lines that are not resolved hold a jump.
+        lines that are not resolved hold a jump, or that meet events: beside a jump these are found
+        at some points and missed at others.
         """
         if self.last is not None and bases:
             if self.last.least([basis.size for basis in bases]) > work_left():
                 raise OutOfWorkError
-        elif (rough := self.adaptive.unresolved(bases)) and self.trajectories is not None:
+            return
+        rough = self.adaptive.unresolved(bases)
+        if self._meets_events:
+            rough += self.adaptive.jumping(bases)
+        if rough and self.trajectories is not None:
             domain, system = self.reference_set.domain, self.reference_set.system
             points = LinePoints(domain.box, domain.first_coordinates).through
             before = work_done()
@@ -215,6 +220,12 @@ class CrossMarcher:
             if jump is not None and jump.change > self.rtol:
                 self.jump = jump
                 raise _JumpFound
+
+    @property
+    def _meets_events(self) -> bool:
+        """Whether the stretches are those between events that are met at times of their own."""
+        system = self.reference_set.system
+        return system.clock is not None and not system.clock.in_step
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
