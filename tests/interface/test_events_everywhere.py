@@ -260,7 +260,7 @@ def test_values(case):
         np.testing.assert_allclose(frame[list(solution.unknowns)].to_numpy().T, wanted)
 
 
-@takes("event_times", "end", "timeline")
+@takes("event_times", "end", "timeline", "branch")
 def test_times_of_events(case):
     solution, (_, end) = case.solution, case.solution.time
     for point in case.points():
@@ -272,6 +272,9 @@ def test_times_of_events(case):
             times = times[np.isfinite(times)]
             assert times.size == instants.size
             np.testing.assert_allclose(times, instants, atol=RTOL * end)
+        order = getattr(solution.timeline, "branches", [solution.timeline])[solution.branch(point)]
+        names = [name for instant in order.met for name in instant]
+        assert set(trajectory.events) - switches <= set(names)
         last = trajectory.events.get("ground", np.empty(0))
         assert abs(solution.end(point) - (last[0] if last.size else end)) <= RTOL * end
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization.coordinates import name_of
 from rankone.ir.timeline import BranchedTimeline, Timeline
@@ -104,6 +105,28 @@ class EventTimes(SolutionCore):
             times = borders[_places(timeline.met, name)]
         times[times > timeline.horizon[1]] = np.nan
         return times.reshape(len(times), *shape)
+
+    def branch(self, *at: object, **named: object) -> NDArray[np.intp]:
+        """Which order of events holds, for given values of the parameters.
+
+        Arguments are those of a call, without times.
+
+        Returns
+        -------
+        ndarray of int (broadcast shape of the values)
+            The position in ``timeline.branches``, or -1 where it is undecided which one holds:
+            there values are NaN as far as branches differ. Zeros for a single order of events.
+
+        Raises
+        ------
+        EvaluationError
+            As for :attr:`timeline`, or as in a call.
+        """
+        self.timeline  # noqa: B018 - raises if there is none
+        evaluator, (points, shape) = self._evaluator, self._points(at, named)
+        if not isinstance(evaluator, BranchEvaluator):
+            return np.zeros(shape, dtype=np.intp)
+        return evaluator.held(points).reshape(shape)
 
     def end(self, *at: object, **named: object) -> Array:
         """When the solution ends: at a terminal event, or at the end of the horizon.

@@ -126,6 +126,13 @@ class BranchEvaluator(ClockEvaluator):
         """The branches that hold at points (d, N)."""
         return self._decided_by(self.deciders(points))
 
+    def held(self, points: Array) -> NDArray[np.intp]:
+        """The branch that holds at points (d, N); -1 within a width of where another one does."""
+        decision = self.decided(points)
+        others = decision.chosen != np.arange(len(self.branches))[:, None]
+        rivals = (others & (decision.ahead < self.width)).any(axis=0)
+        return np.where(decision.undecided | rivals, -1, decision.chosen)
+
     def deciders(self, points: Array) -> Array:
         """Smooth functions (k, N) of points (d, N) that tell branches and stretches.
 
@@ -382,5 +389,5 @@ def _warn_of(doubtful: NDArray[np.bool_]) -> None:
     if doubtful.any():
         warn(
             "values are NaN where it is undecided in which order events come",
-            remedy="`solution.timeline` says on which share of the box",
+            remedy="`solution.branch(...)` is -1 there",
         )
