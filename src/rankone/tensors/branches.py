@@ -5,77 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
+from rankone.tensors.decisions import LOOKS, Decider, Decision, Fork, Grazing, clearance, looks
 from rankone.tensors.evaluator import Rows
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
-
-_LOOKS = 65  # Times along a stretch at which a grazed event is looked for
-
-
-class BranchFork(Protocol):
-    """A fork of two branches; see :class:`rankone.ir.timeline.Fork`."""
-
-    @property
-    def first(self) -> int: ...
-    @property
-    def second(self) -> int: ...
-    @property
-    def stretch(self) -> int: ...
-    @property
-    def guard(self) -> int | None: ...
-    @property
-    def sign(self) -> float: ...
-    @property
-    def scale(self) -> float: ...
-    @property
-    def may_be_past(self) -> tuple[bool, bool]: ...
-    @property
-    def at_turn(self) -> bool: ...
-
-
-class BranchGrazing(Protocol):
-    """An event that is only grazed; see :class:`rankone.ir.timeline.Grazing`."""
-
-    @property
-    def branch(self) -> int: ...
-    @property
-    def stretch(self) -> int: ...
-    @property
-    def guard(self) -> int: ...
-    @property
-    def scale(self) -> float: ...
-    @property
-    def begins(self) -> bool: ...
-    @property
-    def ends(self) -> bool: ...
-    @property
-    def first(self) -> bool: ...
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Which branch holds at N points, and by how much it is ahead of each (branches, N).
-
-    ``clear`` is by how much it misses events that are only grazed, (N,). Points are ``undecided``
-    if no branch is ahead of all others, or it meets one of these. Those ``at_turn`` of an event are
-    so near that its time is not known. ``borders`` are those of the stretches of each branch, as
-    solved.
-    """
-
-    chosen: NDArray[np.intp]
-    ahead: Array
-    clear: Array
-    undecided: NDArray[np.bool_]
-    at_turn: NDArray[np.bool_]
-    borders: list[Array]
 
 
 class BranchEvaluator(ClockEvaluator):
@@ -90,19 +29,19 @@ class BranchEvaluator(ClockEvaluator):
         self,
         branches: Sequence[TimelineEvaluator],
         guards: Sequence[int],
-        forks: Sequence[BranchFork],
+        forks: Sequence[Fork],
         width: float,
         tolerances: Sequence[float],
-        grazings: Sequence[BranchGrazing] = (),
+        grazings: Sequence[Grazing] = (),
     ) -> None:
-        self.grazings = tuple(grazings)
-        self.branches, self.guards, self.forks = tuple(branches), tuple(guards), tuple(forks)
+        self.branches, self.guards = tuple(branches), tuple(guards)
         self.width, self.tolerances = width, np.array(tolerances, dtype=float)
         self.horizon = branches[0].horizon
         self.takes_likeliest = False
-        self._highest = [self._highest_of(fork) for fork in self.forks]
+        highest = tuple(self._highest_of(fork) for fork in forks)
+        self.decider = Decider(tuple(forks), highest, tuple(grazings), width, self.horizon)
 
-    def _highest_of(self, fork: BranchFork) -> float:
+    def _highest_of(self, fork: Fork) -> float:
         """The highest guard of a fork for which the second of its branches is solved."""
         if fork.guard is None:
             return math.inf
@@ -142,88 +81,25 @@ class BranchEvaluator(ClockEvaluator):
         borders = [branch.borders_as_solved(points) for branch in self.branches]
         guards = [
             self._guard(fork.first, fork.guard, points)[None]
-            for fork in self.forks
+            for fork in self.decider.forks
             if fork.guard is not None
         ]
-        clearances = [self._clearance(grazing, points)[None] for grazing in self.grazings]
+        clearances = [self._clearance(grazing, points)[None] for grazing in self.decider.grazings]
         return np.concatenate([*borders, *guards, *clearances])
 
     def _decided_by(self, deciders: Array) -> Decision:
         """The branches that hold by deciders (k, N)."""
-        length = self.horizon[1] - self.horizon[0]
         ends = np.cumsum([round(branch.slabs[-1].end) + 1 for branch in self.branches])
-        *borders, guards = np.split(deciders, ends)
-        guards, clearances = np.split(guards, [len(guards) - len(self.grazings)])
-        ahead, beyond, at_turn = self._at_forks(borders, guards)
-        least = ahead.min(axis=1)
-        chosen = least.argmax(axis=0)
-        columns = np.arange(deciders.shape[1])
-        undecided = ~(least[chosen, columns] > -self.width) | beyond[chosen, columns]
-        for k in np.unique(chosen):
-            here = chosen == k
-            times = borders[k][:, here]
-            back = (np.diff(times, axis=0) < -self.width * length) & (times[:-1] < self.horizon[1])
-            undecided[here] |= back.any(axis=0)
-        clear = np.full(chosen.shape, np.inf)
-        for grazing, clearance in zip(self.grazings, clearances, strict=True):
-            here = chosen == grazing.branch
-            clear[here] = np.minimum(clear[here], clearance[here] / grazing.scale)
-        undecided |= ~(clear > self.width)
-        margins, close = ahead[chosen, :, columns].T, at_turn[chosen, columns]
-        return Decision(chosen, margins, clear, undecided, close, borders)
+        *borders, others = np.split(deciders, ends)
+        guards, clearances = np.split(others, [len(others) - len(self.decider.grazings)])
+        return self.decider.decision(borders, guards, clearances)
 
-    def _at_forks(
-        self, borders: Sequence[Array], guards: Array
-    ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """By how much each branch is ahead of each other, (branches, branches, N).
-
-        With where each is beyond what is solved, and next to an event at its turn, (branches, N).
-        """
-        count, length = len(self.branches), self.horizon[1] - self.horizon[0]
-        guard = iter(guards)
-        ahead = np.full((count, count, guards.shape[1]), np.inf)
-        beyond, at_turn = np.zeros((2, count, guards.shape[1]), dtype=bool)
-        for fork, highest in zip(self.forks, self._highest, strict=True):
-            a, b = fork.first, fork.second
-            if fork.guard is None:
-                one, other = (np.diff(borders[k][fork.stretch :][:2], axis=0)[0] for k in (a, b))
-                margin = _earlier(one, other, fork.may_be_past) / length
-            else:
-                height = next(guard)
-                margin = fork.sign * height / fork.scale
-                beyond[b] |= height > highest
-            if fork.at_turn:
-                at_turn[[a, b]] |= np.abs(margin) < 1.0
-                margin = self.width * margin
-            ahead[a, b], ahead[b, a] = margin, -margin
-        return ahead, beyond, at_turn
-
-    def _clearance(self, grazing: BranchGrazing, points: Array) -> Array:
-        """How far a guard stays from a fall through zero on its stretch, at points (d, N).
-
-        So far are the turns, by parabolas, before which it is on the same side as after them, and
-        the ends of the stretch. It is below zero where the guard falls through zero.
-        """
+    def _clearance(self, grazing: Grazing, points: Array) -> Array:
+        """How far a guard stays from a fall through zero on its stretch, at points (d, N)."""
         evaluator = self.branches[grazing.branch]
         row = self._row(grazing.branch, grazing.guard)
-        times = grazing.stretch + np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
-        heights = evaluator.on_stretches(times, points, np.array([row]))[0]
-        ends = np.where([[grazing.begins], [grazing.ends]], np.inf, np.abs(heights[[0, -1]]))
-        if grazing.begins:
-            heights[0] = 0.0
-        if grazing.ends:
-            heights[-1] = 0.0
-        if grazing.first and not grazing.ends:
-            ends[0] = heights.min(axis=0)
-        falls = np.where((heights[:-1] > 0.0) & (heights[1:] < 0.0), heights[1:], np.inf)
-        before, here, after = heights[:-2], heights[1:-1], heights[2:]
-        slope, bend = 0.5 * (after - before), after - 2.0 * here + before
-        side = np.sign(here)
-        turns = (np.sign(before) == side) & (np.sign(after) == side)
-        turns &= (side * bend > 0.0) & (np.abs(slope) <= np.abs(bend))
-        lowest = here - 0.5 * slope**2 / np.where(turns, bend, np.inf)
-        nearest = np.where(turns, side * lowest, np.inf)
-        return np.asarray(np.concatenate([ends, falls, nearest]).min(axis=0))
+        heights = evaluator.on_stretches(looks(grazing)[:, None], points, np.array([row]))[0]
+        return clearance(grazing, heights)
 
     def _guard(self, branch: int, guard: int, points: Array) -> Array:
         """A guard of a branch at points (d, N)."""
@@ -238,7 +114,7 @@ class BranchEvaluator(ClockEvaluator):
     @property
     def numbers_each(self) -> int:
         borders = sum(branch.numbers_each for branch in self.branches)
-        return borders + len(self.forks) + _LOOKS * len(self.grazings)
+        return borders + len(self.decider.forks) + LOOKS * len(self.decider.grazings)
 
     def count(self, rows: Rows) -> int:
         return self.branches[0].count(rows)
@@ -326,21 +202,7 @@ class BranchEvaluator(ClockEvaluator):
 
         ``states`` gives those of a branch at some of the points.
         """
-        tolerances = self.tolerances[rows][:, None, None]
-        merged = np.full((len(tolerances), *shape), math.nan)
-        doubtful = np.zeros(shape, dtype=bool)
-        for k in np.unique(decision.chosen).tolist():
-            here = np.flatnonzero(decision.chosen == k)
-            merged[:, :, here] = states(k, here)
-        for k in range(len(self.branches)):
-            rival = (decision.ahead[k] < self.width) & (decision.chosen != k)
-            here = np.flatnonzero(rival & ~decision.undecided)
-            if here.size:
-                other, mine = states(k, here), merged[:, :, here]
-                differ = ~(np.abs(other - mine) <= tolerances)
-                differ &= ~(np.isnan(other) & np.isnan(mine))
-                doubtful[:, here] |= differ.any(axis=0)
-        doubtful[:, decision.undecided] = True
+        merged, doubtful = self.decider.merged(decision, shape, self.tolerances[rows], states)
         if self.takes_likeliest:
             doubtful[:] = False
         merged[:, doubtful] = math.nan
@@ -367,21 +229,6 @@ class ContinuedBranch(TimelineEvaluator):
         """Where the branch holds at points (d, N), and not just about, whatever the roots are."""
         decision = self._branches.decided(points[: len(points) - self._opened])
         return np.asarray((decision.chosen == self._branch) & ~decision.undecided)
-
-
-def _earlier(one: Array, other: Array, may_be_past: tuple[bool, bool]) -> Array:
-    """By how much the first of two events (N,) is the next one; those in the past are not."""
-    margin = other - one
-    first_past, second_past = (
-        past & (elapsed < 0.0) for past, elapsed in zip(may_be_past, (one, other), strict=True)
-    )
-    if may_be_past[0]:
-        margin = np.where(~first_past & (margin > 0.0), np.minimum(margin, one), margin)
-        margin = np.where(first_past, -np.minimum(np.abs(one), np.abs(other)), margin)
-    if may_be_past[1]:
-        margin = np.where(~second_past & (margin < 0.0), -np.minimum(-margin, other), margin)
-        margin = np.where(second_past, np.minimum(np.abs(one), np.abs(other)), margin)
-    return np.where(first_past & second_past, -np.inf, margin)
 
 
 def _warn_of(doubtful: NDArray[np.bool_]) -> None:
