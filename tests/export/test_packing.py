@@ -26,7 +26,7 @@ def imported(path):
 
 def entries(model):
     """Coefficients that are not zero, those of shared cores once."""
-    cores = {core.tensor.tobytes(): core.tensor for slab in model.slabs for core in slab}
+    cores = {core.tensor.tobytes(): core.tensor for slab in model.single.slabs for core in slab}
     return sum(int(np.count_nonzero(tensor)) for tensor in cores.values())
 
 
@@ -60,8 +60,8 @@ def test_smaller(name, share):
 
 def test_cores_stay_shared():
     model = pack(solved("lotka_volterra"), rtol=1e-5)
-    assert len({slab[1].tensor.tobytes() for slab in model.slabs}) == 1
-    assert {core.tensor.shape[1] for slab in model.slabs for core in slab[:1]} == {2}
+    assert len({slab[1].tensor.tobytes() for slab in model.single.slabs}) == 1
+    assert {core.tensor.shape[1] for slab in model.single.slabs for core in slab[:1]} == {2}
 
 
 def test_only_what_is_evaluated_counts():

@@ -6,10 +6,13 @@ module              subject
 ``standalone``      the standalone solver in Python
 ``bundler``         whole modules of the library inside one file
 ``program``         solving, loading and the command line of the standalone solver
-``packing``         a solution as plain tables
+``packed``          a solved model as plain tables
+``packing``         a solution as such a model
 ``rounding``        smaller tables, if a model may differ from its solution
+``branch_rounding`` the same where the order of events changes inside the box
 ``model_program``   evaluation of the solved model in Python
 ``model_stretches`` the same over the stretches between events
+``model_branches``  the same where the order of events changes inside the box
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
 ``model_js``        the solved model in JavaScript
@@ -31,7 +34,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rankone.export.fmu_description import FMI
-from rankone.export.packing import PackedModel, States, check_states, checked_rtol, pack
+from rankone.export.packed import PackedModel
+from rankone.export.packing import States, check_states, checked_rtol, pack
 from rankone.export.standalone import standalone_source
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.support.errors import ExportError
@@ -59,6 +63,7 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
+_SEVERAL_ORDERS = {".py"}  # Models that take solutions in which the order of events changes
 # Modules that a file of the same name would hide
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 
@@ -150,7 +155,13 @@ def export_model(
         )
     if target.suffix == ".fmu":
         free_target(target, overwrite, ExportError)  # before it is compiled
-    model = pack(solution, states=states, rtol=rtol, allow_failed=allow_failed)
+    model = pack(
+        solution,
+        states=states,
+        rtol=rtol,
+        allow_failed=allow_failed,
+        several_orders=target.suffix in _SEVERAL_ORDERS,
+    )
     files = writers[target.suffix](model, target)
     write_files(files, overwrite, ExportError)
     return target

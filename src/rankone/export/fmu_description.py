@@ -9,7 +9,7 @@ from typing import Literal
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from rankone.export.packing import PackedModel
+from rankone.export.packed import PackedModel
 from rankone.support import __version__
 
 FMI = Literal["2.0", "3.0"]  # Versions of the Functional Mock-up Interface
@@ -60,7 +60,7 @@ class Description:
     @property
     def ends(self) -> bool:
         """Whether an event may end the solution."""
-        return self.model.timeline is not None and self.model.timeline.terminal
+        return self.model.terminal
 
     def unit(self, reference: int) -> str:
         """Unit of a variable, empty if there is none."""

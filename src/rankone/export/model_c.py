@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.export.packing import PackedModel, PackedTimeline
+from rankone.export.packed import PackedModel, PackedTimeline
 from rankone.export.scales import scale_expressions
 from rankone.export.templates import TERMS, c_comment, c_string, comment, filled, wrapped
 from rankone.support import __version__
@@ -62,7 +62,7 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         **_scales(model),
         **_timeline(model, prefix.upper()),
     }
-    evaluation = "model_stretches.c.in" if model.timeline else "model_slabs.c.in"
+    evaluation = "model_slabs.c.in" if model.events is None else "model_stretches.c.in"
     fields["evaluation"] = filled(evaluation, fields)
     return {
         path: filled("model.c.in", fields),
@@ -112,7 +112,7 @@ def _words(names: Sequence[str]) -> dict[str, str]:
 
 def _timeline(model: PackedModel, prefix: str) -> dict[str, str]:
     """The tables of the stretches between events, or nothing."""
-    timeline = model.timeline
+    timeline = model.single.timeline
     if timeline is None:
         return {"events": "", "in_pseudo": ""}
     affine = dict(timeline.affine_borders)
@@ -158,7 +158,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
     pieces: list[str] = []
     runs: list[int] = []
     coefficients: list[float] = []
-    cores, positions = model.distinct
+    cores, branch = model.cores, model.single
     unequal = any(core.edges for core in cores)
     for core in cores:
         elements, left, degree, right = core.tensor.shape
@@ -176,10 +176,10 @@ def _tables(model: PackedModel) -> dict[str, str]:
                 coefficients += block
     shapes = [core.tensor.shape for core in cores]
     return {
-        "slabs": str(len(model.slabs)),
-        "starts": wrapped(map(_number, model.starts)),
-        "cores": "\n".join(f"    {{{rows[k]}}}," for slab in positions for k in slab),
-        "border_cores": "\n".join(f"    {{{rows[k]}}}," for k in model.borders),
+        "slabs": str(len(branch.slabs)),
+        "starts": wrapped(map(_number, branch.starts)),
+        "cores": "\n".join(f"    {{{rows[k]}}}," for slab in model.slabs_of(branch) for k in slab),
+        "border_cores": "\n".join(f"    {{{rows[k]}}}," for k in model.borders_of(branch)),
         "equal": "" if unequal else "yes",
         "unequal": "yes" if unequal else "",
         "places": wrapped(f"{{{place}}}" for place in places),
@@ -196,7 +196,7 @@ def _scales(model: PackedModel) -> dict[str, str]:
     """Expressions of the coordinates that have a scale, by case, or nothing."""
     expressions = [
         (j, *scale_expressions(scale))
-        for j, scale in enumerate(model.scales)
+        for j, scale in enumerate(model.single.scales)
         if not scale.is_identity
     ]
     return {

@@ -30,7 +30,7 @@ from rankone.export.fmu_description import (
     start_values,
 )
 from rankone.export.model_c import c_identifier, c_model
-from rankone.export.packing import PackedModel
+from rankone.export.packed import PackedModel
 from rankone.export.templates import TERMS, filled
 from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError, warn

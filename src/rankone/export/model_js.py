@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rankone.discretization import Scale
 from rankone.discretization.coordinates import round_off
-from rankone.export.packing import PackedModel, PackedTimeline
+from rankone.export.packed import PackedModel, PackedTimeline
 from rankone.export.scales import scale_expressions
 from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string, wrapped
 from rankone.support import __version__
@@ -60,10 +60,10 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "times_example": f"{start:g}, {moment}, {end:g}",
         **_tables(model),
         "scaled": "yes" if model.is_scaled else "",
-        "scales": "\n".join(map(_scale, model.scales)),
-        **_timeline(model.timeline, model.borders),
+        "scales": "\n".join(map(_scale, model.single.scales)),
+        **_timeline(model.single.timeline, model.borders_of(model.single)),
     }
-    evaluation = "model_stretches.js.in" if model.timeline else "model_slabs.js.in"
+    evaluation = "model_slabs.js.in" if model.events is None else "model_stretches.js.in"
     fields["evaluation"] = filled(evaluation, fields)
     module = filled("model.js.in", fields) + filled("model_train.js.in", fields)
     declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
@@ -124,7 +124,8 @@ def _tables(model: PackedModel) -> dict[str, str]:
     rows: list[str] = []
     runs: list[NDArray[np.intp]] = []
     coefficients: list[Array] = []
-    cores, positions = model.distinct
+    cores, branch = model.cores, model.single
+    positions = model.slabs_of(branch)
     for core in cores:
         elements = [_packed(tensor) for tensor in core.tensor]
         sparse = any((run < core.tensor.shape[2]).any() for run, _ in elements)
@@ -134,10 +135,12 @@ def _tables(model: PackedModel) -> dict[str, str]:
         if core.edges:
             place = [_list(core.lowers), _list(core.scales)]
         rows.append(f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],")
-    runs_of_slabs = [[k] for k in model.timeline.runs] if model.timeline else [[]] * len(positions)
+    runs_of_slabs = (
+        [[k] for k in branch.timeline.runs] if branch.timeline else [[]] * len(positions)
+    )
     slabs = [
         f"  [{', '.join([_number(start), *map(str, [*run, *places])])}],"
-        for start, run, places in zip(model.starts, runs_of_slabs, positions, strict=True)
+        for start, run, places in zip(branch.starts, runs_of_slabs, positions, strict=True)
     ]
     return {
         "cores": "\n".join(rows),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import re
 import textwrap
+from dataclasses import astuple
 from inspect import getsource
 from pathlib import Path
 
@@ -12,8 +14,10 @@ import numpy as np
 from rankone.codegen.text import (
     WIDTH,
     Names,
+    Nested,
     docstring,
     is_identifier,
+    literal,
     nested,
     paragraph,
     quoted,
@@ -21,7 +25,7 @@ from rankone.codegen.text import (
 )
 from rankone.discretization.coordinates import round_off
 from rankone.export.bundler import banner, source_text
-from rankone.export.packing import PackedModel, PackedTimeline
+from rankone.export.packed import PackedChoice, PackedModel
 from rankone.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz
@@ -31,40 +35,56 @@ _LONGEST_DATA = 200_000  # Characters of coefficients in the file: editors open 
 
 def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     """The files of a model: the module and, when there are many coefficients, an .npz beside it."""
-    coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
+    coefficients = np.concatenate([core.tensor.ravel() for core in model.cores])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
-    end = [*_construction(model), *_END, *(_EVENT_END if model.timeline else [])]
+    end = [*_construction(model), *_END, *([] if model.events is None else _EVENT_END)]
     if len(text) <= _LONGEST_DATA:
-        imports = _IMPORTS.format("import base64\n", "")
+        imports = _imports(model, "import base64")
         rows = textwrap.wrap(text, WIDTH)
         data = ['DATA = """', *rows, '"""', "", _LOAD_TEXT]
     else:
-        imports = _IMPORTS.format("", "from pathlib import Path\n")
+        imports = _imports(model, "from pathlib import Path")
         files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
         data = _LOAD_FILE
     blocks = [
         "\n".join([*docstring(_head(model, path), indent=""), imports, *_tables(model)]),
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
-        *(
-            source_text(f"rankone.export.{name}").partition("import Array\n")[2].strip()
-            for name in ("model_program", *(["model_stretches"] if model.timeline else []))
-        ),
+        *(_IMPORT.split(source_text(name))[-1].strip() for name in _program(model)),
         "\n".join([banner("Coefficients"), "", *data, "", *end]),
     ]
     return {path: "\n\n\n".join(blocks) + "\n", **files}
 
 
-_IMPORTS = """
-from __future__ import annotations
+_EXPORT = "rankone.export.model_"
+_IMPORT = re.compile(r"^from rankone\..*\n", re.M)  # The last imports of a module
 
-{}from collections.abc import Mapping, Sequence
-{}from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-"""
+def _program(model: PackedModel) -> list[str]:
+    """The modules of the library whose text evaluates a model."""
+    modules = [f"{_EXPORT}program"]
+    if model.events is not None:
+        modules.append(f"{_EXPORT}stretches")
+    if model.choice is not None:
+        modules += ["rankone.tensors.decisions", f"{_EXPORT}branches"]
+    return modules
+
+
+def _imports(model: PackedModel, further: str) -> str:
+    """The imports of a model, and a further one."""
+    several = model.choice is not None
+    imports = [
+        f"from collections.abc import {'Callable, ' if several else ''}Mapping, Sequence",
+        f"from typing import Any{', NamedTuple' if several else ''}",
+        further,
+    ]
+    # plain imports first, then by the module
+    imports.sort(key=lambda line: (line.startswith("from"), line.split()[1]))
+    lines = ["from __future__ import annotations", "", *imports, "", "import numpy as np"]
+    return "\n".join(["", *lines, "from numpy.typing import NDArray", ""])
+
+
 _LOAD_TEXT = 'COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")'
 _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',
@@ -80,14 +100,18 @@ _MODEL_TABLES = (
     "COEFFICIENTS",
 )
 _TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "AFFINE_BORDERS", "TERMINAL", "INSTANTS", "EVENTS")
+_BRANCHES = ("GUARDS", "ROOTS", "FORKS", "HIGHEST", "GRAZINGS", "HEIGHTS", "WIDTH", "TOLERANCES")
 
 
 def _construction(model: PackedModel) -> list[str]:
     """Lines that make the model of its tables."""
-    tables = [*_MODEL_TABLES, *(["SCALES"] if model.is_scaled else [])]
-    if model.timeline is not None:
-        named = [f"    {name.lower()}={name}," for name in _TIMELINE]
-        return ["MODEL = EventModel(", *(f"    {name}," for name in tables), *named, ")"]
+    several = model.choice is not None
+    tables = [*_MODEL_TABLES, *(["SCALES"] if model.is_scaled or several else [])]
+    if model.events is not None:
+        names = [*_TIMELINE, *(_BRANCHES if several else [])]
+        named = [f"    {name.lower()}={name}," for name in names]
+        kind = "BranchModel" if several else "EventModel"
+        return [f"MODEL = {kind}(", *(f"    {name}," for name in tables), *named, ")"]
     line = f"MODEL = Model({', '.join(tables)})"
     return [line] if len(line) <= WIDTH else ["MODEL = Model(", f"    {', '.join(tables)}", ")"]
 
@@ -123,35 +147,38 @@ def _head(model: PackedModel, path: Path) -> list[str]:
         statement = f"    model = importlib.import_module({quoted(stem)})"
         stem, lines = "model", [*lines, "    import importlib", "", statement]
     lines += [f"    {stem}.value({call})", "", f"    {stem}.gradient({call})", ""]
-    if model.timeline is not None:
-        lines += _event_lines(model.timeline, stem, call.partition(", ")[2])
+    lines += _event_lines(model, stem, call.partition(", ")[2])
     lines += [f"The gradient is with respect to {', '.join(model.coordinates)}, in this order."]
     return [wrapped for line in lines for wrapped in paragraph(line)]
 
 
-def _event_lines(timeline: PackedTimeline, stem: str, parameters: str) -> list[str]:
-    """Lines of the docstring that say how to ask when events are."""
-    name = next(iter(timeline.events), None)
-    if name is None:
-        return []
-    arguments = ", ".join(filter(None, (quoted(name), parameters)))
-    return [
-        f"    {stem}.event_times({arguments})",
-        "",
-        "Its rows are the occurrences; NaN is one that the horizon ends before.",
-    ]
+def _event_lines(model: PackedModel, stem: str, parameters: str) -> list[str]:
+    """Lines of the docstring that say how to ask when events are, and what is not known."""
+    lines: list[str] = []
+    if model.events:
+        arguments = ", ".join(filter(None, (quoted(model.events[0]), parameters)))
+        lines += [
+            f"    {stem}.event_times({arguments})",
+            "",
+            "Its rows are the occurrences; NaN is one that the horizon ends before.",
+        ]
+    if model.choice is not None:
+        lines += [
+            "The order of events changes with the parameters. Next to a change, values that depend "
+            "on it are NaN, and next to where an event is just missed its times too.",
+        ]
+    return lines
 
 
 def _tables(model: PackedModel) -> list[str]:
     """Names, intervals and the layout of the coefficients."""
-    cores, slabs = model.distinct
     layout = tuple(
         (core.lowers, core.scales, core.tensor.shape)
         if core.edges
         else (core.lower, core.scale, core.tensor.shape)
-        for core in cores
+        for core in model.cores
     )
-    unequal = any(core.edges for core in cores)
+    unequal = any(core.edges for core in model.cores)
     unequal_note = ["# (where elements are unequal, both are given for each of them)"]
     return [
         banner("The model"),
@@ -164,37 +191,92 @@ def _tables(model: PackedModel) -> list[str]:
         "# left rank, polynomials, right rank) of its coefficients",
         *(unequal_note if unequal else []),
         *table("CORES", nested(layout)),
-        f"# where each time slab begins{', in pseudo-time' if model.timeline else ''}",
-        *table("STARTS", nested(model.starts)),
-        "# for each slab which cores it has, for time and for each parameter",
-        *table("SLABS", nested(slabs)),
-        *(_scales(model) if model.is_scaled else []),
-        *(_timeline(model.timeline, model.borders) if model.timeline else []),
+        *_of_branches(model),
+        *(_forks(model, model.choice) if model.choice else []),
     ]
 
 
-def _scales(model: PackedModel) -> list[str]:
-    """The table of the scales of all coordinates."""
-    names = [quoted(scale.kind) for scale in model.scales]
-    return ["# the scale of each coordinate, in which its elements lie", *table("SCALES", names)]
+def _of_branches(model: PackedModel) -> list[str]:
+    """The tables of a branch; of several branches each table has one entry for each."""
+    several = model.choice is not None
+    rows: dict[str, list[Nested]] = {}
+    for k in range(len(model.branches)):
+        for name, row in _of_branch(model, k).items():
+            rows.setdefault(name, []).append(row)
+    lines = ["# the tables from here on have one entry for each order of events"] if several else []
+    for name, entries in rows.items():
+        pseudo = ", in pseudo-time" if name == "STARTS" and model.events is not None else ""
+        lines += [f"{line}{pseudo}" for line in _COMMENTS[name]]
+        entry = entries if several else entries[0]
+        lines += [f"{name} = {entry}"] if isinstance(entry, str) else table(name, entry)
+    if model.events is not None:
+        lines += table("EVENTS", [quoted(name) for name in model.events])
+    return lines
 
 
-def _timeline(timeline: PackedTimeline, borders: tuple[int, ...]) -> list[str]:
-    """The tables of the stretches between events."""
-    names = [[quoted(name) for name in instant] for instant in timeline.instants]
-    tuples = [f"({', '.join(each)}{',' if len(each) == 1 else ''})" for each in names]
-    return [
-        "# the first slab of each stretch between events, and the number of slabs",
-        *table("STRETCHES", nested(timeline.first_slabs)),
+_COMMENTS = {
+    "STARTS": ["# where each time slab begins"],
+    "SLABS": ["# for each slab which cores it has, for time and for each parameter"],
+    "SCALES": ["# the scale of each coordinate, in which its elements lie"],
+    "STRETCHES": ["# the first slab of each stretch between events, and the number of slabs"],
+    "RUNS": [
         "# the run of each slab, of those with the same cores for all parameters; and for each run",
         "# the core that makes the times of the borders of stretches",
-        *table("RUNS", nested(timeline.runs)),
-        *table("BORDERS", nested(borders)),
-        "# the borders at affine functions of the parameters: the constant, and the slopes",
-        *table("AFFINE_BORDERS", nested(timeline.affine_borders)),
-        "# whether an event ends it all",
-        f"TERMINAL = {timeline.terminal}",
-        "# the events at the end of each stretch that is met",
-        *table("INSTANTS", tuples),
-        *table("EVENTS", [quoted(name) for name in timeline.events]),
+    ],
+    "BORDERS": [],
+    "AFFINE_BORDERS": [
+        "# the borders at affine functions of the parameters: the constant, and the slopes"
+    ],
+    "TERMINAL": ["# whether an event ends it all"],
+    "INSTANTS": ["# the events at the end of each stretch that is met"],
+    "GUARDS": ["# the core that makes what tells where a branch holds"],
+    "ROOTS": ["# further coordinates: roots of a guard of another branch, and their intervals"],
+}
+
+
+def _of_branch(model: PackedModel, k: int) -> dict[str, Nested]:
+    """The tables of branch k."""
+    branch, timeline = model.branches[k], model.branches[k].timeline
+    tables: dict[str, Nested] = {
+        "STARTS": nested(branch.starts),
+        "SLABS": nested(model.slabs_of(branch)),
+    }
+    if model.is_scaled or model.choice is not None:
+        tables["SCALES"] = [quoted(scale.kind) for scale in branch.scales]
+    if timeline is not None:
+        tables |= {
+            "STRETCHES": nested(timeline.first_slabs),
+            "RUNS": nested(timeline.runs),
+            "BORDERS": nested(model.borders_of(branch)),
+            "AFFINE_BORDERS": nested(timeline.affine_borders),
+            "TERMINAL": str(timeline.terminal),
+            "INSTANTS": [[quoted(name) for name in instant] for instant in timeline.instants],
+        }
+    if model.choice is not None:
+        openings = model.choice.openings_of(k)
+        roots = tuple((o.parent, o.guard, o.lower, o.upper) for o in openings)
+        guards = None if branch.guards is None else model.place(branch.guards)
+        tables |= {"GUARDS": str(guards), "ROOTS": nested(roots)}
+    return tables
+
+
+def _forks(model: PackedModel, choice: PackedChoice) -> list[str]:
+    """The tables that tell which branch holds."""
+    heights = tuple(
+        tuple((run, model.place(core)) for run, core in cores) for cores in choice.heights
+    )
+    return [
+        "# two branches each, the stretch at which they part, the guard that decides if times do",
+        "# not, its sign and scale, whether events may be past there, whether it is at a turn",
+        *table("FORKS", nested(map(astuple, choice.forks))),
+        "# the largest guard for which the second one is solved",
+        *table("HIGHEST", nested(choice.highest)),
+        "# events that a branch misses on a stretch: the guard, scale, whether they begin it or",
+        "# end it, or would come for the first time; and runs with cores that make the guard",
+        *table("GRAZINGS", nested(map(astuple, choice.grazings))),
+        *table("HEIGHTS", nested(heights)),
+        "# how well times and guards are known, relative to the horizon and the scales",
+        f"WIDTH = {literal(choice.width)}",
+        "# differences of the unknowns between branches up to which either of them will do",
+        *table("TOLERANCES", nested(choice.tolerances)),
     ]

@@ -33,7 +33,7 @@ class EventModel(Model):
     ) -> None:
         super().__init__(*tables)
         self._first = np.array(stretches)
-        self._runs, self._affine, self._terminal = runs, affine_borders, terminal
+        self._runs, self._affine, self.terminal = runs, affine_borders, terminal
         self._borders = [self._cores[core][2][0, :, 0] for core in borders]
         self._instants, self.events = instants, events
 
@@ -44,18 +44,23 @@ class EventModel(Model):
 
         NaN where it is not reached by the end of the horizon.
         """
-        if event not in self.events:
-            raise ValueError(f"there is no event {event}, only {', '.join(self.events)}")
+        occurrences = self.occurrences(event)
         borders, shape = self._at_parameters({**(values or {}), **named})
-        times = borders[[i for i, names in enumerate(self._instants, 1) if event in names]]
+        times = borders[occurrences]
         times[times > self.intervals[0][1]] = np.nan
         return times.reshape(len(times), *shape)
+
+    def occurrences(self, event: str) -> list[int]:
+        """The borders of stretches at which an event occurs."""
+        if event not in self.events:
+            raise ValueError(f"there is no event {event}, only {', '.join(self.events)}")
+        return [i for i, names in enumerate(self._instants, 1) if event in names]
 
     def end(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """When the solution ends: at a terminal event, or with the horizon."""
         borders, shape = self._at_parameters({**(values or {}), **named})
         last = self.intervals[0][1]
-        ends = np.minimum(borders[-1], last) if self._terminal else np.full_like(borders[-1], last)
+        ends = np.minimum(borders[-1], last) if self.terminal else np.full_like(borders[-1], last)
         return np.asarray(ends.reshape(shape))
 
     def _at_parameters(self, at: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
@@ -69,11 +74,8 @@ class EventModel(Model):
         The products of the cores of each run of slabs (right, 1 or 1 + d, N), and the clock times
         of the borders of stretches (1 + stretches, 1 or 1 + d, N).
         """
-        products, borders = [], []
-        for run, matrix in enumerate(self._borders):
-            cores = self._slabs[self._runs.index(run)][1:]
-            product = _train(cores, self._scales[1:], points, derivatives)
-            products.append(product)
+        products, borders = self._products(points, derivatives), []
+        for matrix, product in zip(self._borders, products, strict=True):
             clock = matrix @ product.reshape(len(product), -1)
             borders.append(clock.reshape(len(matrix), *product.shape[1:]))
         clock = np.concatenate(borders)
@@ -84,6 +86,12 @@ class EventModel(Model):
             if derivatives:
                 clock[border, 1:] = np.array(slopes)[:, None]
         return products, clock
+
+    def _products(self, points: Array, derivatives: bool) -> list[Array]:
+        """The products of the cores of each run of slabs at parameters (d, N)."""
+        runs = range(len(self._borders))
+        cores = (self._slabs[self._runs.index(run)][1:] for run in runs)
+        return [_train(each, self._scales[1:], points, derivatives) for each in cores]
 
     def _evaluate(self, points: Array, derivatives: bool) -> Array:
         """Values, and derivatives if asked for, as for a model without events."""
@@ -97,8 +105,8 @@ class EventModel(Model):
     def _at_clock_times(self, points: Array, derivatives: bool) -> Array:
         """The same at a few points (coordinates, N): the stretch of each first, then its slab."""
         products, clock = self._over_parameters(points[1:], derivatives)
-        borders, times, each = _ascending(clock), points[0], np.arange(points.shape[1])
-        stretch = (times >= borders[1:-1]).sum(axis=0)
+        borders, times, each = clock[:, 0], points[0], np.arange(points.shape[1])
+        stretch = (times >= _ascending(clock)[1:-1]).sum(axis=0)
         begin = borders[stretch, each]
         length = borders[stretch + 1, each] - begin
         share = np.clip((times - begin) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)

@@ -1,32 +1,33 @@
-"""A solution as plain tables, which the solved models evaluate.
-
-Every core of every slab is kept as Chebyshev coefficients on its elements, whatever the basis of
-the solve was, so that a model needs one recurrence and one contraction.
-
-With events the slabs are over the stretches between them, each of a length of one. Of the clock a
-model needs no more than its times at the borders of stretches: for each run of slabs that share the
-cores of the parameters these are one matrix.
-"""
+"""A solution as plain tables, which the solved models evaluate."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import replace
+from sys import float_info
 from typing import Literal
 
 import numpy as np
 
 from rankone.discretization import IDENTITY, Scale
-from rankone.export.rounding import rounded_slabs
+from rankone.export.branch_rounding import Branches, rounded_branches
+from rankone.export.packed import (
+    PackedBranch,
+    PackedChoice,
+    PackedCore,
+    PackedModel,
+    PackedTimeline,
+)
+from rankone.export.rounding import RANDOM_POINTS, rounded_slabs
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
-from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Timeline
+from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Fork, Grazing, Opening, Timeline
+from rankone.solution.branches import slabs_of_branches
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
+from rankone.tensors.decisions import looks
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing, slab_positions
 
@@ -36,132 +37,9 @@ _SMALLEST_RTOL = 1e-12  # Smallest difference that can be asked for: above round
 _LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
 
 
-@dataclass(frozen=True)
-class PackedCore:
-    """One core of one slab: Chebyshev coefficients (elements, left rank, degree, right rank).
-
-    The first element begins at ``lower``. ``scale`` is the number of elements per unit of the
-    coordinate, both in the scale that the model has for it; where elements are unequal, ``edges``
-    are the ends of all of them, else empty.
-    """
-
-    lower: float
-    scale: float
-    tensor: Array
-    edges: tuple[float, ...] = ()
-
-    @property
-    def lowers(self) -> tuple[float, ...]:
-        """Where each of the unequal elements begins."""
-        return self.edges[:-1]
-
-    @property
-    def scales(self) -> tuple[float, ...]:
-        """Elements per unit of the coordinate in each of the unequal elements."""
-        return tuple(1.0 / (b - a) for a, b in pairwise(self.edges))
-
-
-@dataclass(frozen=True)
-class PackedTimeline:
-    """The stretches between events in plain data: stretch i is [i, i + 1] in pseudo-time.
-
-    ``first_slabs`` has the first slab of each stretch, and at the end the number of slabs;
-    ``runs`` has the run that each slab belongs to, of those that share the cores of their
-    parameters. ``borders`` has for each run a core without polynomials, whose product with the
-    cores of the parameters is the clock at the beginnings of its stretches, and for the last run
-    also at the end. ``affine_borders`` are those whose times are affine functions of the
-    parameters, with the constant and the slopes; the start of the horizon is one.
-
-    ``instants`` are the names of the events at each border but the first, up to the last one that
-    some trajectory meets; ``resets`` says which of them reset states. ``events`` are all names.
-    """
-
-    first_slabs: tuple[int, ...]
-    runs: tuple[int, ...]
-    borders: tuple[PackedCore, ...]
-    affine_borders: tuple[tuple[int, tuple[float, ...]], ...]
-    terminal: bool
-    instants: tuple[tuple[str, ...], ...]
-    resets: tuple[bool, ...]
-    events: tuple[str, ...]
-
-    @property
-    def stretches(self) -> int:
-        """Number of stretches."""
-        return len(self.first_slabs) - 1
-
-    @property
-    def first_of_runs(self) -> tuple[int, ...]:
-        """The first slab of each run."""
-        return tuple(self.runs.index(k) for k in range(len(self.borders)))
-
-    def occurrences(self, event: str) -> tuple[int, ...]:
-        """The instants of an event."""
-        return tuple(i for i, names in enumerate(self.instants) if event in names)
-
-
-@dataclass(frozen=True)
-class PackedModel:
-    """A model in plain data; coordinates and cores of a slab are time, then the parameters.
-
-    The ``summary`` has the equations, the box and the measured error, as lines of text. For a
-    model that was made smaller its last line is ``reduction``, how far the model differs from the
-    solution; else this is None. ``errors`` are the measured ones of the unknowns relative to their
-    sizes, and the differences from the solution where the model was made smaller; NaN if
-    unchecked. ``units`` belong to names of unknowns and coordinates. ``scales`` has for each
-    coordinate the one in which its cores are polynomials and their elements lie. With events
-    there is a ``timeline``, and slabs and ``starts`` are over pseudo-time.
-    """
-
-    unknowns: tuple[str, ...]
-    coordinates: tuple[str, ...]
-    intervals: tuple[tuple[float, float], ...]
-    starts: tuple[float, ...]
-    slabs: tuple[tuple[PackedCore, ...], ...]
-    summary: tuple[str, ...]
-    reduction: str | None
-    errors: tuple[float, ...]
-    units: tuple[tuple[str, str], ...]
-    scales: tuple[Scale, ...]
-    timeline: PackedTimeline | None = None
-
-    @cached_property
-    def distinct(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
-        """The different cores, and for each slab the positions of its cores among them."""
-        cores, positions = self._layout
-        return cores, positions[: len(self.slabs)]
-
-    @property
-    def borders(self) -> tuple[int, ...]:
-        """Positions of the cores of the borders of a timeline among the different cores."""
-        return tuple(place for (place,) in self._layout[1][len(self.slabs) :])
-
-    @cached_property
-    def _layout(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
-        """The different cores, and the positions of those of each slab and of each border."""
-        cores: dict[Hashable, PackedCore] = {}
-        keys: list[list[Hashable]] = []
-        borders = () if self.timeline is None else self.timeline.borders
-        for group in (*self.slabs, *((core,) for core in borders)):
-            keys.append(
-                [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in group]
-            )
-            for key, core in zip(keys[-1], group, strict=True):
-                cores.setdefault(key, core)
-        position = {key: k for k, key in enumerate(cores)}
-        return (*cores.values(),), tuple(tuple(position[key] for key in group) for group in keys)
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether some coordinate is not the polynomials' own."""
-        return not all(scale.is_identity for scale in self.scales)
-
-    @property
-    def size(self) -> int:
-        return sum(core.tensor.size for core in self.distinct[0])
-
-
-def _one_timeline(solution: SolutionCore, allow_failed: bool) -> Timeline | None:
+def _timeline_of(
+    solution: SolutionCore, allow_failed: bool, several_orders: bool
+) -> Timeline | BranchedTimeline | None:
     """The timeline of a solution; an ExportError if that cannot be exported as one model."""
     if solution.outcome.pieces:
         raise ExportError(
@@ -176,11 +54,11 @@ def _one_timeline(solution: SolutionCore, allow_failed: bool) -> Timeline | None
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
     timeline = solution.outcome.timeline
-    if isinstance(timeline, BranchedTimeline):
+    if isinstance(timeline, BranchedTimeline) and not several_orders:
         raise ExportError(
-            "neither models nor pages take solutions in which the order of events changes inside "
-            "the box",
-            remedy="solve on a box in which one order holds (print solution.timeline)",
+            "this file does not take solutions in which the order of events changes inside the box",
+            remedy="export a model in Python (`.py`), or solve on a box in which one order holds "
+            "(print solution.timeline)",
         )
     return timeline
 
@@ -191,52 +69,150 @@ def pack(
     states: States = "unknowns",
     rtol: float | None = None,
     allow_failed: bool = False,
+    several_orders: bool = False,
 ) -> PackedModel:
     """Turn a solution into plain tables.
 
     With ``rtol`` the model may differ from the solution by this much, relative to the size of each
     state that is evaluated. A solution that is not a success is an ExportError unless it is
-    allowed.
+    allowed, and so is one with several orders of events.
     """
     check_states(states)
     rtol = checked_rtol(rtol)
-    metadata, timeline = solution.metadata, _one_timeline(solution, allow_failed)
+    metadata = solution.metadata
+    timeline = _timeline_of(solution, allow_failed, several_orders)
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
-    packed_rows = list(rows) if timeline is None else [*rows, -CLOCK_STATES]
-    slabs = [slab.with_first(slab.cores[0][packed_rows]) for slab in solution.outcome.slabs]
     errors = [solution.errors[solution.states[row]] for row in rows]
-    summary, reduction = _summary(solution, names, timeline), None
+    slabs = _slabs(solution, rows, timeline)
+    if isinstance(timeline, BranchedTimeline):
+        timeline = replace(timeline, tolerances=tuple(timeline.tolerances[row] for row in rows))
+    reduction = None
     if rtol is not None:
-        rounding = rounded_slabs(slabs, intervals, rtol, timeline)
-        slabs = list(rounding.slabs)
-        differences = rounding.differences[: len(errors)]
-        errors = [a + b for a, b in zip(errors, differences, strict=True)]
-        apart = "" if timeline is None else f", away from events by {rtol:g} of the horizon"
-        reduction = (
-            f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown"
-            f"{apart}; measured {max(rounding.differences):.1e} at {rounding.points} random points "
-            "and by climbing from the worst of them."
-        )
-        summary += (reduction,)
-    packed_timeline = None
-    if timeline is not None:
-        packed_timeline = _timeline(timeline, slabs)
-        slabs = [slab.with_first(slab.cores[0][: len(names)]) for slab in slabs]
+        slabs, timeline, differences = _rounded(slabs, intervals, rtol, timeline)
+        errors = [a + b for a, b in zip(errors, differences, strict=False)]
+        reduction = _reduction(rtol, max(differences), timeline)
+    summary = _summary(solution, names, timeline)
+    timelines = timeline.branches if isinstance(timeline, BranchedTimeline) else (timeline,)
+    branches = tuple(
+        _branch(own, len(names), len(metadata.parameters), of)
+        for own, of in zip(slabs, timelines, strict=True)
+    )
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
         intervals=intervals,
-        starts=tuple(float(slab.start) for slab in slabs),
-        slabs=tuple(map(_packed, slabs)),
-        summary=summary,
+        branches=branches,
+        summary=(*summary, *([] if reduction is None else [reduction])),
         reduction=reduction,
         errors=tuple(map(float, errors)),
         units=tuple(metadata.units),
-        scales=_scales(slabs),
-        timeline=packed_timeline,
+        choice=_choice(timeline, slabs, len(rows))
+        if isinstance(timeline, BranchedTimeline)
+        else None,
     )
+
+
+def _rounded(
+    slabs: Branches,
+    intervals: Sequence[tuple[float, float]],
+    rtol: float,
+    timeline: Timeline | BranchedTimeline | None,
+) -> tuple[Branches, Timeline | BranchedTimeline | None, tuple[float, ...]]:
+    """Smaller slabs of each branch, the timeline that goes with them, and the differences."""
+    if isinstance(timeline, BranchedTimeline):
+        return rounded_branches(slabs, intervals, rtol, timeline)
+    (only,) = slabs
+    rounding = rounded_slabs(only, intervals, rtol, timeline)
+    return [rounding.slabs], timeline, rounding.differences
+
+
+def _reduction(rtol: float, difference: float, timeline: Timeline | BranchedTimeline | None) -> str:
+    """The line that says how far a smaller model is off."""
+    apart = "" if timeline is None else f", away from events by {rtol:g} of the horizon"
+    if isinstance(timeline, BranchedTimeline):
+        apart += ", where it is known which order of events holds"
+    return (
+        f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown"
+        f"{apart}; measured {difference:.1e} at {RANDOM_POINTS} random points "
+        "and by climbing from the worst of them."
+    )
+
+
+def _slabs(
+    solution: SolutionCore, rows: Sequence[int], timeline: Timeline | BranchedTimeline | None
+) -> Branches:
+    """The slabs of each branch, of the states at ``rows``, the guards and the clock."""
+    slabs, guards = [solution.outcome.slabs], [0]
+    if isinstance(timeline, BranchedTimeline):
+        slabs = slabs_of_branches(solution.outcome.slabs, timeline)
+        guards = [*timeline.guards]
+    every = list[tuple[SlabTrain, ...]]()
+    for own, count in zip(slabs, guards, strict=True):
+        behind = [] if timeline is None else range(-CLOCK_STATES - count, 1 - CLOCK_STATES)
+        every.append(tuple(s.with_first(s.cores[0][[*rows, *behind]]) for s in own))
+    return every
+
+
+def _branch(
+    slabs: Sequence[SlabTrain], unknowns: int, parameters: int, timeline: Timeline | None
+) -> PackedBranch:
+    """A branch of slabs with so many unknowns; behind these are guards, and the clock."""
+    guards = None
+    if timeline is not None and len(slabs[0].cores[0]) > unknowns + 1:
+        at_start = slabs[0].in_time(np.array([slabs[0].start]))[unknowns:-1, 0]
+        guards = _without_polynomials(at_start)
+    of_unknowns = [slab.with_first(slab.cores[0][:unknowns]) for slab in slabs]
+    return PackedBranch(
+        starts=tuple(float(slab.start) for slab in slabs),
+        slabs=tuple(map(_packed, of_unknowns)),
+        scales=_scales(slabs),
+        timeline=None if timeline is None else _timeline(timeline, slabs, parameters),
+        guards=guards,
+    )
+
+
+def _choice(timeline: BranchedTimeline, slabs: Branches, unknowns: int) -> PackedChoice:
+    """What tells which branch holds, of the slabs of all branches with so many unknowns."""
+    return PackedChoice(
+        timeline.forks,
+        tuple(_highest(fork, timeline.openings) for fork in timeline.forks),
+        timeline.grazings,
+        tuple(_heights(each, slabs[each.branch], unknowns) for each in timeline.grazings),
+        timeline.openings,
+        timeline.width,
+        timeline.tolerances,
+    )
+
+
+def _highest(fork: Fork, openings: Sequence[Opening]) -> float:
+    """The largest guard of a fork for which the second of its branches is solved."""
+    of = (fork.second, fork.first, fork.guard)
+    roots = (o.upper for o in openings if (o.branch, o.parent, o.guard) == of)
+    return min((upper**2 for upper in roots), default=float_info.max)
+
+
+def _heights(
+    grazing: Grazing, slabs: Sequence[SlabTrain], unknowns: int
+) -> tuple[tuple[int, PackedCore], ...]:
+    """The guard of a grazing at its looks: for each run of slabs with some of them a core."""
+    times = looks(grazing)
+    owners, heights, first = slab_positions(slabs, times), list[tuple[int, PackedCore]](), 0
+    for run, group in enumerate(sharing(slabs)):
+        rows = [
+            slab.in_time(times[owners == k])[unknowns + grazing.guard]
+            for k, slab in enumerate(group, first)
+        ]
+        first += len(group)
+        if any(map(len, rows)):
+            heights.append((run, _without_polynomials(np.concatenate(rows))))
+    return tuple(heights)
+
+
+def _without_polynomials(matrix: Array) -> PackedCore:
+    """A core that is the same everywhere, of a matrix (left, right)."""
+    return PackedCore(0.0, 1.0, matrix[None, :, None, :])
 
 
 def _packed(slab: SlabTrain) -> tuple[PackedCore, ...]:
@@ -245,8 +221,8 @@ def _packed(slab: SlabTrain) -> tuple[PackedCore, ...]:
     return tuple(PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges) for d in dimensions)
 
 
-def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain]) -> PackedTimeline:
-    """The stretches of slabs whose last state is the clock."""
+def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain], parameters: int) -> PackedTimeline:
+    """The stretches of slabs over so many parameters, whose last state is the clock."""
     first_slabs = slab_positions(slabs, np.arange(float(timeline.stretches))).tolist()
     runs: list[int] = []
     borders: list[PackedCore] = []
@@ -261,14 +237,14 @@ def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain]) -> PackedTimeline:
             rows.append(run[-1].in_time(np.array([run[-1].end]))[-1])
         rank = run[0].cores[0].shape[2]
         matrix = np.concatenate(rows) if rows else np.empty((0, rank))
-        borders.append(PackedCore(0.0, 1.0, matrix[None, :, None, :]))
+        borders.append(_without_polynomials(matrix))
     met = timeline.met
     return PackedTimeline(
         first_slabs=(*first_slabs, len(slabs)),
         runs=tuple(runs),
         borders=tuple(borders),
         affine_borders=tuple(
-            (border, (*times, *[0.0] * (1 + len(slabs[0].bases) - len(times))))
+            (border, (*times, *[0.0] * (1 + parameters - len(times))))
             for border, times in timeline.affine_borders.items()
         ),
         terminal=timeline.terminal,
@@ -300,7 +276,9 @@ def checked_rtol(rtol: float | None) -> float | None:
 
 
 def _summary(
-    solution: SolutionCore, unknowns: tuple[str, ...], timeline: Timeline | None
+    solution: SolutionCore,
+    unknowns: tuple[str, ...],
+    timeline: Timeline | BranchedTimeline | None,
 ) -> tuple[str, ...]:
     """Lines that say what the model is and how good it is."""
     metadata = solution.metadata
@@ -323,9 +301,11 @@ def _summary(
     )
 
 
-def _stretches(timeline: Timeline | None) -> tuple[str, ...]:
+def _stretches(timeline: Timeline | BranchedTimeline | None) -> tuple[str, ...]:
     """Lines that say what ends the stretches between events, if there are any."""
     if timeline is None:
         return ()
     title, *ends = str(timeline).splitlines()
-    return ("", f"{title}:", *(f"    {end.strip()}" for end in ends))
+    if isinstance(timeline, Timeline):
+        ends = [end.strip() for end in ends]
+    return ("", f"{title}:", *(f"    {end}" for end in ends))

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,8 +22,9 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
 from rankone.verification.search import Climb, climbed
 
-_RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
+RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
 _SHARES_AT_ENDS = (0.0, 0.5, 1.0)  # Parameters at ends of their intervals, by thirds
+BORDER_SIDE = 1.001  # Distance from an event at which values are compared, over the one left out
 _MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
 _GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
 _MAX_LOOSENING = 4.0  # Largest tolerance of the cut over ``rtol``: it bounds a mean square
@@ -29,6 +32,9 @@ _MAX_ATTEMPTS = 9  # Cuts that are tried: doubling or reducing the tolerance, th
 _CLIMBERS = 24  # Points from which larger differences are looked for
 # How a point climbs to larger differences
 _DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
+
+
+Smaller = TypeVar("Smaller")
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class Rounding:
 
     slabs: tuple[SlabTrain, ...]
     differences: tuple[float, ...]
-    points: int = _RANDOM_POINTS
+    points: int = RANDOM_POINTS
 
 
 def rounded_slabs(
@@ -58,16 +64,27 @@ def rounded_slabs(
     times that are ``rtol`` horizons away from events that reset states or end them.
     """
     comparison = _Comparison(slabs, intervals, rtol, timeline)
-    best = Rounding(tuple(slabs), (0.0,) * len(comparison.sizes))
+    cut = partial(smaller_slabs, slabs, comparison.sizes)
+    best = loosest(cut, comparison.differences, rtol)
+    unchanged = Rounding(tuple(slabs), (0.0,) * len(comparison.sizes))
+    return unchanged if best is None else Rounding(*best)
+
+
+def loosest(
+    cut: Callable[[float], Smaller], compared: Callable[[Smaller], Array], rtol: float
+) -> tuple[Smaller, tuple[float, ...]] | None:
+    """The smallest slabs that are within ``rtol``, with their differences, or none.
+
+    ``cut`` makes slabs smaller by a tolerance, ``compared`` tells how far they are off then.
+    """
+    best: tuple[Smaller, tuple[float, ...]] | None = None
     low, high, tolerance = 0.0, 0.0, rtol
     for _ in range(_MAX_ATTEMPTS):
-        smaller = tuple(
-            slab for run in sharing(slabs) for slab in _smaller(run, comparison.sizes, tolerance)
-        )
-        differences = comparison.differences(smaller)
+        smaller = cut(tolerance)
+        differences = compared(smaller)
         largest = float(differences.max())
         if largest <= _MEASURED_MARGIN * rtol:
-            best, low = Rounding(smaller, tuple(differences.tolist())), tolerance
+            best, low = (smaller, tuple(differences.tolist())), tolerance
         else:
             high = tolerance
         loose = largest >= _GOOD_ENOUGH * rtol or tolerance >= _MAX_LOOSENING * rtol
@@ -92,7 +109,7 @@ class _Comparison:
         self._intervals, self._timeline = intervals, timeline
         self._before = _evaluation(slabs, timeline)
         self._apart = rtol * (intervals[0][1] - intervals[0][0])
-        self._points = _points(slabs, intervals)
+        self._points = random_points(slabs, intervals)
         if timeline is not None:
             self._move_to_events()
         self._states = self._before(self._points)
@@ -102,26 +119,18 @@ class _Comparison:
             self.sizes[-1] = intervals[0][1] - intervals[0][0]
         self.sizes[self.sizes == 0.0] = 1.0
 
-    def differences(self, smaller: Sequence[SlabTrain]) -> Array:
+    def differences(self, smaller: tuple[SlabTrain, ...]) -> Array:
         """Largest difference of each state over its size: at points, and climbing from the worst.
 
         That of the clock is the one of the times of events.
         """
         after = _evaluation(smaller, self._timeline)
-        at_points = self._changes(self._points, self._states, after(self._points))
-        largest = at_points.max(axis=1)
 
-        def difference(tried: Array) -> Array:
-            nonlocal largest
-            changes = self._changes(tried.T, self._before(tried.T), after(tried.T))
-            largest = np.maximum(largest, changes.max(axis=1))
-            return np.asarray(changes.max(axis=0))
+        def changes(points: Array) -> Array:
+            before = self._states if points is self._points else self._before(points)
+            return self._changes(points, before, after(points))
 
-        worst = np.argsort(-at_points.max(axis=0))[:_CLIMBERS]
-        heights = at_points[:, worst].max(axis=0)
-        starts = self._points[:, worst].T
-        climbed(difference, starts, heights, np.array(self._intervals), _DIFFERENCE_CLIMB)
-        return np.asarray(largest)
+        return climbed_differences(changes, self._points, self._intervals)
 
     def _changes(self, points: Array, before: Array, after: Array) -> Array:
         """Differences (states, N) over the sizes at points (coordinates, N)."""
@@ -131,19 +140,10 @@ class _Comparison:
         changes = np.abs(after - before)
         ended = np.isnan(before[:n]) & np.isnan(after[:n])
         changes[:n] = np.where(ended, 0.0, np.nan_to_num(changes[:n], nan=np.inf))
-        left_out = np.abs(points[0] - before[n:][self._interruptions]) <= self._apart
+        left_out = np.abs(points[0] - before[n:][interruptions(self._timeline)]) <= self._apart
         changes[:n, left_out.any(axis=0)] = 0.0
         of_clock = changes[n:].max(axis=0, keepdims=True)
         return np.asarray(np.concatenate([changes[:n], of_clock]) / self.sizes[:, None])
-
-    @property
-    def _interruptions(self) -> list[int]:
-        """The borders at which states are reset or end."""
-        assert self._timeline is not None
-        last = len(self._timeline.instants)
-        ends = self._timeline.terminal
-        resets = enumerate(self._timeline.resets, 1)
-        return [i for i, reset in resets if reset or (ends and i == last)]
 
     def _move_to_events(self) -> None:
         """Every other point to a time just before or after an event."""
@@ -153,7 +153,7 @@ class _Comparison:
         borders = self._before(half)[-1 - self._timeline.stretches :]
         border = rng.integers(0, len(borders), half.shape[1])
         times = borders[border, np.arange(half.shape[1])]
-        times += 1.001 * self._apart * rng.choice([-1.0, 1.0], half.shape[1])
+        times += BORDER_SIDE * self._apart * rng.choice([-1.0, 1.0], half.shape[1])
         self._points[0, ::2] = np.clip(times, *self._intervals[0])
 
 
@@ -176,7 +176,36 @@ def _evaluation(slabs: Sequence[SlabTrain], timeline: Timeline | None) -> Callab
     )
 
 
-def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:
+def climbed_differences(
+    changes: Callable[[Array], Array], points: Array, intervals: Sequence[tuple[float, float]]
+) -> Array:
+    """The largest of ``changes`` (rows, N) at points (coordinates, N), (rows,).
+
+    At some points, and climbing from the worst of them.
+    """
+    at_points = changes(points)
+    largest = at_points.max(axis=1)
+
+    def difference(tried: Array) -> Array:
+        nonlocal largest
+        there = changes(tried.T)
+        largest = np.maximum(largest, there.max(axis=1))
+        return np.asarray(there.max(axis=0))
+
+    worst = np.argsort(-at_points.max(axis=0))[:_CLIMBERS]
+    heights = at_points[:, worst].max(axis=0)
+    climbed(difference, points[:, worst].T, heights, np.array(intervals), _DIFFERENCE_CLIMB)
+    return np.asarray(largest)
+
+
+def interruptions(timeline: Timeline) -> list[int]:
+    """The borders at which states are reset or end."""
+    last = len(timeline.instants)
+    resets = enumerate(timeline.resets, 1)
+    return [i for i, reset in resets if reset or (timeline.terminal and i == last)]
+
+
+def random_points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:
     """Random points (coordinates, N), with many where trains differ most.
 
     A third lies anywhere, a third on faces and edges of the box, a third at its corners; half of
@@ -184,20 +213,27 @@ def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]
     """
     rng = np.random.default_rng(0)
     ends = np.array(intervals)
-    shares = rng.random((len(ends), _RANDOM_POINTS))
+    shares = rng.random((len(ends), RANDOM_POINTS))
     at_ends = rng.random(shares.shape) < np.repeat(
-        _SHARES_AT_ENDS, _RANDOM_POINTS // len(_SHARES_AT_ENDS)
+        _SHARES_AT_ENDS, RANDOM_POINTS // len(_SHARES_AT_ENDS)
     )
     shares = np.where(at_ends, np.round(shares), shares)
     points = ends[:, :1] + shares * np.diff(ends)
-    for j, basis in enumerate(slabs[0].bases, start=1):
+    for j, basis in enumerate(slabs[0].bases[: len(points) - 1], start=1):
         if not basis.scale.is_identity:
             start, end = basis.scale.to_scale(ends[j])
             points[j] = basis.scale.from_scale(start + shares[j] * (end - start))
     points = np.clip(points, ends[:, :1], ends[:, 1:])
     edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
-    points[0, ::2] = rng.choice(edges, _RANDOM_POINTS // 2)
+    points[0, ::2] = rng.choice(edges, RANDOM_POINTS // 2)
     return points
+
+
+def smaller_slabs(
+    slabs: Sequence[SlabTrain], sizes: Array, tolerance: float
+) -> tuple[SlabTrain, ...]:
+    """Smaller slabs, within a tolerance of the sizes of the states in mean square."""
+    return tuple(slab for run in sharing(slabs) for slab in _smaller(run, sizes, tolerance))
 
 
 def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:

@@ -9,9 +9,6 @@ from dataclasses import dataclass, replace
 from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock
 from rankone.support.wording import count
-from rankone.tensors.decisions import Fork, Grazing
-
-__all__ = ["CLOCK_STATES", "BranchedTimeline", "Fork", "Grazing", "Opening", "Timeline"]
 
 _LONGEST_TURN, _FEWEST_TIMES = 8, 5  # Events that come in turn, and how often, to be one line
 CLOCK_STATES = 2
@@ -114,6 +111,45 @@ class Timeline:
     def stretches(self) -> int:
         """Number of stretches."""
         return len(self.instants) + (self.ending is not Ending.EVENT)
+
+
+@dataclass(frozen=True)
+class Fork:
+    """Two branches that are the same up to the beginning of a stretch, and then part.
+
+    The ``first`` one holds if its stretch ends before that of the ``second``, or, where both end
+    at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states.
+    The guard is relative to its ``scale``. One ``at_turn`` is the height at a turn over the rise to
+    it, and decides nothing below the scale. The events that end the stretch ``may_be_past`` at its
+    beginning: then they do not come.
+    """
+
+    first: int
+    second: int
+    stretch: int
+    guard: int | None = None
+    sign: float = 1.0
+    scale: float = 1.0
+    may_be_past: tuple[bool, bool] = (False, False)
+    at_turn: bool = False
+
+
+@dataclass(frozen=True)
+class Grazing:
+    """An event that a branch does not meet on a stretch, but for a sliver of where it holds.
+
+    There a row of the branch behind its states, a ``guard``, falls through zero somewhere along the
+    stretch. It is relative to its ``scale``. The event may have been met before: it ``begins`` the
+    stretch then, or ``ends`` it. Before its ``first`` time the row is above zero all along.
+    """
+
+    branch: int
+    stretch: int
+    guard: int
+    scale: float
+    begins: bool = False
+    ends: bool = False
+    first: bool = False
 
 
 @dataclass(frozen=True)

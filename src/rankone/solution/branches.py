@@ -31,7 +31,14 @@ def slabs_of_branches(
 
 def branch_evaluator(slabs: Sequence[SlabTrain], timeline: BranchedTimeline) -> BranchEvaluator:
     """The evaluator of slabs of branches, each behind those of the one before."""
-    slabs_of, evaluators = slabs_of_branches(slabs, timeline), dict[int, TimelineEvaluator]()
+    return evaluator_of_branches(slabs_of_branches(slabs, timeline), timeline)
+
+
+def evaluator_of_branches(
+    slabs_of: Sequence[Sequence[SlabTrain]], timeline: BranchedTimeline
+) -> BranchEvaluator:
+    """The evaluator of the slabs of each branch, from 0 on."""
+    evaluators = dict[int, TimelineEvaluator]()
 
     def evaluator(k: int) -> TimelineEvaluator:
         """That of a branch, after those of the parents of its openings."""

@@ -12,6 +12,7 @@ module             subject, in the order to read
 ``evaluator``      trains at many points, at one point, along curves and on grids
 ``over_clock``     what evaluators over clock time share
 ``timeline``       evaluation over clock time, of slabs over stretches
+``forks``          what tells several orders of events apart, as those who decide see it
 ``decisions``      which of several orders of events holds
 ``branches``       the same where several orders of events hold, each in a part of the box
 ``tiling``         boxes that tile a box, and which of them holds a point

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
-from rankone.tensors.decisions import LOOKS, Decider, Decision, Fork, Grazing, clearance, looks
+from rankone.tensors.decisions import LOOKS, Decider, Decision, clearance, looks
 from rankone.tensors.evaluator import Rows
+from rankone.tensors.forks import Fork, Grazing
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 

@@ -6,57 +6,18 @@ Exported models decide in the same way: the text of this module is part of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.tensors.forks import Fork, Grazing
 
 LOOKS = 65  # Times along a stretch at which a grazed event is looked for
 
 
-@dataclass(frozen=True)
-class Fork:
-    """Two branches that are the same up to the beginning of a stretch, and then part.
-
-    The ``first`` one holds if its stretch ends before that of the ``second``, or, where both end
-    at once, if ``sign`` times a ``guard`` is positive: a row of the first one behind the states.
-    The guard is relative to its ``scale``. One ``at_turn`` is the height at a turn over the rise to
-    it, and decides nothing below the scale. The events that end the stretch ``may_be_past`` at its
-    beginning: then they do not come.
-    """
-
-    first: int
-    second: int
-    stretch: int
-    guard: int | None = None
-    sign: float = 1.0
-    scale: float = 1.0
-    may_be_past: tuple[bool, bool] = (False, False)
-    at_turn: bool = False
-
-
-@dataclass(frozen=True)
-class Grazing:
-    """An event that a branch does not meet on a stretch, but for a sliver of where it holds.
-
-    There a row of the branch behind its states, a ``guard``, falls through zero somewhere along the
-    stretch. It is relative to its ``scale``. The event may have been met before: it ``begins`` the
-    stretch then, or ``ends`` it. Before its ``first`` time the row is above zero all along.
-    """
-
-    branch: int
-    stretch: int
-    guard: int
-    scale: float
-    begins: bool = False
-    ends: bool = False
-    first: bool = False
-
-
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """Which branch holds at N points, and by how much it is ahead of each (branches, N).
 
     ``clear`` is by how much it misses events that are only grazed, (N,). Points are ``undecided``
@@ -73,18 +34,22 @@ class Decision:
     borders: Sequence[Array]
 
 
-@dataclass(frozen=True)
 class Decider:
     """Decides by the ``forks``, known up to a ``width`` relative to the horizon or their scales.
 
     The second branch of each is solved up to the ``highest`` value of its guard.
     """
 
-    forks: tuple[Fork, ...]
-    highest: tuple[float, ...]
-    grazings: tuple[Grazing, ...]
-    width: float
-    horizon: tuple[float, float]
+    def __init__(
+        self,
+        forks: Sequence[Fork],
+        highest: Sequence[float],
+        grazings: Sequence[Grazing],
+        width: float,
+        horizon: tuple[float, float],
+    ) -> None:
+        self.forks, self.highest, self.grazings = forks, highest, grazings
+        self.width, self.horizon = width, horizon
 
     def decision(self, borders: Sequence[Array], guards: Array, clearances: Array) -> Decision:
         """The branches that hold at N points.

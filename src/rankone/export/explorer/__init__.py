@@ -39,7 +39,8 @@ from typing import TYPE_CHECKING
 from rankone.export.explorer.content import content, lead, quality, with_derivatives
 from rankone.export.explorer.mathml import Notation
 from rankone.export.model_js import javascript_model
-from rankone.export.packing import PackedModel, pack
+from rankone.export.packed import PackedModel
+from rankone.export.packing import pack
 from rankone.export.templates import filled
 from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError
@@ -137,8 +138,8 @@ def _page(
         ),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
-        "events": "yes" if model.timeline and model.timeline.events else "",
-        "running": " of what still runs" if model.timeline and model.timeline.terminal else "",
+        "events": "yes" if model.events else "",
+        "running": " of what still runs" if model.terminal else "",
         "phase": "yes" if len(data["unknowns"]) > 1 else "",
         "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_FOLDER / "page.css"),
         "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.export.explorer.mathml import Notation, with_exponents
-from rankone.export.packing import PackedModel
+from rankone.export.packed import PackedModel
 from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
 from rankone.ir.outcome import Measured
@@ -101,7 +101,7 @@ def content(
         },
         "times": times.tolist(),
         "stretches": _stretches(model),
-        "terminal": model.timeline is not None and model.timeline.terminal,
+        "terminal": model.terminal,
         "sobol": sobol,
     }
 
@@ -124,12 +124,13 @@ def _has_indices(solution: DistributionOverBox) -> bool:
 
 def _stretches(model: PackedModel) -> list[list[float]] | None:
     """Shares of each stretch between events at which curves are drawn, from 0 on."""
-    if model.timeline is None:
+    branch, timeline = model.single, model.single.timeline
+    if timeline is None:
         return None
     stretches = []
-    for i, (first, last) in enumerate(pairwise(model.timeline.first_slabs)):
-        slabs = [i, *model.starts[first + 1 : last], i + 1]
-        if len(model.starts) > _MOST_SLABS:
+    for i, (first, last) in enumerate(pairwise(timeline.first_slabs)):
+        slabs = [i, *branch.starts[first + 1 : last], i + 1]
+        if len(branch.starts) > _MOST_SLABS:
             slabs = [i, i + 1]
         each = max(_TIMES_IN_SLAB, math.ceil(_TIMES_IN_STRETCH / (len(slabs) - 1)))
         shares = [np.linspace(a, b, each, endpoint=False) - i for a, b in pairwise(slabs)]
@@ -268,9 +269,9 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
     if measured is None:
         return [*lines, "The error of this solution is not known: it was not measured."]
     lines += _of_errors(measured, solution)
-    if model.timeline is not None and _has_indices(solution):
+    if model.events is not None and _has_indices(solution):
         lines.append("Sobol indices are from points, and good to 0.02.")
-    if model.timeline is not None and model.timeline.terminal:
+    if model.terminal:
         lines.append(
             "Where some trajectories have ended, bands are those of the others, and Sobol indices "
             "are not defined."
