@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Clearance, Ending, Guard, SystemEvent, Turn
+from rankone.ir.events import Clearance, Ending, ForcedOrder, Guard, SystemEvent, Turn
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
@@ -213,15 +213,17 @@ class _Follower:
     tolerances: Tolerances
 
     @property
+    def _forced(self) -> ForcedOrder:
+        assert self.clock.forced is not None
+        return self.clock.forced
+
+    @property
     def _parameters(self) -> Array:
         """Those of the system at the points, (m, d)."""
-        forced = self.clock.forced
-        assert forced is not None
-        return self.points[:, : self.points.shape[1] - len(forced.opened)]
+        return self.points[:, : self.points.shape[1] - len(self._forced.opened)]
 
     def trajectories(self) -> ForcedTrajectories:
-        clock, forced = self.clock, self.clock.forced
-        assert forced is not None
+        clock, forced = self.clock, self._forced
         times = np.full(len(self.points), clock.horizon[0])
         expected = forced.lengths(self.points)
         states = self._on_sides(clock.system.initial(np.ascontiguousarray(self._parameters.T)), 0)
@@ -261,18 +263,16 @@ class _Follower:
 
         A surface that is ``moved`` by an opened event joins the others.
         """
-        forced = self.clock.forced
-        assert forced is not None
-        (first, *_), before = forced.met[i], forced.met[i - 1] if i else ()
+        (first, *_), before = self._forced.met[i], self._forced.met[i - 1] if i else ()
         event = self.clock.system.events[first]
         if event.at is not None:
             at = event.at(np.ascontiguousarray(self._parameters.T))
             elapsed = np.broadcast_to(at, times.shape) - times
             return self._flow(times, states, elapsed, stretch=i), elapsed
-        for column, turn in enumerate(forced.opened, self._parameters.shape[1]):
+        for column, turn in enumerate(self._forced.opened, self._parameters.shape[1]):
             if turn.stretch == i:
                 return self._to_opened(turn, column, times, states, expected, moved)
-        margin = forced.margins[i]
+        margin = self._forced.margins[i]
         at_root = np.full(times.shape, first in before)
         if not before:  # at points that begin at the very event, it is the one expected
             at_root = np.abs(expected) > margin
@@ -309,9 +309,7 @@ class _Follower:
         self, guards: Array, instant: int, applied: int, times: Array, states: Array
     ) -> None:
         """Fill in the guards at an instant, after so many events there."""
-        forced = self.clock.forced
-        assert forced is not None
-        for row, guard in zip(guards, forced.guards, strict=True):
+        for row, guard in zip(guards, self._forced.guards, strict=True):
             if not isinstance(guard, Guard):
                 continue
             if (guard.instant, guard.applied) == (instant, applied):
@@ -341,10 +339,8 @@ class _Follower:
 
     def _turns(self, stretch: int | None) -> list[Turn]:
         """The turns of a stretch at which heights are asked for."""
-        forced = self.clock.forced
-        assert forced is not None
-        of_guards = (each for each in forced.guards if isinstance(each, Turn))
-        return [each for each in (*of_guards, *forced.opened) if each.stretch == stretch]
+        of_guards = (each for each in self._forced.guards if isinstance(each, Turn))
+        return [each for each in (*of_guards, *self._forced.opened) if each.stretch == stretch]
 
     def _expected(self, turn: Turn) -> Array:
         """About the elapsed time of a turn, (m,)."""
@@ -366,9 +362,7 @@ class _Follower:
 
     def _heights_at_turns(self, stretch: int, flow: _Flow, guards: Array, turns: Array) -> None:
         """Fill in the guards at turns of a stretch, and the elapsed times of these."""
-        forced = self.clock.forced
-        assert forced is not None
-        for row, guard in enumerate(forced.guards):
+        for row, guard in enumerate(self._forced.guards):
             if isinstance(guard, Turn) and guard.stretch == stretch:
                 turns[row], height, rise = self._at_turn(guard, flow)
                 guards[row] = height / rise
@@ -388,10 +382,8 @@ class _Follower:
         the turn, where it would be zero: there is always a root.
         """
         event, i = self.clock.system.events[turn.event], turn.stretch
-        forced = self.clock.forced
-        assert forced is not None
         for factor in _WIDER:
-            low = expected - factor * forced.margins[i]
+            low = expected - factor * self._forced.margins[i]
             flow = self._flow(times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0), i)
             at_turn, height, rise = self._at_turn(turn, flow)
             by = turn.sign * (self.points[:, column] ** 2 * rise - height)
@@ -422,9 +414,7 @@ class _Follower:
         moved: Array | float,
     ) -> tuple[_Flow, Array]:
         """The flow around the expected root of an event, and the elapsed times (m,) of roots."""
-        forced = self.clock.forced
-        assert forced is not None
-        event, margin = self.clock.system.events[forced.met[i][0]], forced.margins[i]
+        event, margin = self.clock.system.events[self._forced.met[i][0]], self._forced.margins[i]
         for factor in _WIDER:
             low, high = expected - factor * margin, expected + factor * margin
             flow = self._flow(times, states, np.maximum(high, 0.0), np.minimum(low, 0.0), i)

@@ -139,117 +139,146 @@ def in_stretches(clock: Clock) -> System:
     roots of heights of opened events are parameters behind the others. Its Jacobian leaves out how
     the rates depend on the clock.
     """
-    system, order, guards = clock.system, clock.order, clock.n_guards
-    opened = () if clock.forced is None else clock.forced.opened
-    d = len(system.parameters)
-    cost, n = function_cost(system.rhs, system.user_functions), clock.n_states
-    clearances = () if clock.forced is None else clock.forced.clearances
-    now = n + guards  # the row of the clock
-    stretches = order.stretches
-    sides = np.array(order.sides, dtype=float).reshape(stretches, system.n_sides)
-
-    def of_system(s: float | Array, rows: Array) -> Array:
-        """The states with the sides of switches on the stretch."""
-        if not system.n_sides:
-            return rows[:n]
-        at = np.broadcast_to(s, rows.shape[1:])
-        stretch = np.clip(np.floor(at), 0, stretches - 1).astype(int)
-        return np.concatenate([rows[:n], np.moveaxis(sides[stretch], -1, 0)])
-
-    def rhs(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        rows, p = np.asarray(u), p[:d]
-        states, time, length = of_system(s, rows), rows[now], rows[now + 1]
-        charge(cost(length.size))
-        rates = np.broadcast_to(system.rhs(time, states, p), states.shape)
-        of_guards = np.zeros((guards, *length.shape))
-        for row, each in enumerate(clearances, guards - len(clearances)):
-            step = _STEP * clock.length
-            ahead, behind = (
-                system.events[each.event].when(time + h, states + h * rates, np.asarray(p))
-                for h in (step, -step)
-            )
-            of_guards[row] = length * each.sign * (ahead - behind) / (2.0 * step)
-        return np.concatenate([length * rates[:n], of_guards, [length, np.zeros_like(length)]])
-
-    def jacobian(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        rows, p = np.asarray(u), p[:d]
-        states, time, length = of_system(s, rows), rows[now], rows[now + 1]
-        matrices = np.zeros((now + CLOCK_STATES, now + CLOCK_STATES, *length.shape))
-        matrices[:n, :n] = length * np.asarray(system.jacobian(time, states, p))[:n, :n]
-        matrices[:n, now + 1] = np.asarray(system.rhs(time, states, p))[:n]
-        matrices[now, now + 1] = 1.0
-        return matrices
-
-    def parameter_factors(j: int, values: Array) -> Array:
-        return system.parameter_factors(j, values) if j < d else np.ones((1, values.size))
-
-    def surfaces(s: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        rows = np.asarray(u)
-        return system.features.state_surfaces(rows[now], of_system(s, rows), p[:d])
-
-    def parameter_surfaces(p: VectorLike) -> Array:
-        return system.features.parameter_surfaces(p[:d])
-
-    def initial(p: VectorLike) -> Array:
-        parameters = np.asarray(p)[:d]
-        count = parameters.shape[1]
-        clock_states = [np.full(count, clock.horizon[0]), np.full(count, clock.length / stretches)]
-        start = system.initial(parameters)
-        of_guards = np.ones((guards, count))
-        for row, each in enumerate(clearances, guards - len(clearances)):
-            height = system.events[each.event].when(clock_states[0], start, parameters)
-            of_guards[row] = each.sign * height
-        return np.concatenate([start[:n], of_guards, clock_states])
-
-    features = system.features
-    features = Features(
-        cuts=((), *features.cuts[1:], *((),) * len(opened)),
-        periodic_cuts=((), *features.periodic_cuts[1:], *((),) * len(opened)),
-        n_parameter_surfaces=features.n_parameter_surfaces,
-        parameter_surfaces=parameter_surfaces,
-        n_peaks=features.n_peaks,
-        n_kinks=features.n_kinks,
-        n_steps=features.n_steps,
-        state_surfaces=surfaces,
-    )
-    specification = system.specification
+    system, functions = clock.system, _StretchFunctions(clock)
+    states = system.states[: clock.n_states]
     return replace(
-        system.starting_at(initial),
+        system.starting_at(functions.initial),
         separated=False,
-        states=(*system.states[:n], *(f"G{k}" for k in range(guards)), "t", "T"),
+        states=(*states, *(f"G{k}" for k in range(clock.n_guards)), "t", "T"),
         parameters=(*system.parameters, *_names_of_turns(clock)),
-        n_differential=now + CLOCK_STATES,
+        n_differential=functions.clock_row + CLOCK_STATES,
         n_lifted=0,
         n_sides=0,
         held=None,
         products=(),
-        horizon=(0.0, float(stretches)),
+        horizon=(0.0, float(clock.order.stretches)),
         terms=(),
         time_factors=lambda s: np.ones((1, s.size)),
-        parameter_factors=parameter_factors,
+        parameter_factors=functions.parameter_factors,
         with_products=lambda u: np.asarray(u),
-        rhs=rhs,
-        jacobian=jacobian,
-        quadratic_jacobian=jacobian,
-        features=features,
+        rhs=functions.rhs,
+        jacobian=functions.jacobian,
+        quadratic_jacobian=functions.jacobian,
+        features=functions.features,
         jumps=Jumps(),
         events=(),
         constraints=Constraints(),
         clock=clock,
-        specification=specification
-        and StretchSpecification(
-            specification,
-            order,
-            clock.cuts,
-            clock.horizon,
-            clock.markers,
-            clock.in_step,
-            clock.foreseen_marks,
-            clock.forced,
-            clock.repeats_from,
-            clock.swings,
-        ),
+        specification=_specification(clock),
     )
+
+
+def _specification(clock: Clock) -> StretchSpecification | None:
+    """What the system over the stretches of a clock is loaded from."""
+    inner = clock.system.specification
+    if inner is None:
+        return None
+    return StretchSpecification(
+        inner,
+        clock.order,
+        clock.cuts,
+        clock.horizon,
+        clock.markers,
+        clock.in_step,
+        clock.foreseen_marks,
+        clock.forced,
+        clock.repeats_from,
+        clock.swings,
+    )
+
+
+class _StretchFunctions:
+    """The functions of a system over the stretches of a clock.
+
+    Vectors (n, ...) have the states, the guards, and then in the ``clock_row`` the clock, and
+    behind it the length of the stretch; parameters may be followed by roots of heights.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock, self.system, self.stretches = clock, clock.system, clock.order.stretches
+        self.clearances = () if clock.forced is None else clock.forced.clearances
+        self.opened = () if clock.forced is None else clock.forced.opened
+        self.clock_row = clock.n_states + clock.n_guards
+        self._parameters = len(self.system.parameters)
+        self._cost = function_cost(self.system.rhs, self.system.user_functions)
+        shape = self.stretches, self.system.n_sides
+        self._sides = np.array(clock.order.sides, dtype=float).reshape(shape)
+
+    def rhs(self, s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        """The rates of all states by the pseudo-time."""
+        rows, p = np.asarray(u), p[: self._parameters]
+        states, (time, length) = self._of_system(s, rows), rows[self.clock_row :][:CLOCK_STATES]
+        charge(self._cost(length.size))
+        rates = np.broadcast_to(self.system.rhs(time, states, p), states.shape)
+        of_guards = np.zeros((self.clock.n_guards, *length.shape))
+        for row, each in enumerate(self.clearances, len(of_guards) - len(self.clearances)):
+            when, step = self.system.events[each.event].when, _STEP * self.clock.length
+            ahead, behind = (
+                when(time + h, states + h * rates, np.asarray(p)) for h in (step, -step)
+            )
+            of_guards[row] = length * each.sign * (ahead - behind) / (2.0 * step)
+        of_states = length * rates[: self.clock.n_states]
+        return np.concatenate([of_states, of_guards, [length, np.zeros_like(length)]])
+
+    def jacobian(self, s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        """That of the rates, but for how they depend on the clock."""
+        rows, p, n, now = np.asarray(u), p[: self._parameters], self.clock.n_states, self.clock_row
+        states, (time, length) = self._of_system(s, rows), rows[now:][:CLOCK_STATES]
+        matrices = np.zeros((now + CLOCK_STATES, now + CLOCK_STATES, *length.shape))
+        matrices[:n, :n] = length * np.asarray(self.system.jacobian(time, states, p))[:n, :n]
+        matrices[:n, now + 1] = np.asarray(self.system.rhs(time, states, p))[:n]
+        matrices[now, now + 1] = 1.0
+        return matrices
+
+    def initial(self, p: VectorLike) -> Array:
+        """The states at the start, with guards of one, and stretches of one length."""
+        clock, parameters = self.clock, np.asarray(p)[: self._parameters]
+        count = parameters.shape[1]
+        begin = np.full(count, clock.horizon[0])
+        start = self.system.initial(parameters)
+        of_guards = np.ones((clock.n_guards, count))
+        for row, each in enumerate(self.clearances, len(of_guards) - len(self.clearances)):
+            height = self.system.events[each.event].when(begin, start, parameters)
+            of_guards[row] = each.sign * height
+        lengths = np.full(count, clock.length / self.stretches)
+        return np.concatenate([start[: clock.n_states], of_guards, [begin, lengths]])
+
+    def parameter_factors(self, j: int, values: Array) -> Array:
+        """Those of the system; a root has none."""
+        known = j < self._parameters
+        return self.system.parameter_factors(j, values) if known else np.ones((1, values.size))
+
+    @property
+    def features(self) -> Features:
+        """Those of the system without what happens at known times."""
+        features, roots = self.system.features, ((),) * len(self.opened)
+        return Features(
+            cuts=((), *features.cuts[1:], *roots),
+            periodic_cuts=((), *features.periodic_cuts[1:], *roots),
+            n_parameter_surfaces=features.n_parameter_surfaces,
+            parameter_surfaces=self._parameter_surfaces,
+            n_peaks=features.n_peaks,
+            n_kinks=features.n_kinks,
+            n_steps=features.n_steps,
+            state_surfaces=self._state_surfaces,
+        )
+
+    def _parameter_surfaces(self, p: VectorLike) -> Array:
+        return self.system.features.parameter_surfaces(p[: self._parameters])
+
+    def _state_surfaces(self, s: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        rows, p = np.asarray(u), p[: self._parameters]
+        states = self._of_system(s, rows)
+        return self.system.features.state_surfaces(rows[self.clock_row], states, p)
+
+    def _of_system(self, s: float | Array, rows: Array) -> Array:
+        """The states of the system, with the sides of switches on the stretch."""
+        states = rows[: self.clock.n_states]
+        if not self.system.n_sides:
+            return states
+        at = np.broadcast_to(s, rows.shape[1:])
+        stretch = np.clip(np.floor(at), 0, self.stretches - 1).astype(int)
+        return np.concatenate([states, np.moveaxis(self._sides[stretch], -1, 0)])
 
 
 @dataclass(frozen=True)
