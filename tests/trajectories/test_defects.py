@@ -15,6 +15,8 @@ from rankone.symbolic.features import features_of
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks.explicit import StackedDOP853
+from rankone.trajectories.stacks.implicit import StackedRadau
+from rankone.trajectories.stacks.newton import jacobians_for
 from rankone.verification.points import check_points, surface_points
 from rankone.verification.reference import integrate_reference
 from tests.honesty.cases import t, unknown
@@ -253,3 +255,38 @@ def test_two_finite_peaks_are_no_end_of_trajectories():
     np.testing.assert_allclose(
         reference(np.array([3.0]))[1, :, 0], 2 * np.sqrt(np.pi) / np.array([1.25, 1.5]), rtol=1e-4
     )
+
+
+def radau_of(rates, *span_and_tolerances):
+    system = compiled("-k*x", {"k": (0.5, 1.5)}, start="k").system
+    blocks = jacobians_for(system, np.ones((10, 1)))
+    return StackedRadau(rates, *span_and_tolerances, None, blocks)
+
+
+@pytest.mark.parametrize("method", [StackedDOP853, radau_of])
+def test_states_at_several_shares_of_a_step_are_those_at_each(method):
+    """Their slopes are those of the states over the share."""
+    m, columns = 10, np.array([0, 2, 3])
+
+    class Decay:
+        def __call__(self, _t, y):
+            return -y
+
+        def at(self, _times, states):
+            return -states
+
+    starts = np.arange(1.0, m + 1.0)[None]
+    tolerances = Tolerances(1e-6, np.full((1, 1), 1e-9))
+    solver = method(Decay(), 0.0, starts, 1.0, tolerances)
+    solver.step()
+    interpolant = solver.interpolant(columns)
+    shares = np.random.default_rng(1).random((4, columns.size))
+    states, slopes = interpolant(shares, True)
+    assert states.shape == slopes.shape == (1, 4, columns.size)
+    for k, row in enumerate(shares):
+        np.testing.assert_allclose(states[:, k], interpolant(row, True)[0], rtol=1e-13)
+        np.testing.assert_allclose(slopes[:, k], interpolant(row, True)[1], rtol=1e-11)
+    further, before = (interpolant(shares + shift, False)[0] for shift in (1e-5, -1e-5))
+    np.testing.assert_allclose((further - before) / 2e-5, slopes, rtol=1e-6)
+    exact = np.exp(-shares * (solver.t - solver.t_old)) * starts[:, None, columns]
+    np.testing.assert_allclose(states, exact, rtol=1e-4)

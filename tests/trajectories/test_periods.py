@@ -11,8 +11,9 @@ from rankone.ir.system import Clock
 from rankone.trajectories.choice import integrator_for, span_integrator_for
 from rankone.trajectories.events.crossings import Crossings
 from rankone.trajectories.events.event_order import follow
+from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.integration import Ahead
-from rankone.trajectories.events.markers import ForeseenMarks
+from rankone.trajectories.events.markers import ForeseenMarks, _enough_marks
 from rankone.trajectories.events.periods import is_autonomous, repeating_from, repeats
 from rankone.trajectories.events.stretches import in_stretches, marker_event, timed_events
 from rankone.trajectories.integrator import Spans, Tolerances
@@ -193,3 +194,27 @@ def test_the_check_sees_what_goes_on_wrongly(monkeypatch):
     assert solution.outcome.timeline is not None
     assert not solution.success
     assert solution.error > 0.1
+
+
+def test_what_repeats_only_after_the_end_leaves_nothing_out(monkeypatch):
+    system = system_of()
+    clock, trajectories = followed(system, repeats_from=0)
+    assert goes_on(clock, trajectories)
+    early = dataclasses.replace(clock, horizon=(0.0, trajectories[0].occurrences[3].time))
+    monkeypatch.setattr("rankone.trajectories.events.periods._growth", None)  # no integration
+    assert goes_on(early, trajectories) == 0
+
+
+def marked(*times):
+    """A trajectory that passes marks at times."""
+    occurrences = [Occurrence(0, time, np.zeros(1), np.zeros(1)) for time in times]
+    return EventTrajectory([], 0.0, np.zeros(1), occurrences=occurrences)
+
+
+@pytest.mark.parametrize(("end", "enough"), [(4.2, 5), (4.4, 5), (4.6, 6), (4.99, 6), (3.99, 5)])
+def test_all_pass_the_last_mark_well_after_the_end(end, enough):
+    """Two marks in a period of two, and one a little later for the slower trajectory."""
+    trajectories = [marked(1, 2, 3, 4, 5, 6, 7), marked(1, 2, 3.1, 4.1, 5.1, 6.1, 7.1)]
+    passed = max(sum(mark.time < end for mark in each.occurrences) for each in trajectories)
+    assert _enough_marks(trajectories, 2, passed, passed + 2, end) == enough
+    assert _enough_marks([*trajectories, marked(1, 2)], 2, passed, passed + 2, end) == passed + 2

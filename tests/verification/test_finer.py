@@ -7,7 +7,9 @@ import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers import attempts
 from rankone.support.budget import OutOfWorkError, limited, work_done
-from rankone.verification.finer import confirmed
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.single import SingleIntegrator
+from rankone.verification.finer import _finer, confirmed
 from rankone.verification.reference_set import ReferenceSet
 from tests.reference.published import PUBLISHED
 
@@ -97,3 +99,19 @@ def test_no_success_where_the_limit_leaves_no_comparison(monkeypatch):
     solution = ro.solve(problem("1/(1 + k*x)"), RTOL)
     assert solution.status is ro.Status.WORK_LIMIT
     assert solution.error < RTOL
+
+
+def test_lsoda_is_not_asked_for_what_makes_its_steps_short():
+    """Below about 3e-12 it never returns from its stiff method."""
+    finer = [_finer(each) for each in (3e-6, 3e-8, 5e-9, 1e-9)]
+    assert finer == pytest.approx([3e-8, 3e-10, 3e-10, 1e-11], rel=1e-9, abs=0.0)
+    rates = {"v": "v - v**3/3 - w + a", "w": "0.08*(v + 0.7 - 0.8*w)"}
+    start = {"v": "-1", "w": "-0.5"}
+    given = ro.Problem.from_strings(rates, start, {"a": (0.45, 0.55)}, (0, 150))
+    system, points = ro.compile(given).system, np.array([[0.5]])
+    steps = []
+    for accuracy in (1e-9, 3e-10, 1e-10, 3e-11, 1e-11):
+        tolerances = Tolerances(accuracy, np.full((2, 1), 1e-3 * accuracy))
+        steps.append(SingleIntegrator().run(system, points, [0.0, 150.0], tolerances).steps)
+    assert steps[1] < 1.3 * steps[0]
+    assert max(steps[2:]) > 2.0 * steps[1]

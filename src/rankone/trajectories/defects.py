@@ -28,8 +28,8 @@ _LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
 _PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
 
-# Maps shares (c,) of a step, and whether slopes are needed, to the states (n, c) of c trajectories
-# and their slopes over the share
+# Maps shares (..., c) of a step, and whether slopes are needed, to the states (n, ..., c) of c
+# trajectories and their slopes over the share
 Interpolant: TypeAlias = "Callable[[Array, bool], tuple[Array, Array]]"
 
 
@@ -67,6 +67,7 @@ class DefectControl:
         self.rates, self.features = system.rhs, system.features
         self.parameters = np.ascontiguousarray(points.T)
         self.places = max(_LEAST_PLACES, _PLACES // len(points)) if anywhere else 0
+        self.columns = np.tile(np.arange(len(points)), self.places)
         self.generator = np.random.default_rng(20142)
         users = system.user_functions
         self.rates_cost = function_cost(system.rhs, users)
@@ -84,15 +85,17 @@ class DefectControl:
     def _at_random(self, solver: Steps) -> Array:
         """Largest errors that defects at random places amount to, in tolerances."""
         m = self.parameters.shape[1]
-        columns = np.tile(np.arange(m), self.places)
-        charge(self.rates_cost(columns.size) + _LOOK_COST(solver.y.size // m * columns.size))
-        shares = self.generator.random(columns.size)
-        start, h = self._spans(solver, columns)
-        states, slopes = solver.interpolant(columns)(shares, True)
-        rates = self.rates(start + h * shares, states, self.parameters[:, columns])
-        defect = _beyond_rounding(slopes - h * rates, rates, start + h, states)
-        error = np.abs(solver.error_of(defect, columns))
-        return self._largest(error / _tolerated(solver, states), columns)
+        n = solver.y.size // m
+        charge(self.rates_cost(self.columns.size) + _LOOK_COST(n * self.columns.size))
+        shares = self.generator.random((self.places, m))
+        start, h = solver.t_old, solver.t - solver.t_old
+        states, slopes = solver.interpolant(np.arange(m))(shares, True)
+        rates = self.rates(start + h * shares, states, self.parameters[:, None])
+        defect = _beyond_rounding(slopes - h * rates, rates, solver.t, states)
+        errors = np.abs(solver.error_of(defect.reshape(n, -1), self.columns))
+        scaled = errors / _tolerated(solver, states.reshape(n, -1))
+        largest = scaled.reshape(-1, m).max(axis=0)
+        return np.where(np.isnan(largest), np.inf, largest)
 
     def _spans(self, solver: Steps, columns: NDArray[np.intp]) -> tuple[Array, Array]:
         """The start and the length of the steps of some columns."""
@@ -228,10 +231,10 @@ def turning_points(function: Callable[[Array], Array], shares: Array) -> Array:
     return np.asarray(shares)
 
 
-def _beyond_rounding(defect: Array, rates: Array, times: Array, states: Array) -> Array:
-    """The part of defects (n, c), times the step, that no rounding explains.
+def _beyond_rounding(defect: Array, rates: Array, times: float | Array, states: Array) -> Array:
+    """The part of defects (n, ...), times the step, that no rounding explains.
 
-    Nodes of polynomials are at rounded times (c,), where rates are (n, c), and in rounded states.
+    Nodes of polynomials are at rounded times, where rates are (n, ...), and in rounded states.
     """
     rounding = np.spacing(np.abs(times)) * np.abs(rates) + np.finfo(float).eps * np.abs(states)
     return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - _ROUNDINGS * rounding, 0.0))

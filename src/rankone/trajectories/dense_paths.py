@@ -89,10 +89,11 @@ class StepsOfOne:
         coefficients = self.coefficients[:, columns].transpose(0, 2, 1)
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
-            place = 2.0 * shares - 1.0
-            y = np.zeros_like(coefficients[0])
+            place, (_, n, c) = 2.0 * shares - 1.0, coefficients.shape
+            y = np.zeros((n, *shares.shape))
             slope = np.zeros_like(y)
-            for coefficient in coefficients[::-1]:
+            of_powers = coefficients.reshape(-1, n, *(1,) * (shares.ndim - 1), c)
+            for coefficient in of_powers[::-1]:
                 if slopes:
                     slope = slope * place + y
                 y = y * place + coefficient

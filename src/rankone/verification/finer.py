@@ -23,6 +23,9 @@ from rankone.verification.reference import reference_accuracy
 from rankone.verification.reference_set import ReferenceSet
 
 _FINER = 1e-2  # Tolerance of finer trajectories over that of the reference
+# Below this tolerance LSODA, at a hundredth of it, stays in its stiff method once it is there, with
+# short steps whatever the rates: references so many times above are compared at this one
+_LSODA_RETURNS, _ABOVE = 3e-10, 10.0
 _DIFFERENCE = 0.3  # Difference to these, over the tolerance of the solve, that matters
 _TIMES = 61  # Evenly spaced times at which they are compared
 _BESIDE = 1e-9  # Distance of these from a jump, in horizons, at least
@@ -46,7 +49,7 @@ def confirmed(reference_set: ReferenceSet) -> tuple[ReferenceSet, HiddenRate | N
         return reference_set, None
     accuracy = reference_set.accuracy
     while accuracy > finest:
-        accuracy = max(_FINER * accuracy, finest)
+        accuracy = max(_finer(accuracy), finest)
         hidden = _departure(reference_set, accuracy)
         if hidden is None:
             break
@@ -56,6 +59,12 @@ def confirmed(reference_set: ReferenceSet) -> tuple[ReferenceSet, HiddenRate | N
     if hidden is not None:
         hidden = _departure(reference_set, finest)
     return reference_set, hidden
+
+
+def _finer(accuracy: float) -> float:
+    """The relative tolerance of trajectories that a reference is compared with."""
+    finer = _FINER * accuracy
+    return _LSODA_RETURNS if finer < _LSODA_RETURNS <= accuracy / _ABOVE else finer
 
 
 def _departure(reference_set: ReferenceSet, accuracy: float) -> HiddenRate | None:

@@ -19,7 +19,7 @@ HALVINGS = 42
 """Most halvings of a step: then it is about as short as rounding."""
 _MOST_PIECES = (20_000, 20)  # Pieces looked at, at most: once, and for each step
 _LEAST_TRAJECTORIES = 4  # That are looked at where there are too many pieces
-_TOGETHER = 1024  # Pieces evaluated together: what is in work fits the cache
+_TOGETHER = 4096  # Pieces evaluated together: what is in work fits the cache
 # From values at all nodes but the last one to that one
 _BASIS = np.vander(2.0 * NODES[:-1] - 1.0, increasing=True)
 _LAST = np.vander([1.0], NODES.size - 1, increasing=True) @ np.linalg.inv(_BASIS)

@@ -52,6 +52,7 @@ _APART = 0.03  # Least gap between crossings of two markers, over the mean one
 # Change over a period of trajectories that are continued to tell how many crossings there are, and
 # how many times as far as they were integrated
 _NEARLY, _FURTHEST = 0.01, 3.0
+_BEYOND = 0.25  # Time from the end to the last mark, at least, in periods
 _RANKED = 24  # Trajectories of which a rank is taken
 _RANK_TOLERANCE = 3e-4  # What is left out of them, over the largest states
 _TELLING, _MOST_PLACES = (0, -1), 512  # Those whose steps tell the places where they are compared
@@ -373,8 +374,8 @@ def with_order(
 
     They go along the ``paths``, which are not integrated anew. Where these are shorter than the
     horizon, trajectories go on as over their last period. None where not all of them nearly repeat
-    then, or not all of them pass as many markers. Other trajectories may meet a few more before the
-    end.
+    then, or not all of them pass as many markers. Of more than a period the last marker is passed
+    by all of them well after the end: other trajectories may be faster.
     """
     system, (start, end), reached = clock.system, clock.horizon, paths[0].end
     replay, period, accuracy = _Replay(tuple(paths)), clock.marks_per_period, tolerances.relative
@@ -396,6 +397,8 @@ def with_order(
         followed = [repeated(each, period, count, end) for each in begun]
     else:
         followed = follow(clock, integrator, points, tolerances, count, begun)
+    if max(before) > period:
+        count = _enough_marks(followed, period, max(before), count, end)
     ending = Ending.EVENT
     if min(before) == max(before) and min(len(each.occurrences) for each in followed) < count:
         ending, count = Ending.HORIZON, min(before)  # a front that comes once
@@ -404,6 +407,17 @@ def with_order(
         return None
     in_order = EventOrder(tuple((k,) for k in order), ending)
     return replace(clock, order=in_order, repeats_from=repeats_from), followed
+
+
+def _enough_marks(
+    trajectories: Sequence[EventTrajectory], period: int, passed: int, most: int, end: float
+) -> int:
+    """The fewest marks, more than were ``passed`` by the end, that all pass well after it."""
+    if any(len(each.occurrences) < most for each in trajectories):
+        return most
+    times = np.array([[mark.time for mark in each.occurrences[:most]] for each in trajectories])
+    enough = times >= end + _BEYOND * (times[:, period:] - times[:, :-period])[:, -1:]
+    return next((k for k in range(passed + 1, most) if enough[:, k - 1].all()), most)
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,9 @@ def repeating_from(
         for k in sorted(places)
         if (first := _first_repeated(trajectories[k], accuracy, clock.marks_per_period)) is not None
     ]
-    if not repeating:
-        return 0
     marks = [trajectories[k].occurrences[: first + 1] for k, first in repeating]
+    if not marks or max(each[-1].time for each in marks) >= clock.horizon[1]:
+        return 0  # nothing would be left out
     growth = _growth(clock, integrator, points[[k for k, _ in repeating]], marks)
     stable = bool((growth < _MOST_GROWTH).all())
     return 1 + max(first for _, first in repeating) if stable else 0
@@ -128,9 +128,15 @@ def begin_in_step(
     (start, end), events, period = clock.horizon, clock.system.events, clock.marks_per_period
     far = end if clock.order.ending is Ending.HORIZON else end + FAR * clock.length
     some = [*begun]
+    answers = dict[int, tuple[Occurrence, bool]]()  # by the last mark, which copies share
 
     def settled(trajectory: EventTrajectory) -> bool:
-        return clock.repeats_from > 0 and repeats(trajectory, tolerances.relative, period)
+        if not clock.repeats_from or not trajectory.occurrences:
+            return False
+        last = trajectory.occurrences[-1]
+        if id(last) not in answers:
+            answers[id(last)] = last, repeats(trajectory, tolerances.relative, period)
+        return answers[id(last)][1]
 
     def has_passed(trajectory: EventTrajectory) -> bool:
         return len(trajectory.occurrences) >= count and trajectory.end >= end

@@ -158,6 +158,9 @@ class StretchTrajectories(PseudoTimeTrajectories):
     def _paths(self) -> list[Paths]:
         """The trajectories over clock time on each stretch."""
         events = self.clock.system.events
+        if not any(event.interrupts for event in events):  # one path serves all stretches
+            own = [[path for path in each.paths if path.steps] for each in self.trajectories]
+            return [Paths.of([*map(joined, own)])] * self.clock.order.stretches
         each = zip(self.trajectories, self.borders, strict=True)
         paths = [_paths(trajectory, events, borders) for trajectory, borders in each]
         stretches: list[Paths] = []

@@ -333,13 +333,16 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # powers of the share
         n, exponents = self.trajectory_states, self.sol.exponents
-        coefficients = self.sol.rows.T.reshape(n, -1, exponents.size)[:, columns]
+        coefficients = self.sol.rows.reshape(exponents.size, n, -1)[:, :, columns]
         start = self.sol.y_old.reshape(n, -1)[:, columns]
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
-            powers = shares[:, None] ** (exponents - 1)
-            y = start + (coefficients * (shares[:, None] * powers)).sum(axis=2)
-            return y, (coefficients * (powers * exponents)).sum(axis=2) if slopes else y
+            powers = shares ** (exponents - 1).reshape(-1, *(1,) * shares.ndim)
+            y = np.einsum("k...c,knc->n...c", shares * powers, coefficients)
+            y += start.reshape(n, *(1,) * (shares.ndim - 1), -1)
+            if not slopes:
+                return y, y
+            return y, np.einsum("k,k...c,knc->n...c", exponents, powers, coefficients)
 
         return evaluate
 

@@ -36,20 +36,23 @@ RatesThere = Callable[[Array, Array], Array]
 
 
 def nested(rows: Array, start: Array, shares: Array, slopes: bool) -> tuple[Array, Array]:
-    """States, and perhaps slopes, at shares of the nested polynomials of steps.
+    """States (n, ..., c), and perhaps slopes, at shares (..., c) of nested polynomials of steps.
 
-    ``rows`` (7, n, ...) and ``start`` (n, ...) are those of each share.
+    ``rows`` (7, n, c) and ``start`` (n, c) are those of each column.
     """
-    y, left = np.zeros(np.broadcast_shapes(start.shape, shares.shape)), 1.0 - shares
-    slope = np.zeros_like(y) if slopes else y
-    for i, row in enumerate(rows[::-1]):
-        y += row
-        if slopes:
-            slope *= left if i % 2 else shares
-            slope += -y if i % 2 else y
-        y *= left if i % 2 else shares
-    y += start
-    return y, slope
+    weights = np.empty((len(rows), *shares.shape))
+    weights[::2], weights[1::2] = shares, 1.0 - shares
+    factors = weights.copy() if slopes else weights
+    np.multiply.accumulate(weights, axis=0, out=weights)
+    y = np.einsum("i...c,inc->n...c", weights, rows)
+    y += start.reshape(len(start), *(1,) * (shares.ndim - 1), -1)
+    if not slopes:
+        return y, y
+    changes = np.ones_like(weights)  # of the weights with the share
+    for i in range(1, len(rows)):
+        np.multiply(changes[i - 1], factors[i], out=changes[i])
+        changes[i] += -weights[i - 1] if i % 2 else weights[i - 1]
+    return y, np.einsum("i...c,inc->n...c", changes, rows)
 
 
 class SingleSteps:
@@ -160,9 +163,13 @@ class DividedInterpolant:
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
             states, slope = interpolant(shares, slopes)
-            states[:, here], there = self(place[here], shares[here], slopes)
+            some = shares[..., here]
+            places = np.broadcast_to(place[here], some.shape).ravel()
+            shape = len(states), *some.shape
+            own, own_slope = self(places, some.ravel(), slopes)
+            states[..., here] = own.reshape(shape)
             if slopes:
-                slope[:, here] = there
+                slope[..., here] = own_slope.reshape(shape)
             return states, slope
 
         return evaluate
