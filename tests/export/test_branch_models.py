@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 import warnings
@@ -11,6 +13,8 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from tests.export import node
+from tests.export.node import needs_node
 from tests.export.test_event_models import assert_close, points, without_time
 from tests.export.test_models import ROOT, imported
 from tests.interface.test_changing_orders import DOSE, WASHED, text
@@ -80,6 +84,7 @@ def test_python(name, tmp_path):
         if times.size:
             assert_close(ours, times)
     assert_close(model.end(at), solution.end(at))
+    np.testing.assert_array_equal(model.branch(at), solution.branch(at))
     step = 1e-6 * solution.time[1]  # the derivative in time, away from the events
     inner = {**where, "t": np.clip(where["t"], step, solution.time[1] - step)}
     ahead, behind = (model.value({**inner, "t": inner["t"] + by}) for by in (step, -step))
@@ -130,6 +135,7 @@ def test_where_the_order_is_undecided(tmp_path):
     assert np.isnan(after).tolist() == [False, True, False]
     assert np.isfinite(model.event_times("dose", at)).all()
     assert model.event_times("wash", at).shape == (1, 3)
+    assert model.branch(at).tolist() == [1, -1, 0]
     assert np.isnan(model.gradient({"t": 5.0, **at})[0]).any(axis=0).tolist() == [
         False,
         True,
@@ -180,3 +186,69 @@ def test_the_file_is_formatted(tmp_path):
         ruff = [sys.executable, "-m", "ruff", *command, *config]
         run = subprocess.run(ruff, capture_output=True, text=True)
         assert run.returncode == 0, run.stdout + run.stderr
+
+
+TIMES = """
+const points = {points};
+const plain = (values) => [...values].map((value) => (Number.isNaN(value) ? null : value));
+console.log(JSON.stringify({
+  times: Object.fromEntries(
+    m.events.map((event) => [event, points.map((p) => plain(m.eventTimes(event, p)))]),
+  ),
+  ends: points.map((p) => plain([m.end(p)])[0]),
+  borders: points.map((p) => plain(m.borders(p))),
+  branches: points.map((p) => m.branch(p)),
+  curves: points.map((p) => plain(m.curve(p, {times}))),
+  instants: m.instants,
+}));
+"""
+
+
+@needs_node
+@pytest.mark.parametrize("name", NAMES)
+def test_javascript(name, tmp_path):
+    solution = solved(name)
+    solution.export(tmp_path / "model.mjs")
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution)
+    ours, batch, gradient, rates = node.run_driver(tmp_path, solution, where)
+    assert_close(ours, values(solution, where))
+    np.testing.assert_array_equal(batch, ours)
+    assert_close(gradient, slopes(solution, where), 1e-8)
+    assert_close(rates, model.gradient(where)[:, 0], 1e-8)
+    plain = node.run_driver(tmp_path, solution, where, "plain")
+    for one, other in zip((ours, batch, gradient, rates), plain):
+        np.testing.assert_array_equal(one, other)
+
+
+@needs_node
+@pytest.mark.parametrize("name", NAMES)
+def test_times_of_events_in_javascript(name, tmp_path):
+    """Also curves, whose values are those of single points, and which order holds."""
+    solution = solved(name)
+    solution.export(tmp_path / "model.mjs")
+    model = imported(solution.export(tmp_path / "model.py"))
+    at = without_time(solution, points(solution, 400))
+    times = np.linspace(*solution.time, 7)
+    fields = {
+        "points": json.dumps([dict(zip(at, map(float, row))) for row in zip(*at.values())]),
+        "times": json.dumps(times.tolist()),
+    }
+    script = re.sub(r"{(points|times)}", lambda match: fields[match[1]], TIMES)
+    said = node.script(tmp_path, script)
+    assert said["times"].keys() == set(solution.timeline.events)
+    for event, rows in said["times"].items():
+        wanted = solution.event_times(event, at)
+        assert np.shape(rows) == wanted.T.shape
+        if wanted.size:
+            assert_close(np.array(rows, dtype=float).T, wanted)
+    assert_close(np.array(said["ends"], dtype=float), solution.end(at))
+    assert_close(np.array(said["borders"], dtype=float).T, solution._borders((at,), {})[0])
+    assert said["branches"] == model.branch(at).tolist() == solution.branch(at).tolist()
+    curves = np.array(said["curves"], dtype=float).reshape(400, len(solution.unknowns), -1)
+    singly = model.value({"t": times[:, None], **at})
+    assert_close(
+        curves.transpose(1, 2, 0).reshape(len(singly), -1), singly.reshape(len(singly), -1)
+    )
+    wanted = [[list(names) for names in branch.met] for branch in solution.timeline.branches]
+    assert said["instants"] == wanted

@@ -62,9 +62,10 @@ def data_of(page):
 )
 def test_what_is_written(name, pages):
     solution, data = shown(name), data_of(pages[name])
-    assert len(data["stretches"]) == solution.timeline.stretches
-    assert all(shares[0] == 0.0 for shares in data["stretches"])
-    assert all(0.0 <= share < 1.0 for shares in data["stretches"] for share in shares)
+    (stretches,) = data["stretches"]
+    assert len(stretches) == solution.timeline.stretches
+    assert all(shares[0] == 0.0 for shares in stretches)
+    assert all(0.0 <= share < 1.0 for shares in stretches for share in shares)
     ends = np.array(list(solution.parameters.values())).reshape(-1)
     for unknown in data["unknowns"]:
         lower, upper = unknown["extent"]

@@ -63,7 +63,11 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
-_SEVERAL_ORDERS = {".py"}  # Models that take solutions in which the order of events changes
+_SEVERAL_ORDERS = {
+    ".py",
+    ".js",
+    ".mjs",
+}  # Models that take solutions in which the order of events changes
 # Modules that a file of the same name would hide
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 

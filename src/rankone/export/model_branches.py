@@ -158,6 +158,14 @@ class BranchModel(Model):
             ends[here] = np.minimum(borders[-1], last)
         return ends.reshape(shape)
 
+    def branch(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> NDArray[np.intp]:
+        """Which order of events holds: a position in INSTANTS.
+
+        It is -1 where that is not known, and values are NaN as far as the orders differ.
+        """
+        points, shape = self._points({**(values or {}), **named}, first=1)
+        return self._decider.held(self._decision(points)).reshape(shape)
+
     def _borders(self, points: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
         """For each branch where it holds, with ascending borders: (1 + stretches, points)."""
         decision = self._decision(points)

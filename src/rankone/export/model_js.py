@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from rankone.discretization import Scale
 from rankone.discretization.coordinates import round_off
-from rankone.export.packed import PackedModel, PackedTimeline
+from rankone.export.packed import PackedModel
 from rankone.export.scales import scale_expressions
 from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string, wrapped
+from rankone.ir.timeline import Fork, Grazing
 from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
@@ -60,8 +61,9 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "times_example": f"{start:g}, {moment}, {end:g}",
         **_tables(model),
         "scaled": "yes" if model.is_scaled else "",
-        "scales": "\n".join(map(_scale, model.single.scales)),
-        **_timeline(model.single.timeline, model.borders_of(model.single)),
+        "scales": "\n".join(map(_scale, _all_scales(model))),
+        **_timelines(model),
+        **_choice(model),
     }
     evaluation = "model_slabs.js.in" if model.events is None else "model_stretches.js.in"
     fields["evaluation"] = filled(evaluation, fields)
@@ -99,24 +101,119 @@ def _scale(scale: Scale) -> str:
     return f"  {{ coordinate: (x) => {coordinate}, slope: {argument} => {slope} }},"
 
 
-def _timeline(timeline: PackedTimeline | None, borders: Sequence[int]) -> dict[str, str]:
+def _all_scales(model: PackedModel) -> tuple[Scale, ...]:
+    """The scales of all coordinates, and of the most roots behind them."""
+    return max((branch.scales for branch in model.branches), key=len)
+
+
+def _timelines(model: PackedModel) -> dict[str, str]:
     """The stretches between events, or nothing."""
-    if timeline is None:
+    if model.events is None:
         return {"events": "", "event_example": ""}
-    names = list(map(js_string, timeline.events))
-    instants = (", ".join(map(js_string, instant)) for instant in timeline.instants)
-    affine = (f"[{border}, {_list(row)}]" for border, row in timeline.affine_borders)
+    names = list(map(js_string, model.events))
+    several = model.choice is not None
+    instants = [
+        wrapped(f"[{', '.join(map(js_string, instant))}]" for instant in timeline.instants)
+        for timeline in model.timelines
+    ]
+    listed = "readonly (readonly string[])[]"
     return {
         "events": "yes",
         "event_names": ", ".join(names),
         "event_example": js_comment(names[0]) if names else "",
         "event_type": " | ".join(names) or "never",
-        "first_slabs": wrapped(map(str, timeline.first_slabs)),
-        "border_cores": wrapped(map(str, borders)),
-        "affine_borders": wrapped(affine),
-        "terminal": str(timeline.terminal).lower(),
-        "instants": wrapped(f"[{each}]" for each in instants),
+        "instants": "\n".join(f"  [\n{of}\n  ]," for of in instants) if several else instants[0],
+        "instants_of_orders": "instants" if several else "[instants]",
+        "instants_type": f"readonly ({listed})[]" if several else listed,
+        "of_each_order": " * For each order of events.\n" if several else "",
+        "of_held": ", of the order that holds" if several else "",
+        "branches": "\n".join(_branch(model, k) for k in range(len(model.branches))),
     }
+
+
+def _branch(model: PackedModel, k: int) -> str:
+    """The tables of a branch as an object."""
+    branch, timeline = model.branches[k], model.timelines[k]
+    slabs = [
+        f"      [{', '.join([_number(start), *map(str, [run, *places])])}],"
+        for start, run, places in zip(
+            branch.starts, timeline.runs, model.slabs_of(branch), strict=True
+        )
+    ]
+    affine = (f"[{border}, {_list(row)}]" for border, row in timeline.affine_borders)
+    lines = [
+        *("  {", "    slabs: [", *slabs, "    ],"),
+        *("    firstSlabs: [", wrapped(map(str, timeline.first_slabs)), "    ],"),
+        f"    borders: [{', '.join(map(str, model.borders_of(branch)))}],",
+        *("    affine: [", wrapped(affine), "    ],"),
+        f"    terminal: {str(timeline.terminal).lower()},",
+    ]
+    if model.choice is not None:
+        guards = "null" if branch.guards is None else str(model.place(branch.guards))
+        roots = [
+            f"{{ parent: {o.parent}, guard: {o.guard}, "
+            f"lower: {_number(o.lower)}, upper: {_number(o.upper)} }}"
+            for o in model.choice.openings_of(k)
+        ]
+        lines += [f"    guards: {guards},", f"    roots: [{', '.join(roots)}],"]
+    return "\n".join([*lines, "  },"])
+
+
+def _choice(model: PackedModel) -> dict[str, str]:
+    """What tells which branch holds, or nothing for one branch."""
+    choice = model.choice
+    if choice is None:
+        one_order = "" if model.events is None else "yes"
+        return {"several": "", "one_order": one_order, "further_roots": ""}
+    looks = [sum(len(core.tensor[0]) for _, core in cores) for cores in choice.heights]
+    most_roots = max(len(choice.openings_of(k)) for k in range(len(model.branches)))
+    return {
+        "several": "yes",
+        "one_order": "",
+        "further_roots": " + ROOTS",
+        "roots": str(most_roots),
+        "looks": str(max(looks, default=0) + _BLOCK),
+        "forks": "\n".join(map(_fork, choice.forks, choice.highest)),
+        "grazings": "\n".join(
+            _grazing(each, [(run, model.place(core)) for run, core in cores])
+            for each, cores in zip(choice.grazings, choice.heights, strict=True)
+        ),
+        "width": _number(choice.width),
+        "tolerances": ", ".join(map(_number, choice.tolerances)),
+    }
+
+
+def _fork(fork: Fork, highest: float) -> str:
+    """An entry of the table of forks."""
+    fields = {
+        "first": str(fork.first),
+        "second": str(fork.second),
+        "stretch": str(fork.stretch),
+        "guard": "null" if fork.guard is None else str(fork.guard),
+        "sign": _number(fork.sign),
+        "scale": _number(fork.scale),
+        "highest": _number(highest),
+        "mayBePast": f"[{', '.join(map(_boolean, fork.may_be_past))}]",
+        "atTurn": _boolean(fork.at_turn),
+    }
+    return f"  {{ {', '.join(f'{name}: {text}' for name, text in fields.items())} }},"
+
+
+def _grazing(grazing: Grazing, cores: Sequence[tuple[int, int]]) -> str:
+    """An entry of the table of grazings, with runs and positions of cores."""
+    fields = {
+        "branch": str(grazing.branch),
+        "scale": _number(grazing.scale),
+        "begins": _boolean(grazing.begins),
+        "ends": _boolean(grazing.ends),
+        "first": _boolean(grazing.first),
+        "cores": f"[{', '.join(f'[{run}, {place}]' for run, place in cores)}]",
+    }
+    return f"  {{ {', '.join(f'{name}: {text}' for name, text in fields.items())} }},"
+
+
+def _boolean(value: bool) -> str:
+    return str(value).lower()
 
 
 def _tables(model: PackedModel) -> dict[str, str]:
@@ -124,9 +221,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
     rows: list[str] = []
     runs: list[NDArray[np.intp]] = []
     coefficients: list[Array] = []
-    cores, branch = model.cores, model.single
-    positions = model.slabs_of(branch)
-    for core in cores:
+    for core in model.cores:
         elements = [_packed(tensor) for tensor in core.tensor]
         sparse = any((run < core.tensor.shape[2]).any() for run, _ in elements)
         runs += [run for run, _ in elements] if sparse else []
@@ -135,12 +230,10 @@ def _tables(model: PackedModel) -> dict[str, str]:
         if core.edges:
             place = [_list(core.lowers), _list(core.scales)]
         rows.append(f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],")
-    runs_of_slabs = (
-        [[k] for k in branch.timeline.runs] if branch.timeline else [[]] * len(positions)
-    )
+    branch = model.branches[0]
     slabs = [
-        f"  [{', '.join([_number(start), *map(str, [*run, *places])])}],"
-        for start, run, places in zip(branch.starts, runs_of_slabs, positions, strict=True)
+        f"  [{', '.join([_number(start), *map(str, places)])}],"
+        for start, places in zip(branch.starts, model.slabs_of(branch), strict=True)
     ]
     return {
         "cores": "\n".join(rows),

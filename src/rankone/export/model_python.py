@@ -38,7 +38,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     coefficients = np.concatenate([core.tensor.ravel() for core in model.cores])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
-    end = [*_construction(model), *_END, *([] if model.events is None else _EVENT_END)]
+    end = [*_construction(model), *_END, *_event_end(model)]
     if len(text) <= _LONGEST_DATA:
         imports = _imports(model, "import base64")
         rows = textwrap.wrap(text, WIDTH)
@@ -71,6 +71,13 @@ def _program(model: PackedModel) -> list[str]:
     return modules
 
 
+def _event_end(model: PackedModel) -> list[str]:
+    """Lines that make methods about events functions of the module."""
+    if model.events is None:
+        return []
+    return [*_EVENT_END, *([] if model.choice is None else _BRANCH_END)]
+
+
 def _imports(model: PackedModel, further: str) -> str:
     """The imports of a model, and a further one."""
     several = model.choice is not None
@@ -95,6 +102,7 @@ _END = [
     "gradient = MODEL.gradient",
 ]
 _EVENT_END = ["event_times = MODEL.event_times", "end = MODEL.end"]
+_BRANCH_END = ["branch = MODEL.branch"]
 _MODEL_TABLES = (
     *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "CORES", "SLABS"),
     "COEFFICIENTS",

@@ -164,9 +164,14 @@ class PackedModel:
         return None if timeline is None else timeline.events
 
     @property
+    def timelines(self) -> tuple[PackedTimeline, ...]:
+        """Those of all branches; none for a model without events."""
+        return tuple(b.timeline for b in self.branches if b.timeline is not None)
+
+    @property
     def terminal(self) -> bool:
         """Whether an event may end the model."""
-        return any(b.timeline is not None and b.timeline.terminal for b in self.branches)
+        return any(timeline.terminal for timeline in self.timelines)
 
     @property
     def cores(self) -> tuple[PackedCore, ...]:

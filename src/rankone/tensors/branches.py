@@ -68,10 +68,7 @@ class BranchEvaluator(ClockEvaluator):
 
     def held(self, points: Array) -> NDArray[np.intp]:
         """The branch that holds at points (d, N); -1 within a width of where another one does."""
-        decision = self.decided(points)
-        others = decision.chosen != np.arange(len(self.branches))[:, None]
-        rivals = (others & (decision.ahead < self.width)).any(axis=0)
-        return np.where(decision.undecided | rivals, -1, decision.chosen)
+        return self.decider.held(self.decided(points))
 
     def deciders(self, points: Array) -> Array:
         """Smooth functions (k, N) of points (d, N) that tell branches and stretches.

@@ -102,6 +102,11 @@ class Decider:
             ahead[a, b], ahead[b, a] = margin, -margin
         return ahead, beyond, at_turn
 
+    def held(self, decision: Decision) -> NDArray[np.intp]:
+        """The branch that holds, or -1 within a width of where another one does, (N,)."""
+        rivals = (decision.ahead < self.width).any(axis=0)
+        return np.where(decision.undecided | rivals, -1, decision.chosen)
+
     def merged(
         self,
         decision: Decision,

@@ -63,12 +63,15 @@ export async function copyLink() {
 export function table() {
   const { unknowns, parameters, time } = data;
   drawWaiting();
-  const times = state.times.filter((t) => t <= state.end);
   const rows = visibleRows();
+  const curves = rows.map((i) => state.curves[i]);
+  const known = (t, k) => t <= state.end && !curves.some((curve) => Number.isNaN(curve[k]));
+  const kept = [...state.times.keys()].filter((k) => known(state.times[k], k));
   // names alone, as they are read again
   const heads = [time.name, ...rows.map((i) => unknowns[i].name), ...parameters.map((p) => p.name)];
-  const fixed = parameters.map((_, j) => Array(times.length).fill(state.p[j]));
-  return toTable(heads, [times, ...rows.map((i) => state.curves[i].subarray(0, times.length)), ...fixed]);
+  const columns = [state.times, ...curves].map((column) => kept.map((k) => column[k]));
+  const fixed = parameters.map((_, j) => Array(kept.length).fill(state.p[j]));
+  return toTable(heads, [...columns, ...fixed]);
 }
 
 export function saveTable() {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.export.explorer.mathml import Notation, with_exponents
-from rankone.export.packed import PackedModel
+from rankone.export.packed import PackedBranch, PackedModel, PackedTimeline
 from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
 from rankone.ir.outcome import Measured
@@ -21,6 +21,7 @@ from rankone.statistics.distributions import Measure, from_text, scale_of
 from rankone.support.arrays import Array
 from rankone.support.errors import RankoneWarning
 from rankone.support.wording import listing
+from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 if TYPE_CHECKING:
@@ -122,11 +123,16 @@ def _has_indices(solution: DistributionOverBox) -> bool:
     return len(solution.metadata.parameters) > 1 and not solution.metadata.correlations
 
 
-def _stretches(model: PackedModel) -> list[list[float]] | None:
-    """Shares of each stretch between events at which curves are drawn, from 0 on."""
-    branch, timeline = model.single, model.single.timeline
-    if timeline is None:
+def _stretches(model: PackedModel) -> list[list[list[float]]] | None:
+    """For each order of events the shares of each stretch at which curves are drawn, from 0 on."""
+    if model.events is None:
         return None
+    pairs = zip(model.branches, model.timelines, strict=True)
+    return [_shares(branch, timeline) for branch, timeline in pairs]
+
+
+def _shares(branch: PackedBranch, timeline: PackedTimeline) -> list[list[float]]:
+    """Shares of each stretch between events at which curves are drawn, from 0 on."""
     stretches = []
     for i, (first, last) in enumerate(pairwise(timeline.first_slabs)):
         slabs = [i, *branch.starts[first + 1 : last], i + 1]
@@ -177,7 +183,10 @@ def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
     """
     start, end = solution.time
     evaluator = solution._evaluator
-    if isinstance(evaluator, TimelineEvaluator):
+    if isinstance(evaluator, BranchEvaluator):
+        around = (_around_fixed_borders(b, solution.parameters) for b in evaluator.branches)
+        inner = np.concatenate([*around])
+    elif isinstance(evaluator, TimelineEvaluator):
         inner = _around_fixed_borders(evaluator, solution.parameters)
     else:
         starts = [slab.start for slab in solution.outcome.slabs[1:]]
@@ -275,6 +284,11 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(
             "Where some trajectories have ended, bands are those of the others, and Sobol indices "
             "are not defined."
+        )
+    if model.choice is not None:
+        lines.append(
+            "The order of events changes with the parameters. Next to a change curves that depend "
+            "on it have a gap, and bands are those of the likelier order."
         )
     if model.reduction is not None:
         lines.append(f"{model.reduction} The errors of the table are those of both together.")

@@ -42,7 +42,7 @@ function draw(kind) {
     if (kind === "all" || part === shares) part?.update();
     else part?.mark();
   }
-  if (kind === "all") views.events?.show(state.happenings);
+  if (kind === "all") views.events?.show(state.happenings, state.timed);
   showTime();
 }
 

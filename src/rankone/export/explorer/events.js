@@ -14,12 +14,12 @@ export function eventList(place, names, digits) {
     return item.querySelector(".when");
   });
   return {
-    show(happenings) {
+    show(happenings, timed) {
       entries.forEach((entry, k) => {
         const times = happenings.filter((one) => one.names.includes(names[k]));
         const texts = times.slice(0, MOST).map(({ time }) => shown(time, digits));
         if (times.length > MOST) texts.push(`… (${times.length})`);
-        entry.textContent = texts.join(", ") || "does not happen";
+        entry.textContent = texts.join(", ") || (timed ? "does not happen" : "not known here");
       });
     },
   };

@@ -13,6 +13,7 @@ export const state = {
   times: data.times, // of the curves; events move them
   curves: [],
   happenings: [], // times of events, with their names
+  timed: true, // whether it is known when events happen
   end: Infinity, // after it there are no values
   values: new Float64Array(data.unknowns.length),
   visible: data.unknowns.map((_, i) => i < 8),
@@ -36,12 +37,25 @@ makeRoom();
 /** Events move with the parameters, and with them the times of curves. */
 function moveEvents() {
   const borders = model.borders(state.p);
-  state.end = model.end(state.p);
-  state.times = timesWithEvents(data.times, data.stretches, borders, data.time.range);
-  state.happenings = model.instants
-    .map((names, i) => ({ time: borders[i + 1], names: names.filter((name) => model.events.includes(name)) }))
-    .filter(({ time, names }) => names.length && time <= state.end);
+  const order = model.branch?.(state.p) ?? 0;
+  const stretches = data.stretches[order] ?? Array.from(borders, () => [0]); // where none surely holds
+  state.timed = !Number.isNaN(borders[0]);
+  state.end = state.timed ? model.end(state.p) : data.time.range[1];
+  state.times = timesWithEvents(data.times, stretches, borders, data.time.range);
+  state.happenings = happenings();
   makeRoom();
+}
+
+/** Times of events in their order, each with the names of those that happen then. */
+function happenings() {
+  const names = new Map();
+  for (const event of model.events) {
+    for (const time of model.eventTimes(event, state.p)) {
+      if (!Number.isNaN(time)) names.set(time, [...(names.get(time) ?? []), event]);
+    }
+  }
+  const times = [...names.keys()].sort((a, b) => a - b);
+  return times.map((time) => ({ time, names: names.get(time) }));
 }
 
 /** Ask the model for the values at the present time, and for the curves where `all` changed. */

@@ -72,10 +72,11 @@ const below = (x) => x - Math.abs(x) * Number.EPSILON || -Number.MIN_VALUE;
 
 /**
  * Times of curves that events move: even ones, and the given shares of each stretch between events.
- * Where one stretch ends and the next one begins there is a time on either side.
+ * Where one stretch ends and the next one begins there is a time on either side. A border that is
+ * NaN is none.
  */
 export function timesWithEvents(even, shares, borders, [first, end]) {
-  const times = [...even, borders.at(-1)];
+  const times = [...even, ...borders];
   shares.forEach((ofStretch, i) => {
     const length = borders[i + 1] - borders[i];
     times.push(below(borders[i]), ...ofStretch.map((share) => borders[i] + share * length));
