@@ -105,14 +105,29 @@ def test_events_and_jumps_at_known_times(integrator):
     np.testing.assert_allclose(each.state, 0.5, rtol=1e-8)
 
 
+@pytest.mark.parametrize("restitution", [0.3, 0.5, 0.8, 0.95])
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_events_that_accumulate_end_a_trajectory(integrator):
-    """Bounces shrink to nothing at sqrt(h) (1 + e)/(1 - e)."""
-    (each,) = trajectories(ball(4.0), [[1.0]], [bounce(0.3)], integrator)
+def test_events_that_accumulate_end_a_trajectory(integrator, restitution):
+    """Bounces shrink to nothing at sqrt(h) (1 + e)/(1 - e); the ball never passes the floor."""
+    rest = (1 + restitution) / (1 - restitution)
+    (each,) = trajectories(ball(2 * rest), [[1.0]], [bounce(restitution)], integrator)
     assert each.stuck
     assert each.ends
-    assert each.end == pytest.approx(1.3 / 0.7, rel=1e-6)
+    assert each.end == pytest.approx(rest, rel=1e-6)
+    assert each(np.linspace(0.0, each.end, 999))[0].min() >= -1e-9
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_events_at_one_instant_without_end_end_a_trajectory(integrator):
+    system = system_of({"x": "k"}, {"x": "0"}, {"k": (1, 2)}, 1)
+    flips = [
+        SystemEvent(lambda t, u, p: u[0] - 0.5, 1, lambda t, u, p: u - 1.0),
+        SystemEvent(lambda t, u, p: u[0] + 0.2, -1, lambda t, u, p: u + 1.0),
+    ]
+    (each,) = trajectories(system, [[1.0]], flips, integrator)
+    assert each.stuck
     assert each.rounds == MOST_ROUNDS
+    assert each.end == pytest.approx(0.5, rel=1e-9)
 
 
 @pytest.mark.parametrize("integrator", ["stack", "single"])

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.measures import LINEAR
 from rankone.ir.outcome import Outcome
@@ -256,10 +257,15 @@ def _largest_orders(search: OrderSearch) -> str:
     """The two orders that hold in the largest parts of the box."""
     groups = sorted(search.groups().items(), key=lambda pair: -len(pair[1]))
     shares = [
-        f"{search.named(order)} holds in about {len(places) / len(search.points):.0%} of the box"
+        f"{search.named(order)} holds in about {_percent(places, search)} of the box"
         for order, places in groups[:2]
     ]
     return ", ".join(shares)
+
+
+def _percent(places: NDArray[np.intp], search: OrderSearch) -> str:
+    """The share of the points of a search at some positions."""
+    return f"{100.0 * len(places) / len(search.points):.0f} %"
 
 
 def _joined(outcomes: Sequence[Outcome], timeline: BranchedTimeline) -> Outcome:

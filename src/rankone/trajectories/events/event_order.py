@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -205,7 +206,11 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
     sides = sides_of(clock.system, trajectory, order.stretches, clock.length)
 
     def named(ids: Sequence[int]) -> str:
-        return " with ".join(dict.fromkeys(quote(events[k].name) for k in ids))
+        counts = Counter(quote(events[k].name) for k in ids)
+        each = (
+            f"{name} {count} times at once" if count > 1 else name for name, count in counts.items()
+        )
+        return " with ".join(each)
 
     for number, (here, there) in enumerate(itertools.zip_longest(met, order.instants), 1):
         if here == there:

@@ -15,6 +15,9 @@ from rankone.trajectories.paths import Path, joined
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
+_LEAST_STRETCH = 1e-3  # Length of what is integrated after a reset at least, in horizons
+_SHRINKING = 10  # Shorter and shorter times between events, after which they may accumulate
+_REST = 1e-7  # Time within which all further ones would come if these shrink on, in horizons
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
 
@@ -30,9 +33,11 @@ class Occurrence:
 
 @dataclass
 class EventTrajectory:
-    """A trajectory from event to event. It ``ends`` early at a terminal event, or where it cannot
-    go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
-    them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
+    """A trajectory from event to event.
+
+    It ``ends`` early at a terminal event, or where it cannot go on; it is ``stuck`` where events
+    accumulate, after so many ``rounds`` of them at one instant or ``shorter`` times between them in
+    a row; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
     time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
     such events to the next ones. Where its ``period`` is not 0 it goes on after its paths as over
     their last period, up to its last event. ``ahead`` (events,) are known times that it has not
@@ -51,6 +56,7 @@ class EventTrajectory:
     ends: bool = False
     stuck: bool = False
     rounds: int = 0
+    shorter: int = 0
     returned: bool = False
     period: float = 0.0
 
@@ -135,11 +141,19 @@ class EventTrajectory:
         self.returned = returned
         self.rounds = self.rounds if returned else 0
 
-    def leave(self, time: float, met: tuple[int, ...], least: float) -> None:
-        """Go on after events: as long as after the same ones before, or as after the last ones."""
+    def leave(self, time: float, met: tuple[int, ...], horizon: float) -> None:
+        """Go on after events: as long as after the same ones before, or as after the last ones.
+
+        Times between events that shrink like those of a ball that comes to rest end it a little
+        before they are so short that it would pass through the surface by rounding.
+        """
         gap, self.interrupted = time - self.interrupted, time
+        before = self.gaps.get(self.met, 0.0)
         self.gaps[self.met], self.met = gap, met
-        self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
+        self.stretch = max(_STRETCH * self.gaps.get(met, gap), _LEAST_STRETCH * horizon)
+        self.shorter = self.shorter + 1 if gap < before else 0
+        left = gap / (1.0 - gap / before) if self.shorter else math.inf
+        self.stuck |= self.shorter >= _SHRINKING and left <= _REST * horizon
 
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""

@@ -19,7 +19,6 @@ MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
 SAME_INSTANT = 1e-12
 """Part of the horizon within which times along a trajectory are the same."""
-_LEAST_STRETCH = 1e-3  # Length of what is integrated after a reset at least, in horizons
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Instants:
         pairs = zip(trajectories, times.tolist(), last.T, all_happened, strict=True)
         for trajectory, time, state, each in pairs:
             trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
-            trajectory.leave(time, tuple(each), _LEAST_STRETCH * self.horizon)
+            trajectory.leave(time, tuple(each), self.horizon)
             terminal = any(self.events[k].terminal for k in each)
             trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
 
