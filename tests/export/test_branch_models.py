@@ -16,7 +16,17 @@ import rankone as ro
 from tests.export import node
 from tests.export.node import needs_node
 from tests.export.test_event_models import assert_close, points, without_time
-from tests.export.test_models import ROOT, imported
+from tests.export.test_models import (
+    COMPILER,
+    ROOT,
+    SANITIZED,
+    SANITIZED_COUNT,
+    STRICT,
+    compiled_driver,
+    imported,
+    needs_compiler,
+    run_driver,
+)
 from tests.interface.test_changing_orders import DOSE, WASHED, text
 from tests.interface.test_opened_events import DOWN, KICKED, UP
 
@@ -252,3 +262,89 @@ def test_times_of_events_in_javascript(name, tmp_path):
     )
     wanted = [[list(names) for names in branch.met] for branch in solution.timeline.branches]
     assert said["instants"] == wanted
+
+
+TIMES_DRIVER = r"""
+#include <stdio.h>
+#include "model.h"
+
+/* parameters of points from standard input: for each one times of events, the end, the order */
+int main(void)
+{
+    double p[MODEL_PARAMETERS], times[MODEL_INSTANTS + 1], end;
+    int k, order;
+
+    for (k = 0; k < MODEL_INSTANTS; k++)
+        printf("%s ", model_instant_names[k]);
+    printf("\n");
+    for (;;) {
+        for (k = 0; k < MODEL_PARAMETERS; k++)
+            if (scanf("%lf", &p[k]) != 1)
+                return 0;
+        if (model_event_times(p, times) || model_end(p, &end) || model_branch(p, &order))
+            return 1;
+        for (k = 0; k < MODEL_INSTANTS; k++)
+            printf("%.17g ", times[k]);
+        printf("%.17g %d\n", end, order);
+    }
+}
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_c(name, tmp_path):
+    solution = solved(name)
+    solution.export(tmp_path / "model.c")
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution)
+    wanted, derivatives = values(solution, where), model.gradient(where)
+    for flags, count in (["-O2"], None), ([*SANITIZED, "-DMODEL_PORTABLE"], SANITIZED_COUNT):
+        first = {key: row[:count] for key, row in where.items()}
+        ours, gradients, batch = run_driver(compiled_driver(tmp_path, *flags), solution, first)
+        assert_close(ours, wanted[:, :count])
+        assert_close(gradients, derivatives[..., :count], 1e-8)
+        np.testing.assert_array_equal(batch, ours)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_times_of_events_in_c(name, tmp_path):
+    solution = solved(name)
+    solution.export(tmp_path / "model.c")
+    source, program = tmp_path / "times.c", tmp_path / "times"
+    source.write_text(TIMES_DRIVER)
+    files = [str(source), str(tmp_path / "model.c"), "-lm"]
+    subprocess.run([COMPILER, *STRICT, "-o", str(program), *files], check=True)
+    at = without_time(solution, points(solution, 400))
+    text = "\n".join(" ".join(map(repr, map(float, row))) for row in zip(*at.values()))
+    run = subprocess.run([str(program)], input=text, capture_output=True, text=True)
+    assert run.returncode == 0
+    head, *lines = run.stdout.splitlines()
+    columns = np.array([line.split() for line in lines], dtype=float).T
+    *times, end, order = columns
+    assert set(head.split()) <= set(solution.timeline.events)
+    for event in solution.timeline.events:
+        ours = [row for row, own in zip(times, head.split(), strict=True) if own == event]
+        wanted = solution.event_times(event, at)
+        assert len(ours) == len(wanted)
+        if ours:
+            assert_close(np.array(ours), wanted)
+    assert_close(end, solution.end(at))
+    np.testing.assert_array_equal(order, solution.branch(at))
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["washed", "kicked", "sliver"])
+@pytest.mark.parametrize("flags", [("-DMODEL_FLOAT",), ("-O3", "-ffast-math")])
+def test_c_in_other_arithmetics(name, flags, tmp_path):
+    """In single precision, and where the compiler takes it that there is no NaN."""
+    solution = solved(name)
+    solution.export(tmp_path / "model.c")
+    program = compiled_driver(tmp_path, *flags)
+    where = points(solution, 500)
+    ours, wanted = run_driver(program, solution, where)[0], values(solution, where)
+    both = ~np.isnan(ours) & ~np.isnan(wanted)
+    assert (np.isnan(ours) == np.isnan(wanted)).mean() >= 0.99
+    size = np.nanmax(np.abs(wanted), axis=1, keepdims=True)
+    assert ((np.abs(ours - wanted) <= 1e-4 * size) | ~both).mean() >= 0.99

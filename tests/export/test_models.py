@@ -16,7 +16,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.export.model_c import c_identifier
+from rankone.export.c_names import c_identifier
 from rankone.export.model_python import keywords
 from rankone.export.packing import pack
 from rankone.ir.verdict import Status

@@ -15,6 +15,8 @@ module              subject
 ``model_branches``  the same where the order of events changes inside the box
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
+``model_c_events``  its tables about events
+``c_names``         names and numbers in C99
 ``model_js``        the solved model in JavaScript
 ``explorer``        the page with sliders and curves
 ``model_fmu``       the solved model as an FMU: the model in C99 behind the functions of FMI
@@ -63,11 +65,8 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
-_SEVERAL_ORDERS = {
-    ".py",
-    ".js",
-    ".mjs",
-}  # Models that take solutions in which the order of events changes
+# Models that take solutions in which the order of events changes
+_SEVERAL_ORDERS = {".py", ".c", ".js", ".mjs"}
 # Modules that a file of the same name would hide
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 

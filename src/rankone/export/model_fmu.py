@@ -22,6 +22,7 @@ from typing import get_args
 from uuid import UUID
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
+from rankone.export.c_names import c_identifier
 from rankone.export.fmu_description import (
     FMI,
     Description,
@@ -29,7 +30,8 @@ from rankone.export.fmu_description import (
     model_description,
     start_values,
 )
-from rankone.export.model_c import c_identifier, c_model
+from rankone.export.model_c import c_model
+from rankone.export.model_c_events import needs_math
 from rankone.export.packed import PackedModel
 from rankone.export.templates import TERMS, filled
 from rankone.support import __version__
@@ -136,7 +138,7 @@ def _binary(about: Description, sources: dict[str, str]) -> dict[str, bytes]:
     try:
         folders, suffix = this_platform()
         name = about.identifier + suffix
-        library = compiled_library(sources, about.sources, name, about.model.is_scaled)
+        library = compiled_library(sources, about.sources, name, needs_math(about.model))
     except CannotCompile as reason:
         warn(
             f"the FMU has no binary, its sources alone: {reason}; it runs in tools that compile "

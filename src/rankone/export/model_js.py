@@ -61,7 +61,7 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "times_example": f"{start:g}, {moment}, {end:g}",
         **_tables(model),
         "scaled": "yes" if model.is_scaled else "",
-        "scales": "\n".join(map(_scale, _all_scales(model))),
+        "scales": "\n".join(map(_scale, model.scales)),
         **_timelines(model),
         **_choice(model),
     }
@@ -99,11 +99,6 @@ def _scale(scale: Scale) -> str:
     coordinate, slope = scale_expressions(scale, "Math.")
     argument = "(x)" if "x" in slope else "()"
     return f"  {{ coordinate: (x) => {coordinate}, slope: {argument} => {slope} }},"
-
-
-def _all_scales(model: PackedModel) -> tuple[Scale, ...]:
-    """The scales of all coordinates, and of the most roots behind them."""
-    return max((branch.scales for branch in model.branches), key=len)
 
 
 def _timelines(model: PackedModel) -> dict[str, str]:

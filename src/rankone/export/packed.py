@@ -214,6 +214,12 @@ class PackedModel:
             yield from (core for _, core in heights)
 
     @property
+    def scales(self) -> tuple[Scale, ...]:
+        """The scales of all coordinates, and of the most that a branch has behind them."""
+        longest = max(range(len(self.branches)), key=lambda k: len(self.branches[k].scales))
+        return self.branches[longest].scales
+
+    @property
     def is_scaled(self) -> bool:
         """Whether some coordinate is not the polynomials' own."""
         return not all(s.is_identity for branch in self.branches for s in branch.scales)

@@ -57,8 +57,8 @@ def _timeline_of(
     if isinstance(timeline, BranchedTimeline) and not several_orders:
         raise ExportError(
             "this file does not take solutions in which the order of events changes inside the box",
-            remedy="export a model in Python or JavaScript (`.py`, `.mjs`) or a page, or solve on a "
-            "box in which one order holds (print solution.timeline)",
+            remedy="export a model in Python, C or JavaScript (`.py`, `.c`, `.mjs`) or a page, or "
+            "solve on a box in which one order holds (print solution.timeline)",
         )
     return timeline
 
