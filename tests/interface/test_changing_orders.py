@@ -280,11 +280,6 @@ def test_what_takes_one_order_alone_says_so(use):
         use(washed())
 
 
-def test_models_of_one_order_say_so(tmp_path):
-    with pytest.raises(ro.ExportError, match="order of events changes inside the box"):
-        washed().export(tmp_path / "model.fmu")
-
-
 def swings(times, start, mu):
     """Positions of x'' = -x - mu sign(x') from rest at ``start``: half swings of length pi."""
     positions = np.empty_like(times)

@@ -65,8 +65,6 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
-# Models that take solutions in which the order of events changes
-_SEVERAL_ORDERS = {".py", ".c", ".js", ".mjs"}
 # Modules that a file of the same name would hide
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 
@@ -158,13 +156,7 @@ def export_model(
         )
     if target.suffix == ".fmu":
         free_target(target, overwrite, ExportError)  # before it is compiled
-    model = pack(
-        solution,
-        states=states,
-        rtol=rtol,
-        allow_failed=allow_failed,
-        several_orders=target.suffix in _SEVERAL_ORDERS,
-    )
+    model = pack(solution, states=states, rtol=rtol, allow_failed=allow_failed)
     files = writers[target.suffix](model, target)
     write_files(files, overwrite, ExportError)
     return target

@@ -112,6 +112,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
         "start": ", ".join(map(repr, start_values(about.model))) or "0.0",
         "text": str(_LONGEST_MESSAGE + longest),
         "ends": "1" if about.ends else "",
+        "several": "" if about.model.choice is None else "yes",
     }
     name = f"fmi{about.fmi[0]}"
     templates = {

@@ -37,9 +37,7 @@ _SMALLEST_RTOL = 1e-12  # Smallest difference that can be asked for: above round
 _LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
 
 
-def _timeline_of(
-    solution: SolutionCore, allow_failed: bool, several_orders: bool
-) -> Timeline | BranchedTimeline | None:
+def _timeline_of(solution: SolutionCore, allow_failed: bool) -> Timeline | BranchedTimeline | None:
     """The timeline of a solution; an ExportError if that cannot be exported as one model."""
     if solution.outcome.pieces:
         raise ExportError(
@@ -53,14 +51,7 @@ def _timeline_of(
             f"the solution is not a success: {solution.message}",
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
-    timeline = solution.outcome.timeline
-    if isinstance(timeline, BranchedTimeline) and not several_orders:
-        raise ExportError(
-            "this file does not take solutions in which the order of events changes inside the box",
-            remedy="export a model in Python, C or JavaScript (`.py`, `.c`, `.mjs`) or a page, or "
-            "solve on a box in which one order holds (print solution.timeline)",
-        )
-    return timeline
+    return solution.outcome.timeline
 
 
 def pack(
@@ -69,18 +60,17 @@ def pack(
     states: States = "unknowns",
     rtol: float | None = None,
     allow_failed: bool = False,
-    several_orders: bool = False,
 ) -> PackedModel:
     """Turn a solution into plain tables.
 
     With ``rtol`` the model may differ from the solution by this much, relative to the size of each
     state that is evaluated. A solution that is not a success is an ExportError unless it is
-    allowed, and so is one with several orders of events.
+    allowed.
     """
     check_states(states)
     rtol = checked_rtol(rtol)
     metadata = solution.metadata
-    timeline = _timeline_of(solution, allow_failed, several_orders)
+    timeline = _timeline_of(solution, allow_failed)
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))

@@ -97,7 +97,7 @@ def export_page(
             remedy="write a model (model.js), or plot them: rankone.plotting.plot_surface",
         )
     full = with_derivatives(solution)
-    model = pack(full, rtol=rtol, allow_failed=allow_failed, several_orders=True)
+    model = pack(full, rtol=rtol, allow_failed=allow_failed)
     words = target.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
     title = (title or "").strip() or solution.metadata.name or words[:1].upper() + words[1:]
     text = _page(full, solution, model, title, rtol)
