@@ -28,7 +28,7 @@ from tests.export.test_models import (
     run_driver,
 )
 from tests.interface.test_changing_orders import DOSE, WASHED, text
-from tests.interface.test_opened_events import DOWN, KICKED, UP
+from tests.interface.test_opened_events import DOWN, KICK, KICKED, UP
 
 RTOL = 1e-3
 FREE = {"x": "v", "v": "-x"}
@@ -172,6 +172,43 @@ def test_values_without_parameters_and_with_states(tmp_path):
     ours = dict(zip(wanted, every.value(where), strict=True))
     for name in wanted:
         assert_close(ours[name][None], np.asarray(solution[name](where))[None])
+
+
+SMALLER = {
+    "at": lambda solution: solution.at(3.0),
+    "restrict": lambda solution: solution.restrict(a=(0.9, 1.2)),
+    "fix": lambda solution: solution.fix(c=1.0),
+    "output": lambda solution: solution.output({"area": "integral(x, 0, 4)", "twice": "2*x"}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*SMALLER, "log"])
+def test_further_solutions(name, tmp_path):
+    """Smaller solutions, outputs, and a parameter with a scale, beside roots of heights."""
+    if name == "log":
+        box, end = {"a": (0.7, 1.4, "log"), "c": (0.9, 1.1)}, (0, 4)
+        start = {"x": 0, "v": "a"}
+        solution = ro.solve(ro.Problem.from_strings(FREE, start, box, end, events=[KICK]), RTOL)
+    else:
+        solution = SMALLER[name](solved("kicked"))
+    assert solution.success
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution)
+    at = without_time(solution, where) if solution.metadata.timeless else where
+    wanted = values(solution, at)
+    assert_close(model.value(where), wanted)
+    gradient = model.gradient(where)
+    if COMPILER:
+        solution.export(tmp_path / "model.c")
+        ours, slopes_in_c, _ = run_driver(compiled_driver(tmp_path, "-O2"), solution, where)
+        assert_close(ours, wanted)
+        assert_close(slopes_in_c, gradient, 1e-8)
+    if node.NODE:
+        solution.export(tmp_path / "model.mjs")
+        ours, _, slopes_in_js, _ = node.run_driver(tmp_path, solution, where)
+        assert_close(ours, wanted)
+        assert_close(slopes_in_js, gradient[:, 1:], 1e-8)
 
 
 def test_the_file_needs_numpy_alone(tmp_path):

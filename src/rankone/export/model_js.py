@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -138,9 +139,9 @@ def _branch(model: PackedModel, k: int) -> str:
     affine = (f"[{border}, {_list(row)}]" for border, row in timeline.affine_borders)
     lines = [
         *("  {", "    slabs: [", *slabs, "    ],"),
-        *("    firstSlabs: [", wrapped(map(str, timeline.first_slabs)), "    ],"),
+        *("    firstSlabs: [", _deeper(wrapped(map(str, timeline.first_slabs))), "    ],"),
         f"    borders: [{', '.join(map(str, model.borders_of(branch)))}],",
-        *("    affine: [", wrapped(affine), "    ],"),
+        *("    affine: [", _deeper(wrapped(affine)), "    ],"),
         f"    terminal: {str(timeline.terminal).lower()},",
     ]
     if model.choice is not None:
@@ -152,6 +153,11 @@ def _branch(model: PackedModel, k: int) -> str:
         ]
         lines += [f"    guards: {guards},", f"    roots: [{', '.join(roots)}],"]
     return "\n".join([*lines, "  },"])
+
+
+def _deeper(lines: str) -> str:
+    """Lines of a table inside of another one."""
+    return textwrap.indent(lines, "  ")
 
 
 def _choice(model: PackedModel) -> dict[str, str]:
