@@ -70,3 +70,19 @@ def test_a_memory_limit_tells_how_much_all_steps_need(rates, least):
         with limited(memory=share * total), pytest.raises(OutOfMemoryError) as caught:
             integrator.run(system, POINTS, (0.0, 30.0), TOLERANCES)
         assert max(share, least) * total < caught.value.needed < 2.0 * total
+
+
+@pytest.mark.parametrize("stiff", [False, True])
+@pytest.mark.parametrize("count", [1, 7, 400])
+def test_steps_are_read_together_as_one_by_one(stiff, count):
+    """To the last bit, also where a step holds a single time."""
+    rates, start = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}, {"x": "a", "y": "5"}
+    system = ro.compile(ro.Problem.from_strings(rates, start, {"a": (8, 12)}, (0, 6))).system
+    points = np.linspace(8.0, 12.0, 7)[:, None]
+    dense = StackedIntegrator(stiff=stiff).run(system, points, [0.0, 2.5, 6.0], TOLERANCES)
+    times = np.sort(np.random.default_rng(7).random(count)) * 6.0
+    ends = [*np.searchsorted(times, dense.times[1:-1]), count]
+    parts = zip(dense.pieces, [0, *ends[:-1]], ends, strict=True)
+    expected = [piece.at(times[a:b]) for piece, a, b in parts if a < b]
+    states = np.moveaxis(dense(times), 2, 0).reshape(count, -1)
+    np.testing.assert_array_equal(states, np.concatenate(expected))

@@ -38,3 +38,15 @@ def test_a_time_between_two_steps_belongs_to_the_second():
         times = np.tile([1.0], (2, count))
         assert Paths.of([path, path])(times) == pytest.approx(2.0)
         assert Paths.of([path, path])(times + 2.0) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("states", [1, 3, 12])
+def test_coefficients_of_few_and_many_states_are_alike(states):
+    generator = np.random.default_rng(5)
+    nodal = generator.random((11, NODES.size, states))
+    path = Path(np.linspace(0.0, 1.0, 12), nodal, nodal[-1, -1])
+    expected = path.coefficients.swapaxes(1, 2)
+    together = Paths.of([path]).coefficients
+    assert together.shape == (NODES.size, states, 11)
+    assert together.flags.c_contiguous
+    np.testing.assert_allclose(together, expected, rtol=0, atol=1e-13)

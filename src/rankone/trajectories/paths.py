@@ -20,6 +20,7 @@ NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
 _READ_COST = Cost(60e3, 40.0)  # Operations of evaluating steps: once, and for each state
 _MANY_TIMES = 64  # Times of each path from which on their steps are looked up path by path
+_FEW_STATES = 8  # States up to which coefficients of all of them are one product of matrices
 _BLOCK = 8192  # Times that are read together: what is in work fits the cache
 
 
@@ -124,7 +125,12 @@ class Paths:
     @cached_property
     def coefficients(self) -> Array:
         """Of the powers of ``2 share - 1``, (nodes, n, steps of all)."""
-        return np.ascontiguousarray(step_coefficients(self.nodal).swapaxes(1, 2))
+        steps, nodes, n = self.nodal.shape
+        if n > _FEW_STATES:
+            return np.ascontiguousarray(step_coefficients(self.nodal).swapaxes(1, 2))
+        of_each = np.kron(TO_POWERS, np.eye(n))  # more products, but of steps as they are held
+        coefficients = np.dot(of_each, self.nodal.reshape(steps, -1).T)
+        return np.asarray(coefficients.reshape(nodes, n, steps))
 
     def __call__(self, times: Array) -> Array:
         """States (n, m, T) at times (m, T) of each path, after a jump at its time."""

@@ -202,13 +202,25 @@ class StackedTrajectories:
         order = np.argsort(times, kind="stable") if descends else None
         ascending = times if order is None else times[order]
         stacked = np.empty((times.size, self.state.size))
-        ends = [*np.searchsorted(ascending, self.times[1:-1]).tolist(), times.size]
-        for piece, a, b in zip(self.pieces, [0, *ends[:-1]], ends, strict=True):
-            if a < b:
-                piece.at(ascending[a:b], stacked[a:b])
+        ends = np.searchsorted(ascending, self.times[1:-1])
+        borders = np.concatenate([[0], ends, [times.size]])
+        for alike in self._alike:
+            alike.read(
+                ascending, borders[alike.first : alike.first + len(alike.pieces) + 1], stacked
+            )
         if order is not None:
             stacked[order] = stacked.copy()
         return stacked.T.reshape(*self.state.shape, -1)
+
+    @cached_property
+    def _alike(self) -> list[_AlikePieces]:
+        """The pieces, those in a row together whose rows have the same weights."""
+        kinds, first, alike = [(piece.method, len(piece.rows)) for piece in self.pieces], 0, []
+        for _, group in itertools.groupby(kinds):
+            last = first + len(list(group))
+            alike.append(_AlikePieces.of(first, self.pieces[first:last]))
+            first = last
+        return alike
 
     def of(self, trajectories: slice) -> StackedTrajectories:
         """Some of the trajectories; see :meth:`DenseTrajectories.of`."""
@@ -242,6 +254,35 @@ class StackedTrajectories:
         chosen = ends[:: max(1, len(ends) // count)]
         for i, part, end in chosen:
             yield end, self.pieces[i].at_ends[part].reshape(self.state.shape)
+
+
+@dataclass(frozen=True)
+class _AlikePieces:
+    """Pieces in a row, from the ``first``, whose rows have the same weights at the same shares.
+
+    The pieces begin at ``starts`` (k,), and their shares are in ``units`` (k,).
+    """
+
+    first: int
+    pieces: tuple[Piece, ...]
+    starts: Array
+    units: Array
+
+    @classmethod
+    def of(cls, first: int, pieces: tuple[Piece, ...]) -> _AlikePieces:
+        starts, units = zip(*((piece.t_old, piece.h) for piece in pieces), strict=True)
+        return cls(first, pieces, np.array(starts), np.array(units))
+
+    def read(self, times: Array, borders: NDArray[np.intp], stacked: Array) -> None:
+        """Read states (T, n m) at ascending times (T,), which each piece has between borders."""
+        counts, own = np.diff(borders), times[borders[0] : borders[-1]]
+        shares = (own - np.repeat(self.starts, counts)) / np.repeat(self.units, counts)
+        weights = self.pieces[0].weights(shares)
+        places = (borders - borders[0]).tolist()
+        states = stacked[borders[0] : borders[-1]]
+        for piece, (a, b) in zip(self.pieces, itertools.pairwise(places), strict=True):
+            if a < b:
+                piece.weighted(weights[a:b], states[a:b])
 
 
 class _DenseRecord:

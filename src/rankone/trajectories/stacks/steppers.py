@@ -84,7 +84,13 @@ class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
 
     def at(self, times: Array, out: Array | None = None) -> Array:
         """States at times (T,), stacked: (T, n m); into ``out`` if it is given."""
-        states = np.matmul(self.weights((times - self.t_old) / self.h), self.rows, out=out)
+        return self.weighted(self.weights((times - self.t_old) / self.h), out)
+
+    def weighted(self, weights: Array, out: Array | None = None) -> Array:
+        """States by weights (T, k) of the rows, stacked: (T, n m); into ``out`` if it is given."""
+        if len(weights) == 1:  # BLAS adds up in another order if they are strided
+            weights = weights.copy()
+        states = np.matmul(weights, self.rows, out=out)
         states += self.y_old
         return np.asarray(states)
 
