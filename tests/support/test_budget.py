@@ -150,3 +150,13 @@ def test_stacks_are_divided_where_they_take_long():
     assert [len(some) for some in in_pieces(stack, 1.0)] == [10]
     assert [len(some) for some in in_pieces(stack, 5e7)] == [4, 4, 2]
     assert [len(some) for some in in_pieces(stack, 1e12)] == [1] * 10
+
+
+def test_a_square_costs_as_much_as_a_product():
+    texts = "lambda x: x * x", "lambda x: x**2", "lambda x: x**3", "lambda x: 2**x"
+    product, square, cube, power = (function_cost(eval(text)) for text in texts)
+    assert square == product
+    assert cube == power
+    assert cube.each > 10.0 * square.each
+    many = "lambda x: x[0] + " + " + ".join(f"{k}.5 * x" for k in range(300)) + " + x**2"
+    assert function_cost(eval(many)) == function_cost(eval(many.replace("x**2", "x * x")))

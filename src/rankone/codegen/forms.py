@@ -9,6 +9,7 @@ loaded.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -131,7 +132,7 @@ _ENTRIES = """\
     return _sums(SLOPES, len(JACOBIAN_PLACES), functions, x).reshape(-1, *shape)
 """
 _LONGEST_FORM = 60  # Characters of a form in the summary of its function
-# What an operation, a call and a power cost, in numbers of a sparse matrix
+# What an operation, a call and a power but a square cost, in numbers of a sparse matrix
 _OPERATION, _CALL, _POWER = 0.6, 9.0, 18.0
 
 
@@ -312,4 +313,6 @@ def _cost(text: str) -> float:
     """What a line costs, in numbers of a sparse matrix."""
     operations = sum(text.count(f" {sign} ") for sign in "+-*/")
     calls = text.count("np.") + text.count("special.")
-    return _OPERATION * operations + _CALL * calls + _POWER * text.count("**")
+    squares = len(re.findall(r"\*\* ?2(?![\w.])", text))
+    powers = text.count("**") - squares
+    return _OPERATION * (operations + squares) + _CALL * calls + _POWER * powers

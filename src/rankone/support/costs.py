@@ -13,6 +13,7 @@ from functools import lru_cache
 from types import FunctionType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 
@@ -22,6 +23,8 @@ CALL = 1e3
 _PIECE_OPERATIONS = 2e8
 _ARITHMETIC_CODE = dis.opmap["BINARY_OP"]
 _CALL_CODE = dis.opmap["CALL"]
+_CONSTANT_CODE = dis.opmap["LOAD_CONST"]
+_SMALL_CODE = dis.opmap.get("LOAD_SMALL_INT", -1)  # From Python 3.14 on
 _POWER_ARGUMENTS = (8, 21)  # Arguments of BINARY_OP that stand for ``**`` and ``**=``
 _INDEX_ARGUMENT = 26  # The argument of BINARY_OP that stands for ``[]``, from Python 3.14 on
 
@@ -107,13 +110,31 @@ def scalar_cost(function: Callable[..., object]) -> float:
 
 @lru_cache(32)
 def _operations(function: FunctionType) -> tuple[int, int, int]:
-    """How many arithmetic operations, powers and calls the code of a function has."""
+    """How many arithmetic operations, powers but squares, and calls the code of a function has."""
     code = np.frombuffer(function.__code__.co_code, dtype=np.uint8)
     operations, arguments = code[::2], code[1::2]
     operators = arguments[operations == _ARITHMETIC_CODE]
     powers = int(np.isin(operators, _POWER_ARGUMENTS).sum())
+    powers -= _squares(function, operations, arguments) if powers else 0
     terms = int((operators != _INDEX_ARGUMENT).sum()) - powers
     return terms, powers, int((operations == _CALL_CODE).sum())
+
+
+def _squares(
+    function: FunctionType, operations: NDArray[np.uint8], arguments: NDArray[np.uint8]
+) -> int:
+    """How many powers in the code of a function are squares, which NumPy makes by a product."""
+    is_power = (operations == _ARITHMETIC_CODE) & np.isin(arguments, _POWER_ARGUMENTS)
+    squares, constants = 0, function.__code__.co_consts
+    for place in (np.flatnonzero(is_power) - 1).tolist():
+        argument = int(arguments[place])
+        if operations[place - 1] == dis.EXTENDED_ARG:
+            argument += 256 * int(arguments[place - 1])
+        if operations[place] == _CONSTANT_CODE:
+            squares += int(constants[argument] == 2)
+        else:
+            squares += int(operations[place] == _SMALL_CODE and argument == 2)
+    return squares
 
 
 def in_pieces(stack: Array, each: float) -> list[Array]:
