@@ -202,3 +202,14 @@ def test_crossings_are_looked_for_only_where_their_paths_fit():
     tracemalloc.stop()
     assert solution.success, solution.message
     assert peak < 1.2 * 50e6
+
+
+@pytest.mark.slow
+def test_what_is_steep_between_markers_alone_is_no_jump():
+    """Next to a Hopf point the first marker differs over the box, and the states do not."""
+    rates = {"x": "-x + 0.08*y + x**2*y", "y": "b - 0.08*y - x**2*y"}
+    box = {"b": (0.5, 0.7), "a": (0.5, 1)}
+    selkov = ro.Problem.from_strings(rates, {"x": "a", "y": 1}, box, (0, 200))
+    solution = ro.solve(selkov, 1e-4, effort=0.1, method="cross")
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert "jump" not in solution.message

@@ -208,13 +208,22 @@ class Engine:
         raise first
 
     def _solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
-        """Solve over stretches between markers where they pay, else over the time of the system."""
-        if self.name == "cross" and request.markers and system.clock is None:
-            try:
-                return self._attempted(system, request, report, markers=True)
-            except OrderError:
-                pass
-        return self._attempted(system, request, report)
+        """Solve over stretches between markers where they pay, else over the time of the system.
+
+        Also where it is steep between markers: which of them come first may differ over the box.
+        """
+        if self.name != "cross" or not request.markers or system.clock is not None:
+            return self._attempted(system, request, report)
+        marked: Outcome | None = None
+        with suppress(OrderError):
+            marked = self._attempted(system, request, report, markers=True)
+        if marked is None:
+            return self._attempted(system, request, report)
+        if marked.timeline is None or marked.status is not Status.STEEP:
+            return marked
+        outcome = self._attempted(system, request, report)
+        timings, work = sums(outcome.timings, marked.timings), sums(outcome.work, marked.work)
+        return replace(outcome, timings=timings, work=work)
 
     def _attempted(
         self, system: System, request: SolveRequest, report: Report, markers: bool = False
