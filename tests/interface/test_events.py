@@ -306,6 +306,16 @@ def test_events_that_accumulate_are_refused():
         ro.solve(ball, 1e-3)
 
 
+def test_accumulation_is_told_of_where_it_comes_first():
+    """Behind the horizon bounces of the other trajectories accumulate as well."""
+    bounce = {**BOUNCE, "then": {"y": 0, "v": "-0.7*v"}}
+    ball = problem({"y": "v", "v": "-9.81"}, {"y": "h", "v": 0}, {"h": (0.3, 1.5)}, 2, [bounce])
+    with pytest.raises(ro.ConvergenceError, match="events accumulate") as caught:
+        ro.solve(ball, 1e-3)
+    time = float(str(caught.value).split("t = ")[1].split(" ")[0])
+    assert time < 2
+
+
 def test_methods_that_need_separated_terms_say_that_they_take_no_events_of_states():
     compiled = ro.compile(PROBLEMS["relay"])
     assert compiled.methods["cross"] is None

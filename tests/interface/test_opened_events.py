@@ -77,6 +77,7 @@ def test_an_event_that_part_of_the_box_misses_is_opened_at_the_root_of_its_heigh
     np.testing.assert_array_equal(held[held >= 0], (at["a"] > at["c"])[held >= 0])
     assert (held[undecided] == -1).all()
     assert (held == -1).mean() <= 0.01
+    np.testing.assert_array_equal(solution.at(2.0).branch(**at), held)
     met = solution.event_times("kick", **at)[0]
     clear = np.abs(at["a"] - at["c"]) > 0.01
     assert (np.isfinite(met) == (at["a"] > at["c"]))[clear].all()

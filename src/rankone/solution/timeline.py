@@ -199,7 +199,8 @@ class EventTimes(SolutionCore):
                 term=timed[0],
                 remedy="leave the time out",
             )
-        gathered = self._coordinates.gather(at, {clock: self.time[0], **named})
+        start = {} if self.metadata.timeless else {clock: self.time[0]}
+        gathered = self._coordinates.gather(at, {**start, **named})
         return self._coordinates.arrays(gathered)[1:]
 
 

@@ -135,14 +135,17 @@ def follow(
         begun,
         count=count,
     )
-    early: list[int] = []
+    early, stuck = list[int](), list[int]()
     for k, each in enumerate(followed):
         terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal
         short = each.end < end - SAME_INSTANT * length
         if each.stuck and not terminal and (short or len(instants_of(each, length)) < count):
-            raise end_error(clock, points[k], each.end, stuck=True)
+            stuck.append(k)
         if not terminal and short:
             early.append(k)
+    if stuck:
+        first = min(stuck, key=lambda k: followed[k].end)
+        raise end_error(clock, points[first], followed[first].end, stuck=True)
     if early:  # a stack ends where the first of its trajectories does
         states = np.stack([followed[k].state for k in early], axis=1)
         time = min(followed[k].end for k in early)

@@ -39,7 +39,8 @@ class EventTrajectory:
     accumulate, after so many ``rounds`` of them at one instant or ``shorter`` times between them in
     a row; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
     time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
-    such events to the next ones. Where its ``period`` is not 0 it goes on after its paths as over
+    such events to the next ones, ``returns`` when they came last and how long after the time
+    before. Where its ``period`` is not 0 it goes on after its paths as over
     their last period, up to its last event. ``ahead`` (events,) are known times that it has not
     reached, infinite for other events; ``due`` are the times at which events with a delay reset
     states.
@@ -52,6 +53,7 @@ class EventTrajectory:
     stretch: float = math.inf
     met: tuple[int, ...] = ()
     gaps: dict[tuple[int, ...], float] = field(default_factory=dict)
+    returns: dict[tuple[int, ...], tuple[float, float]] = field(default_factory=dict)
     occurrences: list[Occurrence] = field(default_factory=list)
     ends: bool = False
     stuck: bool = False
@@ -121,6 +123,7 @@ class EventTrajectory:
         """One that may go on by itself."""
         own = replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
         own.gaps, own.ahead = {**self.gaps}, self.ahead.copy()
+        own.returns = {**self.returns}
         own.due = {event: [*times] for event, times in self.due.items()}
         return own
 
@@ -144,15 +147,17 @@ class EventTrajectory:
     def leave(self, time: float, met: tuple[int, ...], horizon: float) -> None:
         """Go on after events: as long as after the same ones before, or as after the last ones.
 
-        Times between events that shrink like those of a ball that comes to rest end it a little
-        before they are so short that it would pass through the surface by rounding.
+        Times after which the same events come again, and which shrink like those of a ball that
+        comes to rest, end it a little before it would pass through the surface by rounding.
         """
         gap, self.interrupted = time - self.interrupted, time
-        before = self.gaps.get(self.met, 0.0)
         self.gaps[self.met], self.met = gap, met
         self.stretch = max(_STRETCH * self.gaps.get(met, gap), _LEAST_STRETCH * horizon)
-        self.shorter = self.shorter + 1 if gap < before else 0
-        left = gap / (1.0 - gap / before) if self.shorter else math.inf
+        last, before = self.returns.get(met, (-math.inf, 0.0))
+        cycle = time - last
+        self.returns[met] = time, cycle
+        self.shorter = self.shorter + 1 if cycle < before else 0
+        left = cycle / (1.0 - cycle / before) if self.shorter else math.inf
         self.stuck |= self.shorter >= _SHRINKING and left <= _REST * horizon
 
     def times_of(self, event: int) -> Array:
