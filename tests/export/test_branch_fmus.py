@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
-from functools import cache
-
 import numpy as np
 import pytest
 
 from tests.export.test_branch_models import solved
+from tests.export.test_event_fmus import archives
 from tests.export.test_fmu import both, compile_strictly, fmpy, runs
 
 if fmpy is not None:
@@ -22,16 +20,7 @@ UNKNOWN = "it is not known which order of events holds"
 
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory):
-    """The file of a solution for a version of FMI, and the folder that it is extracted to."""
-
-    @cache
-    def made(name, fmi):
-        folder = tmp_path_factory.mktemp("fmu")
-        path = solved(name).export(folder / "model.fmu", fmi=fmi)
-        zipfile.ZipFile(path).extractall(folder / "inside")
-        return path, folder / "inside"
-
-    return made
+    return archives(solved, tmp_path_factory)
 
 
 @runs

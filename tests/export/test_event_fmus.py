@@ -22,9 +22,8 @@ BALL = {"h": 1.0, "c": 0.05, "e": 0.8}
 ROCKET = {"f": 3000.0, "d": 105.0}  # is back before the horizon ends
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory):
-    """The file of a solution for a version of FMI, and the folder that it is extracted to."""
+def archives(solved, tmp_path_factory):
+    """Makes the file of a solution for a version of FMI, and the folder that it is extracted to."""
 
     @cache
     def made(name, fmi):
@@ -34,6 +33,11 @@ def archive(tmp_path_factory):
         return path, folder / "inside"
 
     return made
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    return archives(solved, tmp_path_factory)
 
 
 @runs
