@@ -155,7 +155,7 @@ class AdaptiveInterpolation:
         most = min(math.ceil(MAX_PREDICTED_RATIO * self._line_nodes), self.limits.max_nodes)
         return [j for j, basis in enumerate(bases) if basis.elements == 1 and basis.size >= most]
 
-    def jumping(self, bases: Sequence[Basis1D]) -> list[int]:
+    def with_jumps(self, bases: Sequence[Basis1D]) -> list[int]:
         """The parameters with elements as narrow as those that hold a jump."""
         widths = [np.diff(basis.scale.to_scale(np.asarray(basis.edges))) for basis in bases]
         narrow = [each.min() <= NARROWEST_ELEMENT * each.sum() for each in widths]

@@ -210,7 +210,7 @@ class CrossMarcher:
             return
         rough = self.adaptive.unresolved(bases)
         if self._meets_events:
-            rough += self.adaptive.jumping(bases)
+            rough += self.adaptive.with_jumps(bases)
         if rough and self.trajectories is not None:
             domain, system = self.reference_set.domain, self.reference_set.system
             points = LinePoints(domain.box, domain.first_coordinates).through

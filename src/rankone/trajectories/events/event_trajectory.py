@@ -16,7 +16,7 @@ from rankone.trajectories.paths import Path, joined
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _LEAST_STRETCH = 1e-3  # Length of what is integrated after a reset at least, in horizons
-_SHRINKING = 10  # Shorter and shorter times between events, after which they may accumulate
+_SHRINKING = 10  # Shorter and shorter times until the same events, after which they may accumulate
 _REST = 1e-7  # Time within which all further ones would come if these shrink on, in horizons
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
@@ -36,13 +36,13 @@ class EventTrajectory:
     """A trajectory from event to event.
 
     It ``ends`` early at a terminal event, or where it cannot go on; it is ``stuck`` where events
-    accumulate, after so many ``rounds`` of them at one instant or ``shorter`` times between them in
-    a row; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
-    time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
-    such events to the next ones, ``returns`` when they came last and how long after the time
-    before. Where its ``period`` is not 0 it goes on after its paths as over
-    their last period, up to its last event. ``ahead`` (events,) are known times that it has not
-    reached, infinite for other events; ``due`` are the times at which events with a delay reset
+    accumulate, after so many ``rounds`` of them at one instant, or ``shorter`` and shorter times in
+    a row until the same ones come again; it has ``returned`` if it was at the last event at once.
+    It was ``interrupted`` last at a time by the events ``met``, and goes on for a ``stretch`` at
+    once; ``gaps`` are the times from such events to the next ones, ``returns`` when they came last
+    and how long after the time before. Where its ``period`` is not 0 it goes on after its paths as
+    over their last period, up to its last event. ``ahead`` (events,) are known times that it has
+    not reached, infinite for other events; ``due`` are the times at which events with a delay reset
     states.
     """
 
