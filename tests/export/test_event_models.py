@@ -88,7 +88,7 @@ NAMES = [*PROBLEMS, "two runs"]
 
 
 def points(solution, count=2000):
-    """Random points by name, some at corners of the box, at the very times of doses."""
+    """Random points by name, some at corners of the box, at the very times of doses and events."""
     rng = np.random.default_rng(2)
     box = {solution.metadata.time: solution.time, **solution.parameters}
     where = {name: rng.uniform(a, b, count) for name, (a, b) in box.items()}
@@ -98,6 +98,9 @@ def points(solution, count=2000):
     if "lag" in box:
         where["t"][2::5] = where["lag"][2::5]
         where["t"][3::5] = where["lag"][3::5] + where["span"][3::5]
+    at = {name: where[name][4::20] for name in solution.parameters}
+    for times in solution.event_times(solution.timeline.events[0], at)[:1]:
+        where["t"][4::20] = np.where(np.isfinite(times), times, where["t"][4::20])
     return where
 
 

@@ -143,6 +143,22 @@ def test_values_at_an_instant_are_those_after_it():
     np.testing.assert_allclose(after[1], -0.8 * before[1], rtol=1e-4)
 
 
+def test_values_at_an_instant_do_not_depend_on_how_it_is_asked_for():
+    solution = solved("ball")
+    rng = np.random.default_rng(5)
+    box = {name: rng.uniform(*ends, 200) for name, ends in solution.parameters.items()}
+    points = [dict(zip(box, row, strict=True)) for row in zip(*box.values(), strict=True)]
+    together = solution.event_times("bounce", box)[0]
+    alone = np.array([solution.event_times("bounce", point)[0] for point in points])
+    for times in (together, alone, np.array([float(f"{time:.14g}") for time in together])):
+        assert (solution["v"](times, box) > 0).all()
+        assert all(
+            solution["v"](time, point) > 0 for time, point in zip(times, points, strict=True)
+        )
+        assert (solution.gradient(times, box)[0, 0] < 0).all()  # from higher, it bounces later
+        assert (solution["v"](times - 5e-12, box) < 0).all()
+
+
 def test_times_of_doses_are_met_to_the_last_digit():
     """Also those at a number, and where a parameter of them is fixed."""
     dosed = ro.Problem.from_strings(

@@ -45,6 +45,11 @@ def timeline_tables(model: PackedModel, prefix: str) -> dict[str, str]:
             for start, timeline in zip(slabs, timelines, strict=False)
             for k in timeline.first_slabs
         ),
+        "rounded_borders": wrapped(
+            str(int(border not in dict(timeline.affine_borders)))
+            for timeline in timelines
+            for border in range(timeline.stretches + 1)
+        ),
         "runs_of_slabs": wrapped(
             str(run + start)
             for start, timeline in zip(starts, timelines, strict=False)

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from rankone.discretization.coordinates import round_off
 from rankone.export.model_program import _CHUNK, Model, _train
 from rankone.support.arrays import Array
-
-_ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
 
 
 class EventModel(Model):
     """A model with events; values at the time of an event are those after it.
 
     Stretch i has the pseudo-time [i, i + 1]; the clock times of its ends depend on the parameters.
-    After a terminal event values are NaN.
+    Except for affine ones they are rounded, so that a time just before one counts as at it. After a
+    terminal event values are NaN.
     """
 
     def __init__(
@@ -36,6 +36,9 @@ class EventModel(Model):
         self._runs, self._affine, self.terminal = runs, affine_borders, terminal
         self._borders = [self._cores[core][2][0, :, 0] for core in borders]
         self._instants, self.events = instants, events
+        self._rounding = round_off(*self.intervals[0])
+        self._early = np.full((len(stretches), 1), self._rounding)
+        self._early[[border for border, _ in affine_borders]] = 0.0
 
     def event_times(
         self, event: str, values: Mapping[str, Any] | None = None, /, **named: Any
@@ -66,7 +69,8 @@ class EventModel(Model):
     def _at_parameters(self, at: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
         """The borders (1 + stretches, N) at parameters, and the shape of N."""
         points, shape = self._points(at, first=1)
-        return _ascending(self._over_parameters(points, derivatives=False)[1]), shape
+        borders = self._over_parameters(points, derivatives=False)[1][:, 0]
+        return _ascending(borders), shape
 
     def _over_parameters(self, points: Array, derivatives: bool) -> tuple[list[Array], Array]:
         """What depends on the parameters (d, N) alone, with derivatives if asked for.
@@ -106,7 +110,7 @@ class EventModel(Model):
         """The same at a few points (coordinates, N): the stretch of each first, then its slab."""
         products, clock = self._over_parameters(points[1:], derivatives)
         borders, times, each = clock[:, 0], points[0], np.arange(points.shape[1])
-        stretch = (times >= _ascending(clock)[1:-1]).sum(axis=0)
+        stretch = (times >= _ascending(borders - self._early)[1:-1]).sum(axis=0)
         begin = borders[stretch, each]
         length = borders[stretch + 1, each] - begin
         share = np.clip((times - begin) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
@@ -127,11 +131,10 @@ class EventModel(Model):
             moved = (of_begin + share * (of_end - of_begin)) * speed
             states[:, 2:] -= states[:, 1:2] * moved
             states[:, 1] *= speed
-        start, end = self.intervals[0]
-        states[:, :, times > borders[-1] + _ROUNDING * (end - start)] = np.nan
+        states[:, :, times > borders[-1] + self._rounding] = np.nan
         return states
 
 
-def _ascending(clock: Array) -> Array:
-    """Borders (1 + stretches, N) that ascend, of those with their derivatives."""
-    return np.asarray(np.maximum.accumulate(clock[:, 0], axis=0))
+def _ascending(borders: Array) -> Array:
+    """Borders (1 + stretches, N), none before the one in front of it."""
+    return np.asarray(np.maximum.accumulate(borders, axis=0))

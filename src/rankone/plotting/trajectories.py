@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.discretization.coordinates import round_off
 from rankone.plotting import style
 from rankone.plotting.arguments import (
     CURVE_TIMES,
@@ -125,7 +126,8 @@ def _with_borders(solution: Solution, values: Mapping[str, Any], times: Array) -
     """Times, and both sides of each border of a timeline, where states may jump."""
     borders = solution._borders((values,), {})[0].ravel()
     inside = borders[(borders > times[0]) & (borders <= times[-1])]
-    return np.unique(np.concatenate([times, np.nextafter(inside, times[0]), inside]))
+    before = np.maximum(inside - 2.0 * round_off(*solution.metadata.horizon), times[0])
+    return np.unique(np.concatenate([times, before, inside]))
 
 
 def _event_times(solution: Solution, values: Mapping[str, Any]) -> Array:

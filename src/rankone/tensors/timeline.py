@@ -10,12 +10,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.discretization.coordinates import round_off
 from rankone.support.arrays import Array
 from rankone.tensors.evaluator import AtTimes, Rows, TrainEvaluator
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
 
-_ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
 _PRODUCTS = 1 << 21  # Numbers of values with derivatives, and of their products, at once
 
 
@@ -57,8 +57,9 @@ class TimelineEvaluator(ClockEvaluator):
 
     The last two of their states are the clock and the length of the stretch. ``affine_borders``
     maps borders, 0 for the start of the first stretch, to the constant and the slopes of their
-    times, where these are known. Values are NaN where no stretch reaches. Slabs may have further
-    ``roots`` as coordinates behind the parameters.
+    times, where these are known. Other borders are rounded, so that a time just before one counts
+    as at it. Values are NaN where no stretch reaches. Slabs may have further ``roots`` as
+    coordinates behind the parameters.
     """
 
     def __init__(
@@ -75,6 +76,9 @@ class TimelineEvaluator(ClockEvaluator):
         # a stretch begins at the clock of its own slabs, and the last one ends before the end
         self._begins = np.arange(stretches, dtype=float)
         self._last = np.nextafter(float(stretches), 0.0)
+        self._rounding = round_off(*horizon)
+        self._early = np.full((stretches + 1, 1), self._rounding)  # before a border, yet at it
+        self._early[list(affine_borders)] = 0.0
 
     def borders(self, points: Array) -> Array:
         """Clock times (stretches + 1, N) at which stretches begin and end at points (d, N)."""
@@ -232,7 +236,8 @@ class TimelineEvaluator(ClockEvaluator):
 
     def stretches(self, times: Array, borders: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """Stretches (T, N) of clock times, by the clock times of borders, and which are in none."""
-        inner = np.maximum.accumulate(borders, axis=0)[1:-1]  # none ends before it begins
+        # no stretch ends before it begins
+        inner = np.maximum.accumulate(borders - self._early, axis=0)[1:-1]
         stretch = np.zeros(times.shape, dtype=np.intp)
         size = 1 << len(inner).bit_length() >> 1  # halved down to one: by bisection
         while size:
@@ -241,8 +246,7 @@ class TimelineEvaluator(ClockEvaluator):
             passed = times >= np.take_along_axis(inner, inside, axis=0)
             stretch = np.where((tried <= len(inner)) & passed, tried, stretch)
             size >>= 1
-        rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
-        return stretch, times > borders[-1] + rounding
+        return stretch, times > borders[-1] + self._rounding
 
 
 def _with_slopes(

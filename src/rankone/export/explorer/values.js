@@ -61,14 +61,15 @@ export function numberFrom(text) {
   return /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(plain) ? Number(plain) : NaN;
 }
 
+/** How far before an event a time on its earlier side is: models take closer ones as at the event. */
+const beforeEvents = ([first, end]) =>
+  2e-12 * (end - first) + 8 * Number.EPSILON * Math.max(Math.abs(first), Math.abs(end));
+
 /** For each time whether a jump can lie between it and the one before: nothing else fits there. */
 export function jumpsAt(times) {
-  const span = times.at(-1) - times[0];
-  return times.map((t, i) => i > 0 && t - times[i - 1] <= 1e-12 * span + 2 * Number.EPSILON * Math.abs(t));
+  const aside = 2 * beforeEvents([times[0], times.at(-1)]);
+  return times.map((t, i) => i > 0 && t - times[i - 1] <= aside);
 }
-
-/** A number just below x, as close as there is but one. */
-const below = (x) => x - Math.abs(x) * Number.EPSILON || -Number.MIN_VALUE;
 
 /**
  * Times of curves that events move: even ones, and the given shares of each stretch between events.
@@ -77,9 +78,10 @@ const below = (x) => x - Math.abs(x) * Number.EPSILON || -Number.MIN_VALUE;
  */
 export function timesWithEvents(even, shares, borders, [first, end]) {
   const times = [...even, ...borders];
+  const aside = beforeEvents([first, end]);
   shares.forEach((ofStretch, i) => {
     const length = borders[i + 1] - borders[i];
-    times.push(below(borders[i]), ...ofStretch.map((share) => borders[i] + share * length));
+    times.push(borders[i] - aside, ...ofStretch.map((share) => borders[i] + share * length));
   });
   const ascending = Float64Array.from(times.filter((t) => t >= first && t <= end)).sort();
   return ascending.filter((t, i) => i === 0 || t > ascending[i - 1]);
