@@ -83,3 +83,22 @@ def test_few_points_tell_the_shares_of_the_variance():
     pictured = solution._first_and_total(times, solution._statistics())
     sobol = solution.sobol(times)
     np.testing.assert_allclose(pictured, [sobol.first, sobol.total], atol=2e-2)
+
+
+@pytest.mark.slow
+def test_sobol_indices_of_a_jump_that_most_parameters_move():
+    dose = {"when": "t - a*m", "direction": "rising", "then": {"x": "x + b"}, "name": "dose"}
+    box = {"k": (0.2, 0.6), "a": (1, 3), "b": (0.5, 2), "m": (0.5, 1.5)}
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, box, (0, 4), events=[dose])
+    solution, time = ro.solve(problem, 1e-4), 2.6
+    middles = (np.arange(40) + 0.5) / 40
+    k, a, b, m = np.meshgrid(
+        *(low + (high - low) * middles for low, high in box.values()), indexing="ij"
+    )
+    x = np.exp(-k * time) + np.where(time >= a * m, b * np.exp(-k * (time - a * m)), 0.0)
+    others = [tuple({0, 1, 2, 3} - {j}) for j in range(4)]
+    indices = solution.sobol(time)
+    first = np.array([x.mean(axis=other).var() for other in others]) / x.var()
+    np.testing.assert_allclose(indices.first[0, :, 0], first, atol=1e-2)
+    total = np.array([x.var(axis=j).mean() for j in range(4)]) / x.var()
+    np.testing.assert_allclose(indices.total[0, :, 0], total, atol=1e-2)

@@ -25,7 +25,8 @@ _POINTS_AT_ONCE = 2**14
 # Chebyshev points of a segment, between which what decides about pieces is a polynomial
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
 _BARYCENTRIC = np.sin(np.pi * (np.arange(9) + 0.5) / 9) * (-1.0) ** np.arange(9)
-_LASTING = 0.25  # Share of a change that is expected of the next one
+LASTING = 0.25
+"""Share of a change that is expected of the next one."""
 # Nodes of Gauss's rule on a smooth piece of a line: at first, and most of them
 _FEWEST_NODES, _MOST_NODES = 4, 64
 _MOST_PIECES = 10_000  # Smooth pieces of one evaluator
@@ -99,7 +100,7 @@ class _Average:
         while True:
             states, weights = values(2 * self.nodes)
             now, unit, _ = self._running(states, weights)
-            self.unresolved = _change(now, before, unit)
+            self.unresolved = relative_change(now, before, unit)
             if self.unresolved <= settled or 2 * self.nodes == _MOST_NODES:
                 return states, weights
             self.nodes, before = 2 * self.nodes, now
@@ -118,11 +119,11 @@ class _Average:
         everything = np.hstack(self.states), np.concatenate(self.weights)
         statistic, unit, self.share = self._running(*everything)
         if self.latest is not None and statistic is not None:
-            self.changes = _change(statistic, self.latest, unit), _LASTING * self.changes[0]
+            self.changes = relative_change(statistic, self.latest, unit), LASTING * self.changes[0]
         self.latest = statistic
 
 
-def _change(now: Array | None, before: Array | None, unit: Array) -> float:
+def relative_change(now: Array | None, before: Array | None, unit: Array) -> float:
     """The largest change of a statistic in its units; zero where nothing runs."""
     if now is None or before is None:
         return 0.0
@@ -157,7 +158,7 @@ class LineAverages:
             self._add(lines, times[left], sets, [averages[k] for k in left], accuracy.settled)
             for k in left:
                 averages[k].refine()
-        _warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
+        warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
         count = len(sets(np.full((dimensions, 1), 0.5))) * self.rows.size
         shape = of(np.zeros((count, 1)), np.ones(1))[0].shape
         nothing = np.full(shape, np.nan)
@@ -230,7 +231,7 @@ def _interpolation(shares: Array) -> Array:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def _warn_of_changes(change: float, warned: float) -> None:
+def warn_of_changes(change: float, warned: float) -> None:
     """Warn of a statistic that does not settle."""
     if change > warned:
         warn(

@@ -198,7 +198,7 @@ class StatisticsOverBox(SolutionCore):
         unknown varies by less than its measured error. A warning says so, except at the start of
         the horizon, where initial values are usually numbers. The warning also names indices that
         the error may change visibly: there the spread is less than five times the error. Over
-        solutions with events the indices are good to about 5e-3.
+        solutions with events the indices are good to about 1e-2.
         Correlations are refused: the shares of correlated parameters overlap, and depend on the
         order in which they are counted.
         """

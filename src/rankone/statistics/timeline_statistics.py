@@ -16,13 +16,17 @@ import scipy
 from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.line_averages import (
     EFFECTS,
+    LASTING,
     MOMENTS,
     SENSITIVITIES,
     LineAverages,
     Weighted,
+    relative_change,
+    warn_of_changes,
 )
 from rankone.statistics.solution_statistics import Statistics
 from rankone.support.arrays import Array
+from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
@@ -30,6 +34,9 @@ from rankone.tensors.timeline import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 _PAIRS = 13  # Power of two of the pairs of points that tell parts of the variance to two digits
+_MOST_PAIRS = 17  # The same where they tell them as well as they can
+_HELD = 2**25  # Numbers of states at pairs of points that are held together
+_MOST_DIMENSIONS = 4  # Of pairs of points on lines: in more, few lines miss how surfaces meet
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
 
@@ -242,7 +249,7 @@ class TimelineStatistics(Statistics):
     def _of_pairs(
         self, same: Sequence[int], times: Array, of: Callable[[Array, Array, Array], Array]
     ) -> Array:
-        """A number of each state at pairs of points some of whose parameters are the same.
+        """A part of the variance of each state, by pairs of points that share some parameters.
 
         Estimators of Jansen, "Analysis of variance designs for model output", Computer Physics
         Communications 117, 1999, and of Saltelli et al., the same 181, 2010. (states, times), NaN
@@ -251,19 +258,63 @@ class TimelineStatistics(Statistics):
         count, rows = len(self.parameters.measures), len(self.rows)
         other = [j for j in range(count) if j not in same]
 
-        def pairs(shares: Array) -> list[Array]:
+        def halves(shares: Array) -> list[Array]:
             second = shares[:count].copy()
             second[other] = shares[count:]
-            return [self.parameters.points(each) for each in (shares[:count], second)]
+            return [shares[:count], second]
+
+        def pairs(shares: Array) -> list[Array]:
+            return [self.parameters.points(half) for half in halves(shares)]
 
         def of_pairs(states: Array, weights: Array) -> tuple[Array, Array]:
             x, y = states[:rows], states[rows:]
             return of(x, y, weights), _spread(x, weights) ** 2
 
         dimensions = count + len(other)
+        if dimensions > _MOST_DIMENSIONS:
+            return self._of_even_pairs(times, dimensions, halves, of)
         table, share = self._averages(times, dimensions, pairs, of_pairs, SENSITIVITIES)
         table[:, share < 1.0] = np.nan
         return table
+
+    def _of_even_pairs(
+        self,
+        times: Array,
+        dimensions: int,
+        halves: Callable[[Array], Sequence[Array]],
+        of: Callable[[Array, Array, Array], Array],
+    ) -> Array:
+        """The same at evenly spread pairs of points, twice as many of them until it settles."""
+        table = np.full((len(self.rows), times.size), np.inf)
+        latest, expected = np.full((2, times.size), np.inf)  # changes
+        at_once = max(_HELD // (len(self.rows) << _MOST_PAIRS + 1), 1)
+        for begin in range(0, times.size, at_once):
+            left = np.arange(begin, min(begin + at_once, times.size))
+            states = np.empty((2, len(self.rows), left.size, 0))
+            for points in _even_points(dimensions):
+                check_time()
+                further = [self._at_even(times[left], half) for half in halves(points)]
+                states = np.concatenate([states, further], axis=3)
+                weights = np.full(states.shape[3], 1.0 / states.shape[3])
+                for k, (x, y) in zip(left, states.transpose(2, 0, 1, 3), strict=True):
+                    parts, variances = of(x, y, weights), _spread(x, weights) ** 2
+                    expected[k] = LASTING * latest[k]
+                    latest[k] = relative_change(parts, table[:, k], variances)
+                    table[:, k] = parts
+                going = np.maximum(latest, expected)[left] > SENSITIVITIES.settled
+                left, states = left[going], states[:, :, going]
+                if not left.size:
+                    break
+        warn_of_changes(float(latest.max(initial=0.0)), SENSITIVITIES.warned)
+        return table
+
+
+def _even_points(dimensions: int) -> Iterator[Array]:
+    """Points (D, M) of the unit cube, as many as before each time, evenly spread with these."""
+    sequence = scipy.stats.qmc.Sobol(dimensions, scramble=False)
+    shift = np.random.default_rng(20145).random((dimensions, 1))
+    for power in (_PAIRS - 1, *range(_PAIRS - 1, _MOST_PAIRS)):
+        yield (sequence.random(2**power).T + shift) % 1.0
 
 
 def _warn_of_ends(share: Array) -> None:
