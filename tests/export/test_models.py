@@ -172,6 +172,9 @@ def test_python_bounds_and_names(tmp_path):
     for wrong in ({"t": 2.1}, {"lambda": -2.1}, {"α": float("nan")}):
         with pytest.raises(ValueError, match=r" is [\w.-]+, not in \["):
             model.value({**at, **wrong})
+    for other in ("0.5", None, [1.0, "x"], 1j, [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ValueError, match=rf"α is {re.escape(repr(other))}, not a number"):
+            model.value({**at, "α": other})
     for given in ({"t": 0.0}, {**at, "y": 1.0}, {**at, "lambda_": 1.0}):
         with pytest.raises(ValueError, match="were given"):
             model.value(given)

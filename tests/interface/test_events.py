@@ -345,6 +345,8 @@ def test_a_budget_ends_a_solve_with_events():
     assert not solution.success
     with pytest.raises(ro.EvaluationError, match="nothing was solved"):
         solution.event_times("on", k=1, m=4)
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        solution.end(k=1, m=4)
 
 
 @pytest.mark.slow
@@ -410,6 +412,15 @@ def test_a_blow_up_after_a_dose_is_named_with_its_own_time():
     said = re.search(r"ends at t = (\S+) at k = (\S+), lag = (\S+): it cannot", str(caught.value))
     when, k, lag = map(float, said.groups())
     assert when == pytest.approx(lag + 1 / (0.1 / (1 - 0.1 * lag) + k), rel=1e-3)
+
+
+def test_a_blow_up_behind_the_horizon_is_said_to_be_there():
+    """Trajectories go on to events that others meet inside."""
+    mark = {"when": "x - a", "direction": "rising", "then": {"y": "y"}, "name": "mark"}
+    late = {"when": "y - 3*a", "direction": "rising", "name": "late"}
+    rest = {"x": 0, "y": "b"}, {"a": (0.5, 3), "b": (0.3, 0.31)}, 2
+    with pytest.raises(ro.ConvergenceError, match="a trajectory ends behind the horizon at a = "):
+        ro.solve(problem({"x": "1", "y": "y**2"}, *rest, [mark, late]), 1e-3)
 
 
 def test_a_dose_may_be_at_the_start():

@@ -79,7 +79,7 @@ class Model:
             raise ValueError(f"values of {', '.join(at) or 'nothing'} were given, not {expected}")
         arrays = []
         for name, (lower, upper) in zip(coordinates, self.intervals[first:], strict=True):
-            array = np.asarray(named[name], dtype=float)
+            array = _numbers(name, named[name])
             slack = round_off(lower, upper)
             outside = array[~((array >= lower - slack) & (array <= upper + slack))]
             if outside.size:
@@ -106,6 +106,17 @@ class Model:
                 at = points[:, chunk]
                 states[:, :, chunk] = _train(self._slabs[index], self._scales, at, derivatives)
         return states
+
+
+def _numbers(name: str, given: Any) -> Array:
+    """The values of a coordinate, or a ValueError that names it and what was given."""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind in "biufO" and given is not None:
+            return array.astype(float)
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"{name} is {given!r}, not a number or an array of numbers")
 
 
 def _train(

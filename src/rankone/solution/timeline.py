@@ -142,6 +142,7 @@ class EventTimes(SolutionCore):
             return np.asarray(ends[0])
         timeline, (_, horizon) = self.outcome.timeline, self.metadata.horizon
         if timeline is None or not timeline.terminal:
+            self._evaluator  # noqa: B018 - raises if nothing was solved
             values = self._parameters(at, named)
             return np.full(np.broadcast_shapes(*(v.shape for v in values)), horizon)
         borders, shape = self._borders(at, named)

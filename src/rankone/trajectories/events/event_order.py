@@ -245,9 +245,14 @@ def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> T
     """The error for a trajectory that ends at a time."""
     why = "events accumulate" if stuck else "it cannot be integrated further"
     return TrajectoryEndError(
-        f"a trajectory ends at t = {time:.6g}{at_point(clock, point)}: {why}",
+        f"a trajectory ends{at_time(clock, time)}{at_point(clock, point)}: {why}",
         remedy="shorten the horizon or narrow the box",
     )
+
+
+def at_time(clock: Clock, time: float) -> str:
+    """A time; of one behind the horizon, where trajectories go on to their events, nothing else."""
+    return f" at t = {time:.6g}" if time <= clock.horizon[1] else " behind the horizon"
 
 
 def at_point(clock: Clock, point: Array) -> str:

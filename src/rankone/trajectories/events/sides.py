@@ -6,7 +6,7 @@ import numpy as np
 
 from rankone.ir.system import Clock
 from rankone.support.arrays import Array
-from rankone.trajectories.events.event_order import OrderError, at_point
+from rankone.trajectories.events.event_order import OrderError, at_point, at_time
 
 _SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
 _ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
@@ -52,8 +52,8 @@ def check_sides(clock: Clock, states: Array, times: Array, points: Array) -> Non
             at = int(np.flatnonzero(wrong)[0])
             point = np.unravel_index(at, times.shape)[0]
             raise OrderError(
-                f"{event.name} is not on the side that it is held on at t = {flat[1][at]:.6g}"
-                f"{at_point(clock, points[point])}",
+                f"{event.name} is not on the side that it is held on"
+                f"{at_time(clock, flat[1][at])}{at_point(clock, points[point])}",
                 remedy="narrow the box, or smooth the switch",
             )
 
