@@ -1,5 +1,6 @@
 """Solutions in which the order of events changes inside the box, against closed forms."""
 
+import importlib.util
 import itertools
 import warnings
 from dataclasses import replace
@@ -8,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 from scipy.special import ndtr, ndtri
 
 import rankone as ro
@@ -308,6 +309,75 @@ def test_a_mass_that_sticks_at_a_turning_point_or_slips_on():
     wanted = np.array([swings(times, *pair) for pair in zip(*at.values(), strict=True)]).T
     assert np.isnan(states).mean() < 0.02
     assert np.nanmax(np.abs(states - wanted)) < 2.0 * RTOL * 2.5
+
+
+@pytest.mark.slow
+def test_an_order_at_a_corner_alone_is_met_by_the_check():
+    """There it sticks at the second turn, and some branches end their stretches after the end."""
+    rates = {"x": "v", "v": "-a*x - b*sign(v)"}
+    box = {"a": (0.84, 1.16), "b": (0.27, 0.307), "c": (1.815, 2.2)}
+    solution = ro.solve(text(rates, {"x": "c", "v": 0}, box, 9.745), RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 3
+    corner = {"a": 0.8401, "b": 0.3069, "c": 1.8151}
+    stuck = corner["c"] - 4.0 * corner["b"] / corner["a"]
+    assert 0.84 * stuck < corner["b"]
+    assert solution["x"](9.7, **corner) == pytest.approx(stuck, abs=2.0 * RTOL * 2.2)
+
+
+PUSHED = text(
+    {"x": "v", "v": "a*cos(0.455*t) - b*sign(v) - x"},
+    {"x": 0, "v": 0.6},
+    {"a": (1.26, 1.84), "b": (0.38, 0.69)},
+    6.4,
+)
+
+
+@cache
+def pushed():
+    return ro.solve(PUSHED, RTOL)
+
+
+@pytest.mark.slow
+def test_a_stick_that_is_too_short_to_be_continued_is_opened_where_it_begins():
+    """Where friction is weak the mass would have stuck at no time before, however hard it was."""
+    solution = pushed()
+    assert solution.success
+    assert len(solution.timeline.openings) == 1
+    assert solution.timeline.undecided < 0.001
+    at, times = points(solution, 40, 3), np.linspace(0.0, 6.4, 17)
+    assert set(solution.branch(**at)) >= {0, 1}
+    for k in range(12):
+        a, b = at["a"][k], at["b"][k]
+        run = solve_ivp(
+            lambda t, u, a=a, b=b: [
+                u[1],
+                a * np.cos(0.455 * t) - b * np.tanh(u[1] / 1e-7) - u[0],
+            ],
+            (0, 6.4),
+            [0, 0.6],
+            "Radau",
+            times,
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        ours = solution(times, a=a, b=b)
+        assert np.nanmax(np.abs(ours - run.y)) <= 3.0 * RTOL * 2.0
+
+
+@pytest.mark.slow
+def test_a_stick_opened_where_it_begins_is_stored_and_exported(tmp_path):
+    solution = pushed()
+    at, times = points(solution, 30, 5), np.linspace(0.0, 6.4, 9)[:, None]
+    solution.save(tmp_path / "pushed.npz")
+    model = solution.export(tmp_path / "pushed.py")
+    loaded = ro.load(tmp_path / "pushed.npz")
+    ours = values(solution, times, at)
+    np.testing.assert_array_equal(values(loaded, times, at), ours)
+    spec = importlib.util.spec_from_file_location("pushed", model)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    np.testing.assert_allclose(module.value(t=times, **at), ours, atol=1e-12)
 
 
 @pytest.mark.slow

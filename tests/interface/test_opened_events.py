@@ -42,6 +42,15 @@ def kicked():
     return ro.solve(KICKED, RTOL)
 
 
+def searched(problem):
+    """The orders of the events of a problem."""
+    compiled = ro.compile(problem)
+    system = compiled._held or compiled.system
+    request = SolveRequest.of(system, [], {}, rtol=RTOL)
+    timed, _ = timed_system(system, request.domain)
+    return order_search(timed, request)
+
+
 def exact(times, a, c):
     """The swing up to c, where it is thrown back once; below c it is never."""
     ratio = np.minimum(c / a, 1.0)
@@ -198,6 +207,47 @@ def test_a_switch_that_part_of_the_box_does_not_reach():
     there = np.where(at["a"] > at["c"], above, 0.0)
     assert np.isnan(values).mean() <= 0.01
     assert np.nanmax(np.abs(values - there)) <= 5.0 * RTOL * 0.7
+
+
+BELT = problem(
+    {"x": "v", "v": "-x - mu*sign(v - 0.5) - 0.1*v"},
+    {"x": "a", "v": 0},
+    {"a": (0.6, 1.4), "mu": (0.3, 0.5)},
+    5.0,
+)
+
+
+def test_a_slip_that_has_just_begun_is_no_further_stick():
+    """One of the slips begins two thousandths before the end."""
+    instants = [instant for order in searched(BELT).orders for instant in order.met]
+    assert {len(instant) for instant in instants} == {1}
+
+
+def test_orders_behind_one_turn_are_all_opened_there():
+    """On a belt a mass sticks, or overtakes it first: in 2 % of the box, or never reaches it."""
+    solution = ro.solve(BELT, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 4
+    assert len({(o.parent, o.guard) for o in solution.timeline.openings}) == 1
+    rng = np.random.default_rng(12)
+    at = {"a": rng.uniform(0.6, 1.4, 300), "mu": rng.uniform(0.3, 0.5, 300)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        values, held = solution(5.0, **at), solution.branch(**at)
+    assert set(held) >= {0, 1, 2, 3}
+    for k in [*np.flatnonzero(held == 3), *range(8)]:
+        if np.isnan(values[:, k]).any():
+            continue
+        a, mu = at["a"][k], at["mu"][k]
+        run = solve_ivp(
+            lambda t, u, mu=mu: [u[1], -u[0] - mu * np.tanh((u[1] - 0.5) / 1e-7) - 0.1 * u[1]],
+            (0, 5),
+            [a, 0],
+            "Radau",
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        assert np.abs(values[:, k] - run.y[:, -1]).max() <= 3 * RTOL
 
 
 def test_opened_trajectories_are_true_where_the_root_is_that_of_the_height():

@@ -165,6 +165,19 @@ class Turn:
 
 
 @dataclass(frozen=True)
+class Beginning:
+    """Where a stretch begins that is none where ``when`` of its event is not above zero there.
+
+    So a mass sticks only where friction is larger than the force at a turning point. That is a
+    ``guard`` of the branch that goes on in another way.
+    """
+
+    stretch: int
+    event: int
+    guard: Guard
+
+
+@dataclass(frozen=True)
 class ForcedOrder:
     """An order that trajectories follow wherever it holds or not.
 
@@ -177,7 +190,8 @@ class ForcedOrder:
     Events that are met just before a turn, and missed where its height is below zero, are
     ``opened``: a coordinate behind the parameters is the root of the height over the rise to
     the turn, and the surface is moved until that is so. Where it is the root of the
-    true one, nothing is moved.
+    true one, nothing is moved. Stretches may be opened at their beginning as well: what ``when`` of
+    the event is there is the square of the coordinate then.
     """
 
     met: tuple[tuple[int, ...], ...]
@@ -185,7 +199,7 @@ class ForcedOrder:
     margins: tuple[float, ...]
     guards: tuple[Guard | Turn, ...] = ()
     clearances: tuple[Clearance, ...] = ()
-    opened: tuple[Turn, ...] = ()
+    opened: tuple[Turn | Beginning, ...] = ()
 
 
 class Ending(StrEnum):

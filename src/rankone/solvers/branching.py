@@ -7,18 +7,24 @@ event is grazed, it is opened: it has one more coordinate, the root of the heigh
 from __future__ import annotations
 
 import itertools
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import ForcedOrder, Guard, Turn
+from rankone.ir.events import Beginning, ForcedOrder, Guard, Turn
 from rankone.ir.timeline import Fork, Grazing, Opening
+from rankone.solvers.branch_check import MOST_UNDECIDED
 from rankone.support.arrays import Array
 from rankone.support.budget import limited, work_left
 from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.forced import ContinuationError
-from rankone.trajectories.events.openings import ContinuedOrder, opened_after
+from rankone.trajectories.events.openings import (
+    ContinuedOrder,
+    opened_after,
+    opened_at_beginning,
+)
 from rankone.trajectories.events.orders import Opened, Order, OrderSearch
 
 MOST_OF_OPENED = 0.25
@@ -62,12 +68,27 @@ class Branch:
         """Whether it has events that are opened on a stretch, or later."""
         return any(turn.stretch >= stretch for turn in self.opened.turns)
 
+    def begins_alike(self, order: Order, places: NDArray[np.intp]) -> bool:
+        """Whether an order that holds at some places meets the opened events of this one too.
+
+        Below the least of the roots it may meet another one instead.
+        """
+        if not self.opened.turns:
+            return False
+        stretch = self.opened.turns[-1].stretch
+        own, others = self.order.steps[: stretch + 1], order.steps[: stretch + 1]
+        first = slice(stretch, stretch + 1)
+        ends = self.order.met[first], self.order.roots[first]
+        roots, least = self.opened.points[places, -1], self.opened.bounds[-1, 0]
+        alike = own == others and ends == (order.met[first], order.roots[first])
+        return alike and bool((roots > least).all())
+
     def turn_of(self, other: Branch, step: int) -> Turn | None:
         """The turn of a step at which the branch misses an event that another one has opened."""
         turns = [
             turn
             for turn in other.opened.turns
-            if turn.stretch == step - 1 and turn not in self.opened.turns
+            if isinstance(turn, Turn) and turn.stretch == step - 1 and turn not in self.opened.turns
         ]
         return turns[0] if turns else None
 
@@ -111,7 +132,8 @@ class Branches:
         for k, branch in enumerate(self.branches):
             bounds = branch.opened.root_bounds.tolist()
             for parent, turn, ends in zip(branch.parents, branch.opened.turns, bounds, strict=True):
-                row = self.branches[parent].forced.guards.index(turn)
+                guard = turn if isinstance(turn, Turn) else turn.guard
+                row = self.branches[parent].forced.guards.index(guard)
                 openings.append(Opening(k, parent, row, *ends))
         return tuple(openings)
 
@@ -153,13 +175,35 @@ class _Branching:
                 raise OrderError(
                     f"events come in more than {_MOST_BRANCHES} orders over the box", remedy=REMEDY
                 )
-        grazed, most_grazed = list[Order](), _MOST_GRAZED * len(search.points)
-        for each in sorted(failed, key=lambda each: len(each.order.met)):
-            if len(each.places) <= most_grazed and not each.order.terminal:
+        shortest = sorted(failed, key=lambda each: len(each.order.met))
+        grazed = list[Order]()
+        for each in sorted(shortest, key=self._may_be_grazed):
+            if any(self._is_part_of(b, each.order, each.places) for b in branches):
+                continue
+            alike = None if self._may_be_left_out(each) else self._opened_alike(each, branches)
+            if alike is None and self._may_be_grazed(each):
                 grazed.append(each.order)
-            elif not any(self._is_part_of(b, each.order, each.places) for b in branches):
-                branches.append(self._opened(each, branches))
+            else:
+                branches.append(alike or self._opened(each, branches))
         return Branches(branches, grazed)
+
+    def _may_be_grazed(self, failed: _Failed) -> bool:
+        """Whether an order that cannot be continued holds in slivers of the box alone."""
+        most = _MOST_GRAZED * len(self.search.points)
+        return len(failed.places) <= most and not failed.order.terminal
+
+    def _may_be_left_out(self, failed: _Failed) -> bool:
+        """Whether these slivers are small enough for a success that leaves them out."""
+        most = MOST_UNDECIDED * len(self.search.points)
+        return len(failed.places) <= most and self._may_be_grazed(failed)
+
+    def _opened_alike(self, failed: _Failed, branches: list[Branch]) -> Branch | None:
+        """The branch of an order that begins with the same opened event as another one."""
+        for other in branches:
+            if other.begins_alike(failed.order, failed.places):
+                with suppress(ContinuationError):
+                    return self._behind(failed, other.opened, other.parents, branches)
+        return None
 
     def _opened(self, failed: _Failed, branches: list[Branch]) -> Branch:
         """A branch with an event that another one misses; the last error without one.
@@ -168,19 +212,33 @@ class _Branching:
         """
         order, reason = failed.order, failed.error
         for k, parent in enumerate(branches):
-            stretch = order.parts_at(parent.order) - 1
-            if not 0 <= stretch < len(order.met) or parent.is_opened_from(stretch):
-                continue
-            at = parent.continued, order, failed.places, stretch
+            step = order.parts_at(parent.order)
             try:
                 with limited(MOST_OF_OPENED * work_left()):
-                    opened = opened_after(self.search, *at)
-                    if opened is not None:
-                        parents = (*parent.parents, k)
-                        return self._behind(failed, opened, parents, branches)
+                    opened = self._opened_at(failed, parent, step)
+                    if opened is None:
+                        continue
+                    if isinstance(begins := opened.turns[-1], Beginning):
+                        branches[k] = parent.with_guard(begins.guard)[0]
+                    return self._behind(failed, opened, (*parent.parents, k), branches)
             except ContinuationError as error:
                 reason = error
         raise reason
+
+    def _opened_at(self, failed: _Failed, parent: Branch, step: int) -> Opened | None:
+        """Points of an order and how it is opened, at a step at which it parts from a parent.
+
+        At the turn at which the parent misses its event, or at the beginning of a stretch.
+        """
+        order = failed.order
+        at = self.search, parent.continued, order, failed.places
+        at_once = step and order.met[step - 1 : step] == parent.order.met[step - 1 : step]
+        if (at_once or not step) and failed.error.missed == step:
+            return None if parent.is_opened_from(step) else opened_at_beginning(*at)
+        stretch = step - 1
+        if not 0 <= stretch < len(order.met) or parent.is_opened_from(stretch):
+            return None
+        return opened_after(*at, stretch)
 
     def _behind(
         self, failed: _Failed, opened: Opened, parents: tuple[int, ...], branches: list[Branch]

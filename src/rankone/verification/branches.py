@@ -76,11 +76,14 @@ def branch_errors(
 
 
 def _coincide(evaluator: BranchEvaluator, points: Array) -> NDArray[np.bool_]:
-    """Whether events of the branch that holds at points (m, d) are at about one time, (m,)."""
+    """Whether events of the branch that holds at points (m, d) are at about one time, (m,).
+
+    Those behind the end of the horizon do not count.
+    """
     borders = evaluator.borders(np.ascontiguousarray(points.T))
-    inner = np.diff(borders, axis=0)[1:]
     near = evaluator.width * (evaluator.horizon[1] - evaluator.horizon[0])
-    return np.asarray((inner < near).any(axis=0))
+    coincide = (np.diff(borders, axis=0) < near) & (borders[:-1] < evaluator.horizon[1])
+    return np.asarray(coincide[1:].any(axis=0))
 
 
 def _time_error(

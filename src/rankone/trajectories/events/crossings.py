@@ -36,6 +36,7 @@ _BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
 _STAYS = 1e-3  # Part of the horizon for which heights are rounding, from which paths stay there
 _ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
+_DIVIDED = 8.0  # Such changes where steps are divided again and again, over those elsewhere
 _BESIDE = 1e-100  # Height on the side from which a path came to a surface on which it stays
 _CHANGES = 3  # Random changes by as much, which tell what becomes of them
 
@@ -325,7 +326,9 @@ class Crossings:
             heights[was_here[steps.owner] & (since <= self.instant)] = 0.0
         # a reset may have moved the state away from the surface
         moved = np.abs(heights[began, 1] - heights[began, 0])
-        began = began[np.abs(heights[began, 0]) <= _ON_SURFACE * moved]
+        on_surface = np.abs(heights[began, 0]) <= _ON_SURFACE * moved
+        on_surface |= self._settled(event, steps, heights, began)
+        began = began[on_surface]
         if began.size:
             heights[began, 0] = heights[began, 1]
             sides = np.sign(heights[began, 0])
@@ -357,6 +360,29 @@ class Crossings:
         for owner in np.unique(owners):
             instants[owner] = times[owners == owner]
         return instants
+
+    def _settled(
+        self, event: SystemEvent, steps: _Steps, heights: Array, starts: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Whether paths begin on the surface but for rounding, where their first step was divided.
+
+        Their heights up to the first place beyond rounding are those there then: a slip that has
+        just begun does not return at once. ``starts`` are the first steps of some paths.
+        """
+        ends = np.array([path.breaks[1] for path in self.paths])
+        settled = steps.end[starts] < ends[steps.owner[starts]]
+        if not settled.any():
+            return settled
+        some = starts[settled]
+        roundings = _DIVIDED * steps._chosen(some)._roundings(event, heights[some, 0])
+        settled[settled] = np.abs(heights[some, 0]) <= roundings
+        for start, rounding in zip(some.tolist(), roundings.tolist(), strict=True):
+            behind = np.searchsorted(steps.owner, steps.owner[start], side="right")
+            own = heights[start:behind].reshape(-1)
+            beyond = np.flatnonzero(np.abs(own) > rounding)
+            if abs(own[0]) <= rounding and beyond.size:
+                own[: beyond[0]] = own[beyond[0]]
+        return settled
 
     def _crosses(
         self, event: SystemEvent, steps: _Steps, starts: NDArray[np.intp]

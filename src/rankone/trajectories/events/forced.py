@@ -269,11 +269,16 @@ class _Follower:
             at = event.at(np.ascontiguousarray(self._parameters.T))
             elapsed = np.broadcast_to(at, times.shape) - times
             return self._flow(times, states, elapsed, stretch=i), elapsed
-        for column, turn in enumerate(self._forced.opened, self._parameters.shape[1]):
-            if turn.stretch == i:
-                return self._to_opened(turn, column, times, states, expected, moved)
         margin = self._forced.margins[i]
         at_root = np.full(times.shape, first in before)
+        for column, opened in enumerate(self._forced.opened, self._parameters.shape[1]):
+            if opened.stretch != i:
+                continue
+            if isinstance(opened, Turn):
+                return self._to_opened(opened, column, times, states, expected, moved)
+            begins = guard_heights(self.clock.system, first, None, times, states, self._parameters)
+            by = self.points[:, column] ** 2 - begins
+            return self._to_root(i, times, states, expected, np.zeros_like(at_root), by)
         if not before:  # at points that begin at the very event, it is the one expected
             at_root = np.abs(expected) > margin
         return self._to_root(
@@ -339,8 +344,8 @@ class _Follower:
 
     def _turns(self, stretch: int | None) -> list[Turn]:
         """The turns of a stretch at which heights are asked for."""
-        of_guards = (each for each in self._forced.guards if isinstance(each, Turn))
-        return [each for each in (*of_guards, *self._forced.opened) if each.stretch == stretch]
+        both = *self._forced.guards, *self._forced.opened
+        return [each for each in both if isinstance(each, Turn) and each.stretch == stretch]
 
     def _expected(self, turn: Turn) -> Array:
         """About the elapsed time of a turn, (m,)."""

@@ -6,6 +6,10 @@ that over the rise to the turn, from the start of the stretch or, if that is on 
 the lowest place between; the root s of this becomes a coordinate behind the parameters, and for
 any s < 1 and p the surface is moved until the relative height is s². The trajectories are smooth
 functions of p and s, and true where s² is the true one.
+
+A stretch that some trajectories do not have, such as a stick where others slip on, may have no
+continuation to a negative length. It is opened where it begins: what is zero at its end is s²
+there.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import ForcedOrder, Turn
+from rankone.ir.events import FALLING, Beginning, ForcedOrder, Guard, Turn
 from rankone.support.arrays import Array, spread
 from rankone.trajectories.events.forced import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
@@ -68,6 +72,48 @@ def opened_after(
     if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
         return None
     return _with_root(search, parent.opened, turn, heights)
+
+
+def opened_at_beginning(
+    search: OrderSearch,
+    parent: ContinuedOrder,
+    order: Order,
+    places: NDArray[np.intp],
+) -> Opened | None:
+    """The points and openings of an order that has a stretch where a parent goes on at once.
+
+    The order holds at ``places``. None if what is zero at the end of the stretch does not tell
+    where it begins.
+
+    Raises
+    ------
+    ContinuationError
+        If the parent cannot be followed.
+    """
+    stretch = order.parts_at(parent.order)
+    guard = _beginning_guard(search, order, stretch)
+    if guard is None:
+        return None
+    forced = replace(parent.forced, guards=(guard,))
+    heights = search.forced(parent.order, forced, parent.opened.points).guards[0]
+    if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
+        return None
+    upper = _ABOVE * float(np.sqrt(_highest_anywhere(parent.opened, heights)))
+    begins = Beginning(stretch, guard.event, guard)
+    return _with_coordinate(search, parent.opened, begins, heights, (0.0, upper))
+
+
+def _beginning_guard(search: OrderSearch, order: Order, stretch: int) -> Guard | None:
+    """What is zero at the end of a stretch, at its beginning; None if that is not a switch."""
+    events = search.system.events
+    if stretch >= len(order.met):
+        return None
+    ends = order.met[stretch][0]
+    switches = [k for k, each in enumerate(events) if each.switch and each.then is not None]
+    if ends not in switches or events[ends].direction != FALLING:
+        return None
+    side = float(order.sides[stretch][switches.index(ends)])
+    return Guard(stretch - 1, min(stretch, 1), ends, side)
 
 
 def _turn(
@@ -165,19 +211,37 @@ def _with_root(search: OrderSearch, parent: Opened, turn: Turn, heights: Array) 
     lower = float(np.sqrt(near[k] * _SLIVER * count / k))
     largest = float(np.sqrt(_highest(parent, heights)))
     upper = min(_ABOVE * largest, largest + _TO_START * (1.0 - largest))
-    roots = np.clip(np.sqrt(np.maximum(heights[:count], 0.0)), lower, upper)
+    return _with_coordinate(search, parent, turn, heights, (lower, upper))
+
+
+def _with_coordinate(
+    search: OrderSearch,
+    parent: Opened,
+    opening: Turn | Beginning,
+    heights: Array,
+    ends: tuple[float, float],
+) -> Opened:
+    """The points of a parent with the roots of heights (m,) between two ends, and further ones."""
+    count = len(search.points)
+    roots = np.clip(np.sqrt(np.maximum(heights[:count], 0.0)), *ends)
     points = np.column_stack([parent.points[:count], roots])
-    bounds = np.vstack([parent.bounds, [lower, upper]])
+    bounds = np.vstack([parent.bounds, ends])
     shares = spread(_FURTHER, len(bounds), np.random.default_rng(20149))
     further = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * shares
-    return Opened((*parent.turns, turn), np.concatenate([points, further]), bounds)
+    return Opened((*parent.turns, opening), np.concatenate([points, further]), bounds)
 
 
 def _highest(opened: Opened, heights: Array) -> float:
     """The largest of heights (m,), and of those predicted at the corners, but for the start."""
     highest = float(heights.max())
+    return max(highest, min(_highest_anywhere(opened, heights), 0.5 * (1.0 + highest)))
+
+
+def _highest_anywhere(opened: Opened, heights: Array) -> float:
+    """The largest of heights (m,), and of those predicted at the corners."""
+    highest = float(heights.max())
     if len(opened.bounds) > _MOST_SIDES:
         return highest
     predicted = Lengths.through(opened.bounds, opened.points, heights[:, None])
     corners = np.array(list(itertools.product(*opened.bounds.tolist())))
-    return max(highest, min(float(predicted(corners).max()), 0.5 * (1.0 + highest)))
+    return max(highest, float(predicted(corners).max()))

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rankone.ir.events import BOTH, Clearance, Ending, EventOrder, ForcedOrder, Guard, Turn
+from rankone.ir.events import (
+    BOTH,
+    Beginning,
+    Clearance,
+    Ending,
+    EventOrder,
+    ForcedOrder,
+    Guard,
+    Turn,
+)
 from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
@@ -191,10 +200,10 @@ class Opened:
     """Turns at which events of an order are opened, and points (m, d) to which it is continued.
 
     Behind the parameters, the points and their ``bounds`` (d, 2) have the roots of the heights at
-    the turns.
+    the turns, or at the beginnings of stretches.
     """
 
-    turns: tuple[Turn, ...]
+    turns: tuple[Turn | Beginning, ...]
     points: Array
     bounds: Array
 

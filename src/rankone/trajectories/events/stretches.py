@@ -26,6 +26,7 @@ from rankone.ir.events import (
     OfMarks,
     OfTrajectory,
     SystemEvent,
+    Turn,
 )
 from rankone.ir.features import Features, Jumps, VectorLike
 from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
@@ -127,7 +128,8 @@ def _names_of_turns(clock: Clock) -> list[str]:
     """Names of the roots of heights of opened events, as messages have them."""
     events, names = clock.system.events, list[str]()
     for turn in () if clock.forced is None else clock.forced.opened:
-        name = f"turn past {events[turn.event].name}"
+        what = "turn past" if isinstance(turn, Turn) else "start before"
+        name = f"{what} {events[turn.event].name}"
         names.append(f"{name}, event {turn.stretch + 1}" if name in names else name)
     return names
 
