@@ -22,7 +22,7 @@ from rankone.ir.timeline import Fork, Grazing, Opening
 from rankone.support.arrays import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PackedCore:
     """One core of one slab: Chebyshev coefficients (elements, left rank, degree, right rank).
 
@@ -180,7 +180,7 @@ class PackedModel:
 
     def place(self, core: PackedCore) -> int:
         """The position of a core of the model among the different ones."""
-        return self._layout[1][id(core)]
+        return self._layout[1][core]
 
     def slabs_of(self, branch: PackedBranch) -> tuple[tuple[int, ...], ...]:
         """For each slab the positions of its cores among the different ones."""
@@ -191,16 +191,16 @@ class PackedModel:
         return () if branch.timeline is None else tuple(map(self.place, branch.timeline.borders))
 
     @cached_property
-    def _layout(self) -> tuple[tuple[PackedCore, ...], dict[int, int]]:
-        """The different cores, and the position of each one by its identity."""
+    def _layout(self) -> tuple[tuple[PackedCore, ...], dict[PackedCore, int]]:
+        """The cores that differ in what they hold, and the position among them of each one."""
         different: dict[Hashable, PackedCore] = {}
-        keys: dict[int, Hashable] = {}
+        contents: dict[PackedCore, Hashable] = {}
         for core in self._every():
-            key = (core.lower, core.scale, core.edges, core.tensor.shape, core.tensor.tobytes())
-            keys[id(core)] = key
-            different.setdefault(key, core)
-        position = {key: k for k, key in enumerate(different)}
-        places = {identity: position[key] for identity, key in keys.items()}
+            content = (core.lower, core.scale, core.edges, core.tensor.shape, core.tensor.tobytes())
+            contents[core] = content
+            different.setdefault(content, core)
+        position = {content: k for k, content in enumerate(different)}
+        places = {core: position[content] for core, content in contents.items()}
         return (*different.values(),), places
 
     def _every(self) -> Iterator[PackedCore]:

@@ -21,7 +21,7 @@ from rankone.export.packed import (
 from rankone.export.rounding import RANDOM_POINTS, rounded_slabs
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
-from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Fork, Grazing, Opening, Timeline
+from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Grazing, Timeline
 from rankone.solution.branches import slabs_of_branches
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -167,20 +167,13 @@ def _choice(timeline: BranchedTimeline, slabs: Branches, unknowns: int) -> Packe
     """What tells which branch holds, of the slabs of all branches with so many unknowns."""
     return PackedChoice(
         timeline.forks,
-        tuple(_highest(fork, timeline.openings) for fork in timeline.forks),
+        tuple(min(height, float_info.max) for height in timeline.highest),
         timeline.grazings,
         tuple(_heights(each, slabs[each.branch], unknowns) for each in timeline.grazings),
         timeline.openings,
         timeline.width,
         timeline.tolerances,
     )
-
-
-def _highest(fork: Fork, openings: Sequence[Opening]) -> float:
-    """The largest guard of a fork for which the second of its branches is solved."""
-    of = (fork.second, fork.first, fork.guard)
-    roots = (o.upper for o in openings if (o.branch, o.parent, o.guard) == of)
-    return min((upper**2 for upper in roots), default=float_info.max)
 
 
 def _heights(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -218,6 +219,20 @@ class BranchedTimeline:
         """The events that reset states at times that are not known to be the same everywhere."""
         names = (name for branch in self.branches for name in branch.moving_resets)
         return tuple(dict.fromkeys(names))
+
+    @property
+    def highest(self) -> tuple[float, ...]:
+        """For each fork the largest guard for which the second of its branches is solved."""
+
+        def of(fork: Fork) -> float:
+            roots = (
+                o.upper
+                for o in self.openings
+                if (o.branch, o.parent, o.guard) == (fork.second, fork.first, fork.guard)
+            )
+            return min((upper**2 for upper in roots), default=math.inf)
+
+        return tuple(map(of, self.forks))
 
     def branch_of(self, time: float) -> int:
         """The branch of a pseudo-time of the slabs of all branches."""

@@ -13,7 +13,7 @@ from rankone.ir.request import Domain
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import OutputError, Remedy, Status, UndecidedShare
 from rankone.outputs.check import spread_over
-from rankone.outputs.interpolation import OutputInterpolation
+from rankone.outputs.interpolation import Asked, OutputInterpolation
 from rankone.outputs.quantities import Quantities, Source
 from rankone.solution.branches import branch_evaluator, slabs_of_branches
 from rankone.solution.core import SolutionCore
@@ -77,9 +77,7 @@ class BranchPart(SolutionCore):
 def over_branches(
     solution: SolutionCore,
     of_branch: OfBranch,
-    rtol: float | None,
-    operations: float,
-    seconds: float,
+    asked: Asked,
     sizes: Sequence[float] = (),
     pool: Pool | None = None,
 ) -> tuple[Outcome, float, Quantities]:
@@ -91,15 +89,14 @@ def over_branches(
     timeline = solution.outcome.timeline
     assert isinstance(timeline, BranchedTimeline)
     outcomes, tolerances = list[Outcome](), list[float]()
-    count = len(timeline.branches)
-    parts = [BranchPart(solution, k) for k in range(count)]
+    parts = [BranchPart(solution, k) for k in range(len(timeline.branches))]
     every = _of_all(parts, timeline, of_branch)
     for k, (part, quantities) in enumerate(zip(parts, every, strict=True)):
         require_states(quantities)
         further = len(part.parameters) - len(solution.parameters)
         guarded = _with_guards(quantities, len(solution.states), timeline.guards[k], further)
         interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes), pool=pool)
-        outcome, tolerance = interpolation.solve(rtol, operations / count, seconds / count)
+        outcome, tolerance = interpolation.solve(asked.share(len(parts)))
         outcomes.append(outcome)
         tolerances.append(tolerance)
     rtol, quantities = max(tolerances), every[0]

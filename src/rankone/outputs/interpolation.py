@@ -6,6 +6,7 @@ of the interpolation, measured at further points, plus the effect of the solutio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -93,6 +94,19 @@ def _limited(operations: float, seconds: float) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """The tolerance of quantities, or None for the default, and limits of work and time."""
+
+    rtol: float | None
+    operations: float
+    seconds: float = math.inf
+
+    def share(self, count: int) -> Asked:
+        """What is asked of each of so many interpolations."""
+        return Asked(self.rtol, self.operations / count, self.seconds / count)
+
+
+@dataclass(frozen=True)
 class OutputInterpolation:
     """Quantities of a solution as trains over its box and horizon.
 
@@ -118,16 +132,16 @@ class OutputInterpolation:
     def domain(self) -> Domain:
         return Domain(self.solution.time, self.solution.metadata.box)
 
-    def solve(self, rtol: float | None, operations: float, seconds: float) -> tuple[Outcome, float]:
+    def solve(self, asked: Asked) -> tuple[Outcome, float]:
         """The quantities as an outcome, and the tolerance.
 
         By default the tolerance is the effect of errors of the solution's tolerance, with a
         margin. The limits of work do not hold for the final measurement of the error. Raises a
         ConvergenceError if a limit is reached before there is any train.
         """
-        solution, domain = self.solution, self.domain
+        solution, domain, rtol = self.solution, self.domain, asked.rtol
         points = CheckPoints.of(domain, self.quantities)
-        with _limited(operations, seconds):
+        with _limited(asked.operations, asked.seconds):
             grid = self._resolving_grid(_AIMED_SHARE * (rtol or solution.rtol), points)
             sampler, finer = self._sampler(grid), self._sampler(split(grid))
             points = points.where(sampler.holds)

@@ -13,7 +13,7 @@ from rankone.ir.outcome import Outcome
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import EarlyEnd
 from rankone.outputs.branches import OfBranch, over_branches
-from rankone.outputs.interpolation import OutputInterpolation
+from rankone.outputs.interpolation import Asked, OutputInterpolation
 from rankone.outputs.quantities import Quantities
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -67,7 +67,7 @@ def with_outputs(
         rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
     if request.max_seconds is not None:
         seconds = checked_number("max_seconds", request.max_seconds, 0.0, 1e9, float)
-    operations, metadata = operations_for(request.effort), solution.metadata
+    asked, metadata = Asked(rtol, operations_for(request.effort), seconds), solution.metadata
     timeline = solution.outcome.timeline
 
     def checked(part: SolutionCore, own: Timeline | None) -> Quantities:
@@ -76,12 +76,11 @@ def with_outputs(
         return quantities
 
     if isinstance(timeline, BranchedTimeline):
-        asked = rtol, operations, seconds
-        outcome, rtol, quantities = over_branches(solution, checked, *asked, pool=pool)
+        outcome, rtol, quantities = over_branches(solution, checked, asked, pool=pool)
     else:
         quantities = checked(solution, timeline)
         interpolation = OutputInterpolation(solution, quantities, pool=pool)
-        outcome, rtol = interpolation.solve(rtol, operations, seconds)
+        outcome, rtol = interpolation.solve(asked)
     if units is None:
         units = {name: unit for name, unit in metadata.units if name in quantities.names}
     if solution.time[1] < metadata.horizon[1]:

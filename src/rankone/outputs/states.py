@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import DerivativeOf, Status
 from rankone.outputs.branches import over_branches, require_states
 from rankone.outputs.check import CheckPoints
-from rankone.outputs.interpolation import OutputInterpolation
+from rankone.outputs.interpolation import Asked, OutputInterpolation
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
 from rankone.solution.core import SolutionCore
@@ -41,12 +40,12 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
             return _at_instant(part, own, metadata, time)
 
         sizes = [tolerance / solution.rtol for tolerance in timeline.tolerances]
-        asked = solution.rtol, operations, math.inf, sizes
-        outcome, rtol, _ = over_branches(solution, of_branch, *asked)
+        asked = Asked(solution.rtol, operations)
+        outcome, rtol, _ = over_branches(solution, of_branch, asked, sizes)
     else:
         assert timeline is not None
         quantities = _at_instant(solution, timeline, metadata, time)
-        outcome, rtol = OutputInterpolation(solution, quantities).solve(None, operations, math.inf)
+        outcome, rtol = OutputInterpolation(solution, quantities).solve(Asked(None, operations))
     fixed = (*metadata.fixed, (metadata.time, time))
     return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
 
@@ -98,7 +97,7 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
     if isinstance(solution.outcome.timeline, BranchedTimeline):
         require_states(quantities)
     interpolation = OutputInterpolation(solution, quantities)
-    outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
+    outcome, _ = interpolation.solve(Asked(solution.rtol, operations_for("normal")))
     outcome = replace(outcome, cause=DerivativeOf(name), notes=())
     return outcome, metadata.derivative(name)
 
@@ -125,7 +124,7 @@ def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome
     sources = tuple(Source(i) for i in range(len(metadata.states)))
     quantities = _as_they_are(metadata, metadata.states, sources, ())
     interpolation = OutputInterpolation(solution, quantities, clock_time=True)
-    outcome, rtol = interpolation.solve(rtol, operations_for("normal"), math.inf)
+    outcome, rtol = interpolation.solve(Asked(rtol, operations_for("normal")))
     if outcome.status is not Status.CONVERGED:
         raise ConvergenceError(
             f"values over clock time are not resolved: {outcome.message}",

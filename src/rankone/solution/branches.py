@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Opening
 from rankone.tensors.branches import BranchEvaluator
+from rankone.tensors.decisions import Decider
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import HeightRoot, TimelineEvaluator
 
@@ -58,8 +59,12 @@ def evaluator_of_branches(
     return BranchEvaluator(
         [evaluator(k) for k in range(len(timeline.branches))],
         timeline.guards,
-        timeline.forks,
-        timeline.width,
+        Decider(
+            timeline.forks,
+            timeline.highest,
+            timeline.grazings,
+            timeline.width,
+            timeline.horizon,
+        ),
         timeline.tolerances,
-        timeline.grazings,
     )

@@ -13,7 +13,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import warn
 from rankone.tensors.decisions import LOOKS, Decider, Decision, clearance, looks
 from rankone.tensors.evaluator import Rows
-from rankone.tensors.forks import Fork, Grazing
+from rankone.tensors.forks import Grazing
 from rankone.tensors.over_clock import ClockEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
@@ -22,34 +22,21 @@ class BranchEvaluator(ClockEvaluator):
     """States at clock times, of the branch that holds at each point.
 
     Values are NaN, with a warning, where it is undecided which branch holds: where guards are
-    within a ``width`` of their signs, and states of the branches differ by more than
-    ``tolerances`` (n,).
+    within the width of the ``decider`` of their signs, and states of the branches differ by more
+    than ``tolerances`` (n,).
     """
 
     def __init__(
         self,
         branches: Sequence[TimelineEvaluator],
         guards: Sequence[int],
-        forks: Sequence[Fork],
-        width: float,
+        decider: Decider,
         tolerances: Sequence[float],
-        grazings: Sequence[Grazing] = (),
     ) -> None:
         self.branches, self.guards = tuple(branches), tuple(guards)
-        self.width, self.tolerances = width, np.array(tolerances, dtype=float)
-        self.horizon = branches[0].horizon
+        self.decider, self.tolerances = decider, np.array(tolerances, dtype=float)
+        self.width, self.horizon = decider.width, decider.horizon
         self.takes_likeliest = False
-        highest = tuple(self._highest_of(fork) for fork in forks)
-        self.decider = Decider(tuple(forks), highest, tuple(grazings), width, self.horizon)
-
-    def _highest_of(self, fork: Fork) -> float:
-        """The highest guard of a fork for which the second of its branches is solved."""
-        if fork.guard is None:
-            return math.inf
-        first = self.branches[fork.first]
-        of = (first, self._row(fork.first, fork.guard))
-        roots = self.branches[fork.second].roots
-        return min((r.upper**2 for r in roots if (r.evaluator, r.row) == of), default=math.inf)
 
     def _row(self, branch: int, guard: int) -> int:
         """The row of a guard of a branch."""

@@ -21,9 +21,12 @@ _REST = 1e-7  # Time within which all further ones would come if these shrink on
 _STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Occurrence:
-    """An event of a trajectory: which one, when, and the states (n,) before and after it."""
+    """An event of a trajectory: which one, when, and the states (n,) before and after it.
+
+    It is that of one trajectory, and of the copies of it.
+    """
 
     event: int
     time: float

@@ -128,15 +128,15 @@ def begin_in_step(
     (start, end), events, period = clock.horizon, clock.system.events, clock.marks_per_period
     far = end if clock.order.ending is Ending.HORIZON else end + FAR * clock.length
     some = [*begun]
-    answers = dict[int, tuple[Occurrence, bool]]()  # by the last mark, which copies share
+    answers = dict[Occurrence, bool]()  # by the last mark, which copies share
 
     def settled(trajectory: EventTrajectory) -> bool:
         if not clock.repeats_from or not trajectory.occurrences:
             return False
         last = trajectory.occurrences[-1]
-        if id(last) not in answers:
-            answers[id(last)] = last, repeats(trajectory, tolerances.relative, period)
-        return answers[id(last)][1]
+        if last not in answers:
+            answers[last] = repeats(trajectory, tolerances.relative, period)
+        return answers[last]
 
     def has_passed(trajectory: EventTrajectory) -> bool:
         return len(trajectory.occurrences) >= count and trajectory.end >= end
