@@ -14,7 +14,6 @@ import importlib
 import io
 import itertools
 import math
-import os
 import re
 import shlex
 import shutil
@@ -26,6 +25,7 @@ from pathlib import Path
 import pytest
 
 import rankone
+from rankone.commands.cli import main
 from tests.benchmarks.report import COST
 
 ROOT = Path(__file__).parents[2]
@@ -168,11 +168,12 @@ def _versioned(text: str) -> str:
 
 
 @_each(dict.fromkeys(COMMANDS, True))
-def test_commands(path, tmp_path):
+def test_commands(path, tmp_path, monkeypatch, capsys):
     """The guides of what is exported: other languages and commands run as well, after Python."""
     _skip_without_tools(path)
+    monkeypatch.chdir(tmp_path)
     text = path.read_text()
-    (tmp_path / "guide.py").write_text("".join(block["code"] for block in BLOCK.finditer(text)))
+    exec("".join(block["code"] for block in BLOCK.finditer(text)), {"__name__": "__main__"})
     (tmp_path / "examples").mkdir()
     for place in (tmp_path, tmp_path / "examples"):
         shutil.copy(ROOT / "examples" / "lotka_volterra.py", place)
@@ -181,30 +182,26 @@ def test_commands(path, tmp_path):
     for number, code in enumerate(re.findall(r"^```js\n(.*?)^```", text, re.M | re.S)):
         (tmp_path / ("main.mjs" if number == 0 else f"main{number}.mjs")).write_text(code)
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.M | re.S)
-    lines = ["python guide.py", *"".join(blocks).splitlines()]
+    lines = "".join(blocks).splitlines()
     if "```c\n" in text:
         lines.append("./main")
     programs = {
-        "python": [sys.executable],
-        "rankone": [sys.executable, "-m", "rankone.commands.cli"],
-        "cc": [shutil.which("cc") or shutil.which("gcc") or ""],
-        "./main": ["./main"],
-        "node": [shutil.which("node") or ""],
+        "python": sys.executable,
+        "cc": shutil.which("cc") or shutil.which("gcc"),
+        "./main": "./main",
+        "node": shutil.which("node"),
     }
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
     said = {}
     for line in lines:
         program, *arguments = shlex.split(line)
-        if program == "cc" and not programs["cc"][0]:
-            pytest.skip("no C compiler")
-        if program == "node" and not programs["node"][0]:
-            pytest.skip("no Node.js")
         if program == "rankone":
             (tmp_path / arguments[-1]).unlink(missing_ok=True)
-        command = [*programs[program], *arguments]
-        run = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
+            assert main(arguments) == 0, f"{line}\n{capsys.readouterr().err}"
+            continue
+        if programs[program] is None:
+            pytest.skip(f"no {program}")
+        command = [programs[program], *arguments]
+        run = subprocess.run(command, capture_output=True, text=True, check=False)
         assert run.returncode == 0, f"{line}\n{run.stderr}"
         said[line] = run.stdout
     if "```js\n" in text:
