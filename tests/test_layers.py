@@ -117,7 +117,9 @@ def test_only_the_front_end_reaches_sympy():
     assert not chains, "\n".join(chains)
 
 
-@pytest.mark.parametrize("name", ["rankone.codegen", "rankone.codegen.loading"])
+@pytest.mark.parametrize(
+    "name", ["rankone.codegen", "rankone.codegen.loading", "rankone.ir.guarded"]
+)
 def test_workers_load_a_system_without_sympy(name):
     """Importing SymPy would take each of them most of its start."""
     assert not sympy_users().intersection({name, *reached(library(), name)})

@@ -201,16 +201,17 @@ def dripping(states):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("problem", "integrator"),
-    [(dripping(2), "single"), (dripping(MANY), "auto")],
+    ("states", "integrator"),
+    [(2, "single"), (MANY, "auto")],
     ids=["alone", "stacks of many states"],
 )
-def test_references_with_events_are_followed_in_groups(problem, integrator):
+def test_references_with_events_are_followed_in_groups(states, integrator):
     options = {"integrator": integrator, "check": 40}
-    here = ro.solve(problem, 1e-3, **options)
+    compiled = ro.compile(dripping(states))
+    here = compiled.solve(1e-3, **options)
     times, point = np.linspace(0, 0.8, 9), {"k": 1.3, "m": 0.9}
     with Recording(2) as executor:
-        there = ro.solve(problem, 1e-3, **options, executor=executor)
+        there = compiled.solve(1e-3, **options, executor=executor)
     assert here.success
     assert there(times, **point).tobytes() == here(times, **point).tobytes()
     assert there.errors == here.errors

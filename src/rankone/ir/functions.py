@@ -18,10 +18,10 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
 
+from rankone.ir.guarded import GuardedFunction
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
@@ -269,43 +269,8 @@ def _user_class(
     data = {"nargs": arguments, "derivatives": derivatives}
     key = name, value, derivatives, arguments
     user_class = _new_class(UserFunction, data, _user_class, key)
-    user_class._imp_ = staticmethod(_Guarded(name, value))
+    user_class._imp_ = staticmethod(GuardedFunction(name, value))
     return user_class
-
-
-class _Guarded:
-    """A user's callable; errors in it name it."""
-
-    def __init__(self, name: str, value: Callable[..., object]) -> None:
-        self.name, self.value = name, value
-
-    def __call__(self, *arguments: ArrayLike) -> Array:
-        arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arguments))
-        try:
-            # copies, as a function may change its arguments
-            returned = np.asanyarray(self.value(*(array.copy() for array in arrays)))
-            real = not (np.iscomplexobj(returned) or np.ma.is_masked(returned))
-            heights = np.asarray(returned, dtype=float) if real else np.full(1, np.nan)
-        except Exception as error:
-            raise ProblemError(
-                f"function {quote(self.name)} raised {type(error).__name__}: {error}",
-                term=self.name,
-                remedy="it must take arrays and return real numbers",
-            ) from error
-        if not real:
-            raise ProblemError(
-                f"function {quote(self.name)} returned complex or masked numbers",
-                term=self.name,
-                remedy="return real numbers; NaN where there are none",
-            )
-        if heights.shape != arrays[0].shape:
-            raise ProblemError(
-                f"function {quote(self.name)} returned shape {heights.shape} for arguments of "
-                f"shape {arrays[0].shape}",
-                term=self.name,
-                remedy="return one number for each point",
-            )
-        return heights
 
 
 def known_applied(expressions: Iterable[sp.Basic]) -> list[DataFunction]:
