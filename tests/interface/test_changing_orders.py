@@ -150,6 +150,21 @@ def test_derivatives_and_smaller_solutions():
     assert smaller(5.0, SWAPPED)[0] == pytest.approx(exact(5.0, **SWAPPED), rel=RTOL)
 
 
+def test_parts_of_the_box_know_their_own_share_that_is_undecided():
+    solution = washed()
+    assert 0.0 < solution.timeline.undecided < 0.01
+    one_order = solution.restrict(a=(1, 1.4))
+    assert one_order.success
+    assert one_order.timeline.undecided == 0.0
+    assert "undecided" not in one_order.message
+    along = solution.restrict(a=(1.999, 2.001)).fix(b=2.0)
+    assert not along.success
+    assert along.timeline.undecided > 0.1
+    assert "it is undecided in which order events come" in along.message
+    assert not solution.fix(a=2.0, b=2.0, k=0.4).success
+    assert solution.fix(a=2.0, b=1.7, k=0.4).success
+
+
 def integral(function, time, k=0.4, density=lambda a, b: 0.25):
     """The integral over a and b of a function of the amount at a time, by SciPy."""
 

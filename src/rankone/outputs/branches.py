@@ -17,7 +17,6 @@ from rankone.outputs.interpolation import Asked, OutputInterpolation
 from rankone.outputs.quantities import Quantities, Source
 from rankone.solution.branches import branch_evaluator, slabs_of_branches
 from rankone.solution.core import SolutionCore
-from rankone.solvers.branch_check import MOST_UNDECIDED
 from rankone.solvers.branches import one_after_the_other
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -25,7 +24,7 @@ from rankone.support.executors import Pool
 from rankone.support.wording import listing, quote
 from rankone.tensors.branches import BranchEvaluator, ContinuedBranch
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.branches import undecided_share
+from rankone.verification.branches import MOST_UNDECIDED, undecided_share
 from rankone.verification.coverage import Coverage
 
 OfBranch = Callable[[SolutionCore, Timeline | None], Quantities]

@@ -11,12 +11,24 @@ import numpy as np
 from rankone.discretization.coordinates import name_of, round_off
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, Piece
-from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
+from rankone.ir.timeline import BranchedTimeline
+from rankone.ir.verdict import (
+    DerivativeOf,
+    MeasuredError,
+    PartOfSolution,
+    Status,
+    UncertainPart,
+    UndecidedOrder,
+    UndecidedShare,
+)
+from rankone.solution.branches import branch_evaluator
 from rankone.solution.joining import joined
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.slab import at_one_time, differentiated, restricted
 from rankone.tensors.tiling import Tiling
+from rankone.verification.branches import MOST_UNDECIDED, undecided_share
+from rankone.verification.coverage import Coverage
 
 # Smallest interval over the one before: rounding errors of derivatives grow with its inverse
 _LEAST_SHARE = 1e-6
@@ -74,7 +86,7 @@ def with_fixed(
             fixed=(*metadata.fixed, (name, point)),
             additive=tuple(each for each in metadata.additive if each != name),
         )
-    return _part(outcome, metadata.rtol), replace(metadata, source=None)
+    return _decided(_part(outcome, metadata.rtol), metadata), replace(metadata, source=None)
 
 
 def with_restricted(
@@ -91,7 +103,7 @@ def with_restricted(
         box[j] = ends
         outcome = replace(outcome, slabs=restricted(outcome.slabs, j, ends))
         metadata = replace(metadata, box=tuple(box))
-    return _part(outcome, metadata.rtol), metadata
+    return _decided(_part(outcome, metadata.rtol), metadata), metadata
 
 
 def _part_of(whole: tuple[float, float], interval: Any, name: str) -> tuple[float, float]:
@@ -191,6 +203,25 @@ def _inside(name: str, at: Any, lower: float, upper: float) -> float:
             remedy="nothing is extrapolated; choose values inside",
         )
     return float(np.clip(point, lower, upper))
+
+
+def _decided(outcome: Outcome, metadata: SolutionMetadata) -> Outcome:
+    """The outcome on a part of the box, with the share of it in which the order is undecided."""
+    timeline = outcome.timeline
+    if not isinstance(timeline, BranchedTimeline):
+        return outcome
+    coverage = Coverage.of_box(np.reshape(metadata.box, (-1, 2)))
+    share = undecided_share(branch_evaluator(outcome.slabs, timeline), coverage)
+    outcome = replace(outcome, timeline=replace(timeline, undecided=share))
+    if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
+        return outcome
+    notes = [note for note in outcome.notes if not isinstance(note, UndecidedShare)]
+    if share > MOST_UNDECIDED:
+        notes = [note for note in notes if not isinstance(note, MeasuredError)]
+        cause = UndecidedOrder(share)
+        return replace(outcome, status=Status.TOLERANCE, cause=cause, notes=tuple(notes))
+    notes += [UndecidedShare(share)] if share else []
+    return replace(outcome, notes=tuple(notes))
 
 
 def _part(outcome: Outcome, rtol: float) -> Outcome:

@@ -27,6 +27,7 @@ from rankone.tensors.branches import BranchEvaluator
 from rankone.trajectories.events.event_order import REMEDY
 from rankone.trajectories.events.orders import Order, OrderSearch
 from rankone.verification.branches import (
+    MOST_UNDECIDED,
     BranchErrors,
     branch_errors,
     points_near_changes,
@@ -38,9 +39,6 @@ from rankone.verification.hidden import hidden_rate_along
 from rankone.verification.hidden_events import hidden_event
 from rankone.verification.measure import SAFE_QUANTILE
 from rankone.verification.points import FEW_PARAMETERS, check_points, covers_corners
-
-MOST_UNDECIDED = 0.01
-"""Largest share of the box that may be undecided."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from rankone.ir.events import Beginning, ForcedOrder, Guard, Turn
 from rankone.ir.timeline import Fork, Grazing, Opening
-from rankone.solvers.branch_check import MOST_UNDECIDED
 from rankone.support.arrays import Array
 from rankone.support.budget import limited, work_left
 from rankone.trajectories.events.event_order import REMEDY, OrderError
@@ -26,6 +25,7 @@ from rankone.trajectories.events.openings import (
     opened_at_beginning,
 )
 from rankone.trajectories.events.orders import Opened, Order, OrderSearch
+from rankone.verification.branches import MOST_UNDECIDED
 
 MOST_OF_OPENED = 0.25
 """Largest share of the budget for one branch with further coordinates."""

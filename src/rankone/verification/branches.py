@@ -16,6 +16,9 @@ from rankone.trajectories.events.orders import Order
 from rankone.verification.clock import compared_times
 from rankone.verification.coverage import Coverage
 
+MOST_UNDECIDED = 0.01
+"""Largest share of the box that may be undecided."""
+
 _CANDIDATES = 4096  # Points among which those near to where orders change are chosen
 _NEAR = 48  # How many of them
 _SURPRISING = 6  # Points with other events than their branch that are looked at, at most
