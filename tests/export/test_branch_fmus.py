@@ -7,7 +7,7 @@ import pytest
 
 from tests.export.test_branch_models import solved
 from tests.export.test_event_fmus import archives
-from tests.export.test_fmu import both, compile_strictly, fmpy, runs
+from tests.export.test_fmu import both, compile_strictly, fmpy, runs, without_binary
 
 if fmpy is not None:
     from fmpy.fmi1 import FMICallException
@@ -65,6 +65,6 @@ def test_a_step_to_where_the_order_is_unknown_is_discarded(fmi, archive):
 @runs
 @both
 @pytest.mark.parametrize("name", ["washed", "kicked", "sliver"])
-def test_strict_c(name, fmi, archive, tmp_path):
-    _, folder = archive(name, fmi)
+def test_strict_c(name, fmi, tmp_path):
+    _, folder = without_binary(solved(name), tmp_path, fmi)
     compile_strictly(folder / "sources", "-O2", "-o", str(tmp_path / "library"))
