@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 FILES = Path(__file__).parents[2] / "examples" / "conversion"
 MODEL = (FILES / "model.xml").read_text(encoding="utf-8")
@@ -27,6 +29,12 @@ obs_B	observableParameter1_obs_B * B + 0.1	noiseParameter1_obs_B	log10	normal
 obs_share	A / (A + B)	sd_share + 0.01 * A	lin	laplace
 obs_A	A	0.2	log	normal
 """
+
+
+def skip_without_petab():
+    """Skip a module; petab takes a second to import, which collecting the module does not need."""
+    if find_spec("petab") is None:
+        pytest.skip("petab is not installed (pip install petab)", allow_module_level=True)
 
 
 def simulated(condition, before, times, values=NOMINAL):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from tests.calibration.conversion import skip_without_petab
 
-pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
+skip_without_petab()
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 CONVERSION = Path(__file__).parents[2] / "examples" / "conversion"

@@ -6,9 +6,9 @@ import scipy.optimize
 
 import rankone as ro
 from rankone.calibration.of_files import OfFiles
-from tests.calibration.conversion import PARAMETERS, rows, table, write
+from tests.calibration.conversion import PARAMETERS, rows, skip_without_petab, table, write
 
-pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
+skip_without_petab()
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 FINITE = [line for line in rows() if line[4] != "inf"]

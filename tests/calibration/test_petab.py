@@ -17,11 +17,12 @@ from tests.calibration.conversion import (
     YAML,
     rows,
     simulated,
+    skip_without_petab,
     table,
     write,
 )
 
-petab = pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
+skip_without_petab()
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
@@ -73,6 +74,8 @@ def likelihood(values):
 
 
 def test_objective_is_that_of_petab(problem, file):
+    import petab.v1 as petab
+
     values = {**NOMINAL, "k1": 0.3, "sd_B": 0.4, "a0": 2.0, "sd_share": 0.1}
     tables = petab.Problem.from_yaml(str(file))
     measured, parameters = tables.measurement_df, tables.parameter_df.copy()

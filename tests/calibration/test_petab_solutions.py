@@ -14,11 +14,12 @@ from tests.calibration.conversion import (
     PARAMETERS,
     rows,
     simulated,
+    skip_without_petab,
     table,
     write,
 )
 
-pytest.importorskip("petab.v1", reason="petab is not installed (pip install petab)")
+skip_without_petab()
 
 NORMAL = OBSERVABLES.replace("laplace", "normal")
 BOX = {"k1": (0.4, 1.6), "k2": (0.3, 1.2)}
