@@ -341,6 +341,24 @@ def test_an_order_at_a_corner_alone_is_met_by_the_check():
     assert solution["x"](9.7, **corner) == pytest.approx(stuck, abs=2.0 * RTOL * 2.2)
 
 
+@pytest.mark.slow
+def test_an_order_between_three_times_that_nearly_coincide_is_met_by_the_check():
+    """Six orders of three doses: one of them holds in a quarter of a percent of the box."""
+    first = {"when": "t - a", "direction": "rising", "then": {"x": "x + 0.76*c"}, "name": "first"}
+    second = {"when": "t - 1.542", "direction": "rising", "then": {"x": "0.3175"}, "name": "second"}
+    third = {"when": "t - b", "direction": "rising", "then": {"x": "0.54"}, "name": "third"}
+    box = {"a": (1.457684, 2.174277), "b": (1.482795, 2.485899), "c": (0.5, 1.0)}
+    rates = {"x": "-0.279*x", "y": "-c*y + 0.4774*x"}
+    doses = text(rates, {"x": 1, "y": 0}, box, 5.632851442869548, first, second, third)
+    solution = ro.solve(doses, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 6
+    at = {"a": 1.53, "b": 1.49, "c": 0.8}
+    assert solution.branch(**at) >= 0
+    wanted = 0.3175 * np.exp(-0.279 * (4.0 - 1.542))
+    assert solution["x"](4.0, **at) == pytest.approx(wanted, abs=2.0 * RTOL)
+
+
 PUSHED = text(
     {"x": "v", "v": "a*cos(0.455*t) - b*sign(v) - x"},
     {"x": 0, "v": 0.6},

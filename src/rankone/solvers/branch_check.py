@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import SolveRequest
@@ -40,6 +41,9 @@ from rankone.verification.hidden_events import hidden_event
 from rankone.verification.measure import SAFE_QUANTILE
 from rankone.verification.points import FEW_PARAMETERS, check_points, covers_corners
 
+MOST_MISSED = 10.0
+"""Error over the tolerance from which more accurate branches are no remedy."""
+
 
 @dataclass(frozen=True)
 class BranchCheck:
@@ -59,17 +63,17 @@ class BranchCheck:
         points, corners = self._points(evaluator)
         checked = self.search.at(points)
         errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
-        others = [
-            decided and not self._is_known(order.at_any_roots)
-            for order, decided in zip(checked.orders, errors.decided, strict=True)
-        ]
-        if any(others):
-            return joined, points[np.array(others)]
+        known = [self._is_known(order.at_any_roots) for order in checked.orders]
+        others = ~np.array(known, dtype=bool)
+        if (others & errors.decided).any():
+            return joined, points[others & errors.decided]
         measured = _measured(errors, self.request, points, corners)
         undecided = undecided_share(evaluator, Coverage.of_domain(self.request.domain))
         judged = _judged(joined, timeline, measured, undecided, rtol)
         if judged.status is Status.CONVERGED:
             judged = _looked_at(judged, checked, rtol)
+        if judged.status is Status.TOLERANCE:  # by other orders, where events nearly coincide
+            return judged, points[others & _is_wrong(errors, rtol)]
         return judged, nothing
 
     def _is_known(self, order: Order) -> bool:
@@ -95,6 +99,12 @@ class BranchCheck:
         orders = self.orders[: self.solved]
         others = points_with_other_events(evaluator, self.search.system, orders, coverage)
         return np.concatenate([points, near, others]), len(points) - 1 - count
+
+
+def _is_wrong(errors: BranchErrors, rtol: float) -> NDArray[np.bool_]:
+    """The points (m,) with errors that more accurate branches are not likely to mend."""
+    sizes = errors.largest.max(axis=1, keepdims=True)
+    return np.asarray((errors.states > MOST_MISSED * rtol * sizes).any(axis=0))
 
 
 def _judged(

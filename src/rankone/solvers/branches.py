@@ -20,7 +20,7 @@ from rankone.ir.system import System
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import MemoryNeeded, Note, OrderSearchLimit, Remedy, Status
 from rankone.solvers.attempts import Stages, out_at_reference
-from rankone.solvers.branch_check import BranchCheck
+from rankone.solvers.branch_check import MOST_MISSED, BranchCheck
 from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches_of
 from rankone.solvers.one_order import remedy_of
 from rankone.solvers.stretches import sizes_at_start, timed_system
@@ -39,7 +39,6 @@ _POINTS = 256  # Trajectories that tell the orders
 _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy
 _MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
 _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
-_MOST_MISSED = 10.0  # Error over the tolerance from which more accurate branches are no remedy
 _FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
 _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
@@ -136,7 +135,7 @@ class _Solves:
     def _is_near(self, outcome: Outcome) -> bool:
         """Whether more accurate branches are likely to be a success."""
         missed = outcome.status is Status.TOLERANCE
-        return missed and outcome.error < _MOST_MISSED * self.request.rtol
+        return missed and outcome.error < MOST_MISSED * self.request.rtol
 
     def _solved(self, search: OrderSearch, share: float) -> tuple[Outcome, Array]:
         """The outcome of branches that are solved to a share of the tolerance.
