@@ -24,7 +24,6 @@ from rankone.solvers.stretches import timed_system
 from rankone.statistics import timeline_statistics
 from rankone.statistics.line_averages import Accuracy
 from rankone.support.budget import limited, work_done
-from rankone.trajectories.events.orders import OrderSearch
 from rankone.verification.branches import points_with_other_events
 from rankone.verification.coverage import Coverage
 
@@ -412,24 +411,6 @@ def test_a_stick_opened_where_it_begins_is_stored_and_exported(tmp_path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     np.testing.assert_allclose(module.value(t=times, **at), ours, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_orders_that_miss_the_same_event_are_refused_together(monkeypatch):
-    """A weak heater never reaches the upper threshold: nothing continues 16 orders to there."""
-    tried, continued = [], OrderSearch.continued
-
-    def counted(search, order, places, *more):
-        tried.append(order)
-        return continued(search, order, places, *more)
-
-    monkeypatch.setattr(OrderSearch, "continued", counted)
-    off = {"when": "T - 21", "direction": "rising", "then": {"h": "0"}, "name": "off"}
-    on = {"when": "T - 19", "direction": "falling", "then": {"h": "1"}, "name": "on"}
-    rates, box = {"T": "q*h - k*(T - 10)", "h": "0*h"}, {"k": (0.1, 0.2), "q": (1.5, 2.5)}
-    with pytest.raises(ro.RankoneError, match="more than 16 orders"):
-        ro.solve(text(rates, {"T": 18, "h": 1}, box, 30, off, on), 1e-3)
-    assert len(tried) <= 6
 
 
 @pytest.mark.slow

@@ -101,17 +101,6 @@ class _Failed:
     places: NDArray[np.intp]
     error: ContinuationError
 
-    def tells_of(self, order: Order, places: NDArray[np.intp]) -> bool:
-        """Whether another order fails too: it is the same up to the event that does not come.
-
-        And it holds at no more places.
-        """
-        missed = self.error.missed
-        if missed is None or len(places) > len(self.places):
-            return False
-        events, own = (each.met[missed : missed + 1] for each in (order, self.order))
-        return events == own and order.parts_at(self.order) > missed
-
 
 @dataclass(frozen=True)
 class Branches:
@@ -178,9 +167,6 @@ class _Branching:
             if any(self._is_part_of(other, order, places) for other in branches):
                 continue
             try:
-                for other in failed:
-                    if other.tells_of(order, places):
-                        raise other.error
                 forced = search.continued(order, places)
                 branches.append(Branch(order, forced, places, search.unopened))
             except ContinuationError as error:
