@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 
 import sympy as sp
 
+import rankone as ro
 from tests.honesty.cases import Case, kind, number, t, unknown
 
-__all__ = ["switches"]
+__all__ = ["levels", "switches"]
+
+Term = tuple[str, sp.Expr]
 
 
 @kind
 def switches(draw: random.Random) -> Case:
     """Two to five states, two to four parameters, and one or two terms that switch."""
+    return _network(draw, _switching)
+
+
+@kind
+def levels(draw: random.Random) -> Case:
+    """The same with staircases and tables of the unknowns, which switch at many levels."""
+    return _network(draw, _levelled)
+
+
+def _network(draw: random.Random, term_of: Callable[[random.Random, list[sp.Expr]], Term]) -> Case:
     count, d = draw.randint(2, 5), draw.randint(2, 4)
     unknowns = [unknown(f"x{i}") for i in range(count)]
     symbols = sp.symbols("a b c d")[:d]
@@ -30,7 +44,7 @@ def switches(draw: random.Random) -> Case:
     rates[draw.randrange(count)] += symbols[-1] * number(draw, 0.2, 1)
     names = []
     for _ in range(draw.randint(1, 2)):
-        name, term = _switching(draw, unknowns)
+        name, term = term_of(draw, unknowns)
         names.append(name)
         rates[draw.randrange(count)] += draw.choice([1, -1, *symbols]) * term
     initial = [number(draw, -1, 1) for _ in unknowns]
@@ -39,7 +53,7 @@ def switches(draw: random.Random) -> Case:
     return Case(" ".join(names), unknowns, rates, initial, box, end, rtol, [], [], switches=True)
 
 
-def _switching(draw: random.Random, unknowns: list[sp.Expr]) -> tuple[str, sp.Expr]:
+def _switching(draw: random.Random, unknowns: list[sp.Expr]) -> Term:
     """A term that switches, and its name."""
     x, y = draw.sample(unknowns, 2)
     level = number(draw, -0.5, 0.8)
@@ -50,5 +64,23 @@ def _switching(draw: random.Random, unknowns: list[sp.Expr]) -> tuple[str, sp.Ex
         "sign": number(draw, 0.2, 0.6) * sp.sign(x),
         "Piecewise": sp.Piecewise((x - level, x > level), (y / 2, True)),
         "clip": sp.Min(level + 1, sp.Max(level, x)),
+    }
+    return draw.choice(list(terms.items()))
+
+
+def _levelled(draw: random.Random, unknowns: list[sp.Expr]) -> Term:
+    """A term with many levels, and its name."""
+    x = draw.choice(unknowns)
+    argument, height = number(draw, 0.5, 2.5) * x + number(draw, -0.5, 0.5), number(draw, 0.1, 0.5)
+    inner = sorted({round(draw.uniform(-2, 2), 3) for _ in range(draw.randint(2, 9))})
+    points = [-50, *inner, 50]
+    heights = [round(draw.uniform(-1, 1), 3) for _ in points]
+    terms = {
+        "floor": height * sp.floor(argument),
+        "ceiling": height * sp.ceiling(argument),
+        "frac": height * sp.frac(argument),
+        "Mod": sp.Mod(argument, height + sp.Rational(1, 5)),
+        "lines": ro.table(points, heights)(argument),
+        "steps": ro.table(points, heights, "previous")(argument) / 2,
     }
     return draw.choice(list(terms.items()))

@@ -22,6 +22,7 @@ COUNTS = {
     "doses": 4,
     "events": 4,
     "switches": 3,
+    "levels": 3,
     "orders": 2,
 }
 """Cases of each kind."""

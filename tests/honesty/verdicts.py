@@ -14,6 +14,7 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
+from rankone.ir.functions import Table
 from tests.honesty import impacts, narrow, orders, switches  # register their kinds
 from tests.honesty.cases import Case, case, t
 
@@ -35,6 +36,8 @@ _MOST_UNDECIDED = 0.01
 """Share of the box in which the order of events may be undecided."""
 _FEW_UNDECIDED = 2
 """Points of 25 that such a share leaves without values, but once in five hundred cases."""
+_LARGEST_LEVEL = 12
+"""Level of a staircase up to which its steps are narrow ones."""
 _REST = 100
 """Floating-point numbers to the end of a segment from which it is reached."""
 _LARGEST_LOG = 100
@@ -152,6 +155,11 @@ def smoothed(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
         .replace(sp.Piecewise, lambda *pairs: _blended(pairs, step))
         .replace(sp.sign, lambda x: 2 * step(x) - 1)
         .replace(sp.Heaviside, lambda x, *_: step(x))
+        .replace(sp.frac, lambda x: x - sp.floor(x))
+        .replace(sp.Mod, lambda x, period: x - period * sp.floor(x / period))
+        .replace(sp.ceiling, lambda x: -sp.floor(-x))
+        .replace(sp.floor, lambda x: _staircase(x, step))
+        .replace(_is_table, lambda table: _blended_table(table, step))
         for rate in case.rates
     ]
     arguments = [t, names, list(case.box)]
@@ -173,6 +181,26 @@ def smoothed(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
             raise TimeoutError
         exact.append(run.y)
     return np.stack(exact, axis=1)
+
+
+def _staircase(x: sp.Expr, step: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
+    """The floor of x, as far as it goes, as a sum with narrow steps."""
+    levels = range(-_LARGEST_LEVEL, _LARGEST_LEVEL)
+    return sp.Add(levels[0] - 1, *(step(x - level) for level in levels))
+
+
+def _is_table(node: sp.Basic) -> bool:
+    return isinstance(node, Table)
+
+
+def _blended_table(applied: Table, step: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
+    """A table as a sum over its pieces, each between two narrow steps."""
+    x, places, values = applied.args[0], applied.points, applied.values
+    total = sp.S.Zero
+    for a, b, first, last in zip(places, places[1:], values, values[1:]):
+        slope = 0.0 if applied.kind == "previous" else (last - first) / (b - a)
+        total += (step(x - a) - step(x - b)) * (first + slope * (x - a))
+    return total
 
 
 def _blended(pairs: Sequence[tuple], step: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:

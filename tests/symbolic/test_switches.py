@@ -55,7 +55,7 @@ def test_absolute_values_become_products_with_their_side():
 def test_held_rates_are_those_that_were_written(rate):
     system = first_order(problem(rate))
     written = ro.compile(problem(rate)).system
-    sided = held_system(held_form(system), written, "held")
+    sided = held_system(held_form(system, written), written, "held")
     assert sided is not None
     rng = np.random.default_rng(5)
     u, p, at = rng.normal(size=(2, 200)), rng.uniform(0.5, 1.5, (1, 200)), np.full(200, 0.7)

@@ -80,7 +80,7 @@ class CompiledStages:
 
         Rates that are polynomials of the states have none.
         """
-        return None if self.quadratic is not None else held_form(self.first_order)
+        return None if self.quadratic is not None else held_form(self.first_order, self.system)
 
     @cached_property
     def _held(self) -> System | None:

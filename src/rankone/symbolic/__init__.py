@@ -5,6 +5,7 @@
 :mod:`~.separation`     the separated form: terms, factors, and what does not separate
 :mod:`~.tabulated`      the separated form of a table of terms, without expressions
 :mod:`~.splitting`      one expression as a sum of products of functions of one coordinate
+:mod:`~.levels`         staircases and tables of unknowns, as sums of steps and kinks
 :mod:`~.lifting`        functions of the unknowns become unknowns, so that the system separates
 :mod:`~.stretches`      the system over stretches between events at known times
 :mod:`~.features`       where a system is not smooth: cuts of each coordinate

@@ -33,8 +33,8 @@ from rankone.ir.forms import EventForm, Jump, State
 from rankone.ir.metadata import Role
 from rankone.symbolic.first_order import FirstOrderSystem
 
-MOST_SWITCHES = 12
-"""Most surfaces whose sides are held."""
+MOST_SWITCHES, MOST_LEVELS = 12, 32
+"""Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
 _MOST_IN_BRANCHES = 4  # Most surfaces that choose the branches of one rate
 _HALF = sp.Rational(1, 2)
@@ -79,7 +79,8 @@ def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
     switches = replacement.switches
     if not switches:
         return None
-    if len(switches) > MOST_SWITCHES:
+    distinct = [s for k, s in enumerate(switches) if not _beside(s, switches[:k])]
+    if len(distinct) > MOST_SWITCHES or len(switches) > MOST_LEVELS:
         raise NotHeld
     sliding = _Sliding(system, switches, [_mixed(rate, switches) for rate in rates])
     return _with_sides(system, switches, sliding)
@@ -213,7 +214,10 @@ class _Sliding:
         self, system: FirstOrderSystem, switches: Sequence[_Switch], rates: Sequence[sp.Expr]
     ) -> None:
         self.switches, self._system = switches, system
-        self.speeds = [self._speed(switch.surface, rates) for switch in switches]
+        self.speeds = [
+            self._speed(s.surface, rates).xreplace({o.side: o.state for o in _beside(s, switches)})
+            for s in switches
+        ]
         self.sides: dict[sp.Expr, sp.Expr] = {}
         self.pulls: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
         sliding = [s for s in switches if s.jumps and self._depends(s, s)]
@@ -275,6 +279,12 @@ class _Sliding:
             (side, (share, sp.S.One)) for side, share in zip(unknowns, solved, strict=True)
         )
         return dict(zip(unknowns, solved, strict=True))
+
+
+def _beside(switch: _Switch, switches: Sequence[_Switch]) -> list[_Switch]:
+    """The other switches whose surfaces never vanish where that of a switch does."""
+    surface, others = switch.surface, (each for each in switches if each is not switch)
+    return [o for o in others if (surface - o.surface).is_number or (surface + o.surface).is_number]
 
 
 def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:

@@ -17,6 +17,7 @@ Read in this order:
 ``defects``          defect control: whether a step missed something
 ``roots``            roots of functions that change sign, many at once
 ``spectra``          how fast small changes grow and decay
+``coarse``           what trajectories reach, by few even steps
 ``events``           events on the way, and systems over stretches from event to event
 ``steady``           steady states that trajectories reach, and starts at them
 ``sensitive_paths``  one trajectory with its derivatives with respect to parameters
