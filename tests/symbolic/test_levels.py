@@ -76,3 +76,11 @@ def test_there_is_a_switch_for_each_level_that_is_reached():
 def test_of_a_long_staircase_no_switches_are_held():
     long = ro.compile(problem(-x + sp.floor(y), 20 * k, end=MOST_LEVELS / 20 + 1))
     assert "switch_0" not in str(long.features)
+
+
+def test_switches_of_one_function_ascend_with_its_levels():
+    gears = ro.table([-1, 7, 12, 18, 90], [4, 2, 1.5, 1, 1], "previous")
+    listed = str(ro.compile(problem(20 * k * gears(x - y) / 3, -y)).features)
+    assert [line for line in listed.splitlines() if line.startswith("switch_")] == [
+        f"switch_{i}: x - y - {speed} = 0" for i, speed in enumerate((7, 12, 18))
+    ]

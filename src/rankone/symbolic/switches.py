@@ -76,7 +76,7 @@ def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
     """
     replacement = _Replacement(system)
     rates = [replacement.held(rate) for rate in system.examined_rates]
-    switches = replacement.switches
+    switches = _by_level(replacement.switches)
     if not switches:
         return None
     distinct = [s for k, s in enumerate(switches) if not _beside(s, switches[:k])]
@@ -285,6 +285,32 @@ def _beside(switch: _Switch, switches: Sequence[_Switch]) -> list[_Switch]:
     """The other switches whose surfaces never vanish where that of a switch does."""
     surface, others = switch.surface, (each for each in switches if each is not switch)
     return [o for o in others if (surface - o.surface).is_number or (surface + o.surface).is_number]
+
+
+def _by_level(switches: Sequence[_Switch]) -> list[_Switch]:
+    """The switches, of which those of one function at several levels ascend with these.
+
+    Surfaces that have sides of others in them stay behind these.
+    """
+    ordered = list(switches)
+    inner = {symbol for each in switches for symbol in each.surface.free_symbols}
+    for k, first in enumerate(switches):
+        levels = [first, *_beside(first, switches)]
+        if _beside(first, switches[:k]) or any(each.side in inner for each in levels):
+            continue
+        places = sorted(map(switches.index, levels))
+        names = [(switches[place].name, switches[place].state) for place in places]
+        ascending = sorted(levels, key=_level)
+        for place, switch, (name, state) in zip(places, ascending, names, strict=True):
+            ordered[place] = switch
+            switch.name, switch.state = name, state
+    return ordered
+
+
+def _level(switch: _Switch) -> sp.Expr:
+    """The number at which the function of a surface has its level."""
+    constant, function = switch.surface.as_coeff_Add()
+    return constant if function.could_extract_minus_sign() else -constant
 
 
 def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:
