@@ -70,7 +70,7 @@ def test_there_is_a_switch_for_each_level_that_is_reached():
     surfaces = {line.split(": ")[1] for line in listed.splitlines() if line.startswith("switch_")}
     reached = {f"4*x - {level} = 0" for level in (1, 2, 3)}  # x grows from 0.2 to 0.96
     assert reached <= surfaces
-    assert len(surfaces) <= len(reached) + 3
+    assert len(surfaces) <= len(reached) + 4
 
 
 def test_of_a_long_staircase_no_switches_are_held():
@@ -82,5 +82,7 @@ def test_switches_of_one_function_ascend_with_its_levels():
     gears = ro.table([-1, 7, 12, 18, 90], [4, 2, 1.5, 1, 1], "previous")
     listed = str(ro.compile(problem(20 * k * gears(x - y) / 3, -y)).features)
     assert [line for line in listed.splitlines() if line.startswith("switch_")] == [
-        f"switch_{i}: x - y - {speed} = 0" for i, speed in enumerate((7, 12, 18))
+        "switch_0: x - y + 1 = 0",
+        *(f"switch_{i}: x - y - {speed} = 0" for i, speed in enumerate((7, 12, 18), 1)),
+        "switch_4: -x + y + 90 = 0",
     ]

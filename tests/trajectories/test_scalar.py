@@ -77,3 +77,15 @@ def test_constants_are_read_by_name():
 def test_functions_of_the_user_are_not_called_with_floats():
     bump = ro.function("bump", lambda s: np.exp(-(s**2)), lambda s: -2 * s * np.exp(-(s**2)))
     assert scalar_rates(system_of(-K * bump(X))) is None
+
+
+@pytest.mark.parametrize("kind", ["linear", "previous", "cubic"])
+def test_tables_of_floats_are_those_of_arrays(kind):
+    table = ro.table([-1, 0.1, 0.4, 1.3, 2.5], [0.3, 2, -1, 0.7, 5], kind)
+    system = ro.compile(
+        ro.Problem([sp.Eq(X.diff(T), table(X) - K)], (T, 0, 0.1), {K: (0.5, 1.5)}, {X: 1})
+    ).system
+    rates = scalar_rates(system)
+    for x in (*np.linspace(-1, 2.5, 36), -1.001, 2.5001, 2.5 + 1e-10, -1 - 1e-10):
+        (expected,) = system.rhs(0.0, np.array([x]), np.array([1.0]))
+        np.testing.assert_allclose(rates(0.0, [float(x)], [1.0]), expected, rtol=1e-13, atol=1e-15)

@@ -27,9 +27,11 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
 
 _KINDS = ("linear", "cubic", "previous")
-# First letters of a function's name in generated source, so that no local name hides it
-_PREFIX = "f_"
-_AT_THE_ENDS = 1e-9  # Distance outside a table, over its length, that is taken for rounding
+PREFIX, POINTS, VALUES = "f_", "POINTS_", "VALUES_"
+"""First letters of names in generated source: of a function, so that no local name hides it, and of
+the data of a table."""
+AT_THE_ENDS = 1e-9
+"""Distance outside a table, over its length, that is taken for rounding."""
 _LONGEST_LINE = 100  # Characters of a line of generated source
 _NUMBERS_PER_LINE = 8  # Numbers in each line of an array that does not fit into one
 
@@ -58,7 +60,7 @@ class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[m
     @classmethod
     def written(cls) -> str:
         """The name of the function in generated source."""
-        return _PREFIX + str(cls.__name__)
+        return PREFIX + str(cls.__name__)
 
     @classmethod
     def definition(cls) -> list[str]:
@@ -95,7 +97,7 @@ class Table(DataFunction):
     @classmethod
     def definition(cls) -> list[str]:
         """Source lines that define it."""
-        points, values = f"POINTS_{cls.__name__}", f"VALUES_{cls.__name__}"
+        points, values = f"{POINTS}{cls.__name__}", f"{VALUES}{cls.__name__}"
         lines = [*_array(points, cls.points), *_array(values, cls.values)]
         if cls.kind == "linear":
             interpolated = f"np.interp(inside, {points}, {values})"
@@ -105,7 +107,7 @@ class Table(DataFunction):
             lines.append(f"SPLINE_{cls.__name__} = CubicSpline({points}, {values})")
             order = f", {cls.order}" if cls.order else ""
             interpolated = f"SPLINE_{cls.__name__}(inside{order})"
-        near = _AT_THE_ENDS * (cls.points[-1] - cls.points[0])
+        near = AT_THE_ENDS * (cls.points[-1] - cls.points[0])
         return [
             *lines,
             "",

@@ -58,6 +58,7 @@ _SLOW_FUNCTIONS = frozenset(
 _POWER = Cost(900.0, 14.0)  # A power
 _STORED = 0.8  # A number of a sparse matrix, for each column, and what is gathered for it
 _USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
+_TABLE_PREFIX = "f_"  # Begins the names of tables in generated functions
 _SCALAR_ENTRY = 200.0  # A function of floats: it unpacks them, and makes the list it returns
 _SCALAR_TERM = 25.0  # An arithmetic operation on floats
 _SCALAR_CALL = 60.0  # A call of a function of floats
@@ -105,7 +106,18 @@ def scalar_cost(function: Callable[..., object]) -> float:
     if not isinstance(function, FunctionType):
         return _SCALAR_ENTRY
     terms, powers, calls = _operations(function)
-    return _SCALAR_ENTRY + _SCALAR_TERM * (terms + powers) + _SCALAR_CALL * calls
+    total = _SCALAR_ENTRY + _SCALAR_TERM * (terms + powers) + _SCALAR_CALL * calls
+    for table in _tables_of(function):
+        on_arrays = "np" in table.__code__.co_names  # which take as long for one number
+        total += function_cost(table).once if on_arrays else scalar_cost(table)
+    return total
+
+
+def _tables_of(function: FunctionType) -> list[FunctionType]:
+    """The tables that a generated function applies, each once."""
+    names = (name for name in function.__code__.co_names if name.startswith(_TABLE_PREFIX))
+    named = (function.__globals__.get(name) for name in names)
+    return [each for each in named if isinstance(each, FunctionType)]
 
 
 @lru_cache(32)

@@ -6,7 +6,7 @@ A staircase in the unknowns is a sum of steps, and a table of straight lines one
     table(g) = y₀ + m₀ (g - x₀) + Σ (mᵢ - mᵢ₋₁) Max(0, g - xᵢ)   inside of the table.
 
 So each level is a :mod:`switch <rankone.symbolic.switches>` that is held on its sides. Beyond the
-levels that are written the sum is not a number.
+levels that are written the sum is not a number, so that nothing is followed wrongly there.
 """
 
 from __future__ import annotations
@@ -116,5 +116,11 @@ def _written_points(points: Sequence[float], span: tuple[float, float]) -> range
 
 
 def _nothing_beyond(argument: sp.Expr, lower: float, upper: float) -> sp.Expr:
-    """Zero between two numbers, and not a number beyond them."""
-    return table([float(lower), float(upper)], [0.0, 0.0])(argument)
+    """Zero between two numbers, and not a number beyond them.
+
+    They are levels too: trajectories that are continued on the side between them go on beyond.
+    """
+    zero = table([float(lower) - float(upper), 0.0], [0.0, 0.0])
+    ends = (exact(sp.Float(end)) for end in (lower, upper))
+    beyond = (sign * (argument - end) for sign, end in zip((-1, 1), ends, strict=True))
+    return zero(sp.Add(*(sp.Max(0, excess) for excess in beyond)))

@@ -33,7 +33,7 @@ from rankone.ir.forms import EventForm, Jump, State
 from rankone.ir.metadata import Role
 from rankone.symbolic.first_order import FirstOrderSystem
 
-MOST_SWITCHES, MOST_LEVELS = 12, 32
+MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
 _MOST_IN_BRANCHES = 4  # Most surfaces that choose the branches of one rate

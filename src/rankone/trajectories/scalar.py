@@ -9,7 +9,9 @@ function that are not selected are not evaluated.
 from __future__ import annotations
 
 import ast
+import bisect
 import inspect
+import itertools
 import math
 import textwrap
 from collections.abc import Callable, Sequence
@@ -20,6 +22,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from rankone.ir.functions import AT_THE_ENDS, POINTS, PREFIX, VALUES
 from rankone.ir.jacobian import pattern_of
 from rankone.ir.system import System
 
@@ -101,12 +104,57 @@ def _rewritten(function: Callable[..., object]) -> Entries | None:
         places = _for_floats(definition)
         module = ast.Module([definition], type_ignores=[])
         own = {_PREFIX + name: meaning for name, meaning in (_FUNCTIONS | _CONSTANTS).items()}
-        names = {**function.__globals__, **own}
+        names = {**function.__globals__, **own, **_tables(function)}
         text = f"<{function.__name__} for floats>"
         exec(compile(ast.fix_missing_locations(module), text, "exec"), names)
     except (OSError, SyntaxError, ValueError, RecursionError, _Untranslatable):
         return None
     return Entries(names[function.__name__], tuple(places))
+
+
+def _tables(function: FunctionType) -> dict[str, Callable[[float], float]]:
+    """The tables of lines and of steps that a generated function applies, for floats."""
+    tables: dict[str, Callable[[float], float]] = {}
+    for name in function.__code__.co_names:
+        table, data = function.__globals__.get(name), name.removeprefix(PREFIX)
+        if not isinstance(table, FunctionType) or POINTS + data not in function.__globals__:
+            continue
+        points, values = (function.__globals__[each + data].tolist() for each in (POINTS, VALUES))
+        for numpy_name, make in (("interp", _lines), ("searchsorted", _steps)):
+            if numpy_name in table.__code__.co_names:
+                tables[name] = make(points, values)
+    return tables
+
+
+def _lines(points: list[float], values: list[float]) -> Callable[[float], float]:
+    """Straight lines between points, as ``np.interp`` has them; not a number outside."""
+    pairs = itertools.pairwise(zip(points, values, strict=True))
+    slopes = [(b - a) / (y - x) for (x, a), (y, b) in pairs]
+    first, last, behind = points[0], points[-1], len(slopes)
+    near = AT_THE_ENDS * (last - first)
+
+    def value(x: float) -> float:
+        inside = min(max(x, first), last)
+        if not abs(inside - x) <= near:
+            return math.nan
+        k = bisect.bisect_right(points, inside) - 1
+        return values[k] if k == behind else slopes[k] * (inside - points[k]) + values[k]
+
+    return value
+
+
+def _steps(points: list[float], values: list[float]) -> Callable[[float], float]:
+    """The value of the last point before; not a number outside."""
+    first, last = points[0], points[-1]
+    near = AT_THE_ENDS * (last - first)
+
+    def value(x: float) -> float:
+        inside = min(max(x, first), last)
+        return (
+            values[bisect.bisect_right(points, inside) - 1] if abs(inside - x) <= near else math.nan
+        )
+
+    return value
 
 
 def _for_floats(definition: ast.FunctionDef) -> list[tuple[int, ...]]:
