@@ -48,8 +48,8 @@ def test_sums_have_the_values_of_functions_at_the_levels_that_are_reached(functi
 
 @pytest.mark.parametrize("function", [sp.floor(x), LINES(x), STEPS(x)])
 def test_beyond_the_levels_that_are_written_there_is_no_value(function):
-    written = by_levels(function, {x: (0.3, 0.4)})
-    lower, upper = (-1, 2) if isinstance(function, sp.floor) else (-0.5, 0.8)
+    written = by_levels(function, {x: (0.3, 0.7)})
+    lower, upper = (0, 1) if isinstance(function, sp.floor) else (0.25, 0.8)
     near = np.array([lower + 0.1, upper - 0.1])
     np.testing.assert_allclose(values(written, near), values(function, near))
     assert np.isnan(values(written, np.array([lower - 0.1, upper + 0.1]))).all()

@@ -85,7 +85,10 @@ def held_system(held: FirstOrderSystem | None, system: System, name: str) -> Sys
 
 
 def _agrees(held: System, system: System) -> bool:
-    """Whether the rates of both are the same at states beside the initial ones."""
+    """Whether the rates of both are the same at states beside the initial ones.
+
+    And whether the factors of the held ones are finite.
+    """
     bounds = np.array(system.box, dtype=float).reshape(-1, 2)
     p = np.ascontiguousarray(check_points(bounds, _POINTS, every_corner=True).T)
     n, t = system.n_differential, np.full(p.shape[1], system.horizon[0])
@@ -97,5 +100,7 @@ def _agrees(held: System, system: System) -> bool:
             u[k] = np.sign(event.when(t, u, p))
         ours = np.broadcast_to(held.rhs(t, u, p), u.shape)[:n]
         theirs = np.broadcast_to(system.rhs(t, u[:n], p), ours.shape)
+        factors = (held.parameter_factors(j, values) for j, values in enumerate(p))
+        finite = all(np.isfinite(each).all() for each in factors)
         same = np.abs(ours - theirs) <= _AGREEMENT * np.abs(theirs).max(axis=1, keepdims=True)
-    return bool((same | ~np.isfinite(ours) | ~np.isfinite(theirs)).all())
+    return finite and bool((same | ~np.isfinite(ours) | ~np.isfinite(theirs)).all())

@@ -3,7 +3,7 @@
 ===============  ===================================================================================
 ``forms``        the separated form and the quadratic system, with their terms and factors
 ``functions``    functions that SymPy does not know: tables, functions of the user, maxima over time
-``guarded``      functions of the user as workers call them, without SymPy
+``guarded``      functions of the user and names of tables, without SymPy
 ``features``     what is not smooth or narrow; gaps of piecewise functions; jumps
 ``jacobian``     Jacobians of many states, as the entries of a pattern
 ``constraints``  expressions of the states that vanish on all trajectories

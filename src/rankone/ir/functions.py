@@ -21,17 +21,12 @@ import sympy as sp
 from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
 
-from rankone.ir.guarded import GuardedFunction
+from rankone.ir.guarded import AT_THE_ENDS, POINTS, PREFIX, VALUES, GuardedFunction
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
 
 _KINDS = ("linear", "cubic", "previous")
-PREFIX, POINTS, VALUES = "f_", "POINTS_", "VALUES_"
-"""First letters of names in generated source: of a function, so that no local name hides it, and of
-the data of a table."""
-AT_THE_ENDS = 1e-9
-"""Distance outside a table, over its length, that is taken for rounding."""
 _LONGEST_LINE = 100  # Characters of a line of generated source
 _NUMBERS_PER_LINE = 8  # Numbers in each line of an array that does not fit into one
 

@@ -1,4 +1,7 @@
-"""Functions of the user as workers call them, without SymPy: importing it takes a second."""
+"""Functions of the user, and names of tables, as workers know them.
+
+SymPy is not needed for that: importing it takes a second.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,12 @@ from numpy.typing import ArrayLike
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
+
+PREFIX, POINTS, VALUES = "f_", "POINTS_", "VALUES_"
+"""First letters of names in generated source: of a function, so that no local name hides it, and of
+the data of a table."""
+AT_THE_ENDS = 1e-9
+"""Distance outside a table, over its length, that is taken for rounding."""
 
 
 class GuardedFunction:

@@ -24,8 +24,7 @@ from rankone.expressions.notation import exact
 from rankone.ir.functions import Table, table
 
 _STAIRS = (sp.floor, sp.ceiling, sp.frac, sp.Mod)
-_MARGIN = 0.1  # Part of the reached range on each side in which levels are written as well
-_NEXT = 1  # Levels beyond it
+_MARGIN = 0.02  # Part of the reached range on each side, or of a step, in which levels count too
 _FEW = 4  # Inner points of a table that are all written
 
 Reached: TypeAlias = Mapping[sp.Expr, tuple[float, float]]
@@ -75,7 +74,7 @@ def _argument(node: sp.Expr) -> sp.Expr:
 def _floor(argument: sp.Expr, span: tuple[float, float]) -> sp.Expr:
     """The floor of an argument as a sum of steps."""
     lower, upper = span
-    margin = max(_MARGIN * (upper - lower), float(_NEXT))
+    margin = _MARGIN * max(upper - lower, 1.0)
     first, last = math.ceil(lower - margin), math.floor(upper + margin)
     steps = [sp.Heaviside(argument - level, 1) for level in range(first, last + 1)]
     return first - 1 + sp.Add(*steps) + _nothing_beyond(argument, first - 1, last + 1)
@@ -105,14 +104,15 @@ def _exact(numbers: Iterable[float]) -> list[sp.Expr]:
 
 
 def _written_points(points: Sequence[float], span: tuple[float, float]) -> range:
-    """The places of the inner points of a table that are reached, with some beside them."""
+    """The places of the inner points of a table that are reached."""
     inner = range(1, len(points) - 1)
     if len(inner) <= _FEW:
         return inner
     lower, upper = span
     margin = _MARGIN * (upper - lower)
     first, last = np.searchsorted(points, [lower - margin, upper + margin]).tolist()
-    return range(max(first - _NEXT, inner.start), min(max(last, first) + _NEXT, inner.stop))
+    begin = min(max(first, inner.start), inner.stop)
+    return range(begin, max(min(last, inner.stop), begin))
 
 
 def _nothing_beyond(argument: sp.Expr, lower: float, upper: float) -> sp.Expr:

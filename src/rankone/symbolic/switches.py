@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import TypeAlias
 
 import sympy as sp
@@ -36,11 +36,24 @@ from rankone.symbolic.first_order import FirstOrderSystem
 MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
-_MOST_IN_BRANCHES = 4  # Most surfaces that choose the branches of one rate
+_MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one rate
+_MOST_COPIES = 81  # Most pieces of a rate that is not linear in its sides
 _HALF = sp.Rational(1, 2)
 
 
 _Held: TypeAlias = tuple[sp.Expr, sp.Expr]  # An expression with sides, and as it was written
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a surface is: where a ``function`` has a ``level``, above which its side has a sign.
+
+    Surfaces of one function at several levels never vanish together.
+    """
+
+    function: sp.Expr
+    level: sp.Expr
+    sign: int
 
 
 class NotHeld(Exception):
@@ -62,6 +75,11 @@ class _Switch:
     state: sp.Expr
     name: str
     jumps: bool = False
+
+    @cached_property
+    def place(self) -> _Place:
+        """Where the surface is."""
+        return _place_of(self.surface)
 
 
 def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
@@ -95,7 +113,7 @@ class _Replacement:
         self._names = {state.name for state in system.states}
         self._names |= {coordinate.name for coordinate in system.coordinates}
         self._names |= {event.name for event in system.events}
-        self._by_surface: dict[sp.Expr, _Switch] = {}
+        self._by_place: dict[tuple[sp.Expr, sp.Expr], _Switch] = {}
 
     def held(self, expression: sp.Expr, bounded: bool = False) -> sp.Expr:
         """The expression with sides, from the inside out.
@@ -145,10 +163,10 @@ class _Replacement:
         """The effective side of a surface."""
         if not surface.has(AppliedUndef):
             return sp.sign(surface)
-        for oriented, sign in ((surface, 1), (-surface, -1)):
-            if switch := self._by_surface.get(oriented):
-                switch.jumps |= jumps
-                return sign * switch.side
+        place = _place_of(surface)
+        if switch := self._by_place.get((place.function, place.level)):
+            switch.jumps |= jumps
+            return place.sign * switch.place.sign * switch.side
         name, event_name = self._new_name("side"), self._new_name("switch")
         t = self._system.coordinates[0].symbol
         switch = _Switch(
@@ -160,7 +178,7 @@ class _Replacement:
             jumps,
         )
         self.switches.append(switch)
-        self._by_surface[surface] = switch
+        self._by_place[place.function, place.level] = switch
         return switch.side
 
     def _new_name(self, stem: str) -> str:
@@ -173,18 +191,40 @@ class _Replacement:
 def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
     """A rate that is linear in the side of each surface at which it may jump."""
     branching = [s for s in switches if any(s.side in c.free_symbols for c in _conditions(rate))]
-    if len(branching) > _MOST_IN_BRANCHES:
+    if len({s.place.function for s in branching}) > _MOST_IN_BRANCHES:
         raise NotHeld
+    copies = 1
     for switch in switches:
         if switch.jumps and not _linear(rate, switch.side):
-            s = switch.side
-            above, below = rate.subs(s, 1), rate.subs(s, -1)
-            between = (1 + s) / 2 * above + (1 - s) / 2 * below
-            m = switch.state
-            rate = sp.Piecewise((above, m > _HALF), (below, m < -_HALF), (between, True))
+            levels = [
+                s for s in (switch, *_beside(switch, switches)) if s.side in rate.free_symbols
+            ]
+            levels = sorted((s for s in levels if s.jumps), key=lambda each: each.place.level)
+            copies *= 2 * len(levels) + 1
+            if copies > _MOST_COPIES:
+                raise NotHeld
+            rate = _between_levels(rate, levels)
         elif not switch.jumps and switch in branching:
             raise NotHeld
     return rate
+
+
+def _between_levels(rate: sp.Expr, levels: Sequence[_Switch]) -> sp.Expr:
+    """A rate in pieces between ascending levels of one function; on each it is the mean."""
+    signs = [switch.place.sign for switch in levels]
+    pieces = [
+        rate.subs(
+            {s.side: z if i < k else -z for i, (s, z) in enumerate(zip(levels, signs, strict=True))}
+        )
+        for k in range(len(levels) + 1)
+    ]
+    if any(piece.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan) for piece in pieces):
+        raise NotHeld
+    cases = []
+    for switch, sign, below, above in zip(levels, signs, pieces, pieces[1:], strict=False):
+        share, state = (1 + sign * switch.side) / 2, sign * switch.state
+        cases += [(below, state < -_HALF), ((1 - share) * below + share * above, state < _HALF)]
+    return sp.Piecewise(*cases, (pieces[-1], True))
 
 
 def _conditions(expression: sp.Expr) -> Iterator[Boolean]:
@@ -281,10 +321,18 @@ class _Sliding:
         return dict(zip(unknowns, solved, strict=True))
 
 
+def _place_of(surface: sp.Expr) -> _Place:
+    constant, function = surface.as_coeff_Add()
+    factor, function = function.primitive()
+    if function.could_extract_minus_sign():
+        factor, function = -factor, -function
+    return _Place(function, -constant / factor, 1 if factor > 0 else -1)
+
+
 def _beside(switch: _Switch, switches: Sequence[_Switch]) -> list[_Switch]:
     """The other switches whose surfaces never vanish where that of a switch does."""
-    surface, others = switch.surface, (each for each in switches if each is not switch)
-    return [o for o in others if (surface - o.surface).is_number or (surface + o.surface).is_number]
+    function = switch.place.function
+    return [o for o in switches if o is not switch and o.place.function == function]
 
 
 def _by_level(switches: Sequence[_Switch]) -> list[_Switch]:
@@ -300,17 +348,11 @@ def _by_level(switches: Sequence[_Switch]) -> list[_Switch]:
             continue
         places = sorted(map(switches.index, levels))
         names = [(switches[place].name, switches[place].state) for place in places]
-        ascending = sorted(levels, key=_level)
+        ascending = sorted(levels, key=lambda each: each.place.level)
         for place, switch, (name, state) in zip(places, ascending, names, strict=True):
             ordered[place] = switch
             switch.name, switch.state = name, state
     return ordered
-
-
-def _level(switch: _Switch) -> sp.Expr:
-    """The number at which the function of a surface has its level."""
-    constant, function = switch.surface.as_coeff_Add()
-    return constant if function.could_extract_minus_sign() else -constant
 
 
 def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:

@@ -22,7 +22,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rankone.ir.functions import AT_THE_ENDS, POINTS, PREFIX, VALUES
+from rankone.ir.guarded import AT_THE_ENDS, POINTS, PREFIX, VALUES
 from rankone.ir.jacobian import pattern_of
 from rankone.ir.system import System
 
