@@ -86,3 +86,10 @@ def test_switches_of_one_function_ascend_with_its_levels():
         *(f"switch_{i}: x - y - {speed} = 0" for i, speed in enumerate((7, 12, 18), 1)),
         "switch_4: -x + y + 90 = 0",
     ]
+
+
+def test_levels_that_are_held_are_not_listed_twice():
+    table = ro.table([-3.3, 0.1, 0.7, 4.4], [1, 3, 2, 2.5])
+    listed = str(ro.compile(problem(k * table(x * 0.9) / 3, -y)).features)
+    assert "switch_" in listed
+    assert "where" not in listed

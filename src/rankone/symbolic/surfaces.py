@@ -19,6 +19,7 @@ from sympy.core.relational import Relational
 
 from rankone.expressions.boundaries import CONTINUOUS, DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
+from rankone.expressions.notation import exact
 from rankone.expressions.peaks import (
     Variables,
     extrema,
@@ -194,7 +195,7 @@ def _zeros(expressions: Sequence[sp.Expr], functions: tuple[type, ...]) -> Itera
         if levels is None:
             yield sp.sin(sp.pi * boundary)
         elif len(levels) <= MAX_SURFACES:
-            yield from (boundary - sp.Rational(level) for level in levels)
+            yield from (boundary - exact(sp.Float(level)) for level in levels)
 
 
 def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:
