@@ -22,7 +22,7 @@ COUNTS = {
     "doses": 4,
     "events": 4,
     "switches": 3,
-    "levels": 3,
+    "levels": 2,
     "orders": 2,
 }
 """Cases of each kind."""
