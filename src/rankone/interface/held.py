@@ -35,7 +35,7 @@ def held_form(first_order: FirstOrderSystem, system: System) -> FirstOrderSystem
         return None
     try:
         return held_switches(_by_levels(first_order, system))
-    except (NotHeld, ProblemError):
+    except (NotHeld, ProblemError, np.linalg.LinAlgError):  # of coarse steps
         return None
 
 

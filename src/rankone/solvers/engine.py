@@ -94,7 +94,7 @@ class Engine:
         except ConvergenceError as error:
             raise failure or error from None
         if outcome.status is Status.BLOW_UP and system.features.n_steps:
-            # over clock time, trajectories that slide along a jump come to no end: that is no news
+            # over clock time, trajectories that slide along a jump seem to blow up
             if held is not None:
                 return held
             if failure is not None and not isinstance(failure, TrajectoryEndError):
