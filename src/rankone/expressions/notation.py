@@ -162,12 +162,17 @@ def _decimal(number: sp.Expr) -> sp.Float | None:
     if number.q == 1:
         # not from text: Python writes no integers of more than 4,300 digits
         return number.evalf(_DIGITS) if abs(number.p) > _LARGEST_INTEGER else None
-    cofactor = int(number.q)
+    if number.q >= _LARGEST_DENOMINATOR or _terminates(int(number.q)):
+        return number.evalf(_DIGITS)
+    return None
+
+
+def _terminates(denominator: int) -> bool:
+    """Whether a fraction with a denominator is a decimal that ends."""
     for prime in (2, 5):
-        while cofactor % prime == 0:
-            cofactor //= prime
-    is_decimal = cofactor == 1 or number.q >= _LARGEST_DENOMINATOR
-    return number.evalf(_DIGITS) if is_decimal else None
+        while denominator % prime == 0:
+            denominator //= prime
+    return denominator == 1
 
 
 class _Decimals(Printer):  # type: ignore[misc]
