@@ -406,7 +406,7 @@ class _Follower:
         run = cast(SeparateRun, self.integrator.run)
         paths = share_paths(run, self.clock.system, self._parameters, spans, self.tolerances)
         ends = np.array([path.end if path.steps else 0.0 for path in paths])
-        self._raise(ends < 1.0 - 1e-9, "leaves where its rates are finite")
+        self._raise(ends < 1.0 - 1e-9, "runs to where its rates are not finite")
         return paths
 
     def _to_root(
