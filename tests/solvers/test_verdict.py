@@ -1,11 +1,15 @@
 """What a failure says: the worst unknown, the stage, the budget, rates that switch to and fro."""
 
 import pytest
+import sympy as sp
 
 import rankone as ro
 from rankone.ir.outcome import Measured
 from rankone.ir.verdict import Budget, ReferenceLimit, Remedy, Status, UndecidedOrder, Verdict
 from rankone.solvers.attempts import error_notes, unknowns_notes
+
+t, a, b = sp.symbols("t a b")
+x, y = (sp.Function(name)(t) for name in "xy")
 
 STATES = ("x", "x_t", "y", "y_t")
 WORK = {"reference": 2e9, "samples": 7e9, "ranks": 1e9, "check": 1e7}
@@ -105,6 +109,24 @@ def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):
     assert not solution.success
     assert f"in equation 2 switches at `{boundary}` = 0" in solution.message
     assert smooth in solution.message
+
+
+@pytest.mark.parametrize(
+    ("term", "where"),
+    [
+        (sp.floor(2 * x + a), "wherever `a + 2*x` is a whole number"),
+        (sp.Mod(x, b), "wherever `x/b` is a whole number"),
+        (ro.table([-9, -1, 0, 1, 9], [0, 1, 0, 1, 0])(x), "at `x` = -9, -1, 0, 1 and 1 more"),
+    ],
+)
+def test_a_staircase_that_takes_all_of_the_budget_is_named(term, where):
+    equations = [x.diff(t) - y, y.diff(t) - term + 3 * x]
+    box = {a: (0.1, 0.4), b: (0.5, 2)}
+    problem = ro.Problem(equations, (t, 0, 10), box, {x: 1 + a, y: b})
+    solution = ro.solve(problem, 1e-8, effort=0.002)
+    assert not solution.success
+    assert f"in equation 2 switches {where}" in solution.message
+    assert solution.message.endswith("in the same order, or smooth the switches")
 
 
 def test_a_reference_without_a_step_is_said():

@@ -643,6 +643,7 @@ VERDICTS = [
     Verdict(Status.CONVERGED, None, (WorstPiece(3, 1, (("k", 0.0, 1.0),)),)),
     Verdict(Status.TOLERANCE, None, (FailedPieces((1,), 3, Verdict(Status.RANK_LIMIT)),)),
     Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
+    Verdict(Status.STEEP, None, (SwitchingTerm("floor(v)", "equation 2", "v", "", None),)),
     Verdict(Status.STEEP, None, (SeveralOrders("`hit` does not come at k = 1"),)),
     Verdict(Status.SWITCHES, None, (SwitchesNotHeld("an order of events cannot be continued"),)),
 ]

@@ -534,19 +534,34 @@ class SteadyBranch(Note):
 
 @dataclass(frozen=True)
 class SwitchingTerm(Note):
-    """A term that switches where unknowns cross a boundary, and how to smooth it."""
+    """A term that switches where ``boundary`` takes one of some levels, and how to smooth it.
+
+    The levels are None for all whole numbers; ``smooth`` is empty for more than one.
+    """
 
     term: str
     place: str
     boundary: str
     smooth: str
+    levels: tuple[float, ...] | None = (0.0,)
 
     def sentence(self, status: Status) -> str:
+        smooth = "the switches"
+        if self.smooth:
+            example = f"for example by {quote(self.smooth)} with a width w too small to matter"
+            smooth = f"the switch, {example}"
         return (
-            f"the term {quote(self.term)} in {self.place} switches at {quote(self.boundary)} = 0: "
-            "narrow the box to where all trajectories cross that in the same order, or smooth the "
-            f"switch, for example by {quote(self.smooth)} with a width w too small to matter"
+            f"the term {quote(self.term)} in {self.place} switches {self._where()}: narrow the box "
+            f"to where all trajectories cross that in the same order, or smooth {smooth}"
         )
+
+    def _where(self) -> str:
+        boundary = quote(self.boundary)
+        if self.levels is None:
+            return f"wherever {boundary} is a whole number"
+        shown = ", ".join(f"{level:.4g}" for level in self.levels[:_MOST_NAMES])
+        hidden = len(self.levels) - _MOST_NAMES
+        return f"at {boundary} = {shown}" + (f" and {hidden} more" if hidden > 0 else "")
 
 
 @dataclass(frozen=True)

@@ -231,17 +231,21 @@ def _switching_in(
         f: sp.Symbol(state.name) for f, state in zip(system.functions, system.states, strict=True)
     }
     for term in sp.Add.make_args(system.rhs[index]):
-        switches = [
-            boundary
+        switches = {
+            boundary: levels
             for boundary, levels in boundaries([term], functions)
-            if levels is not None and boundary.has(AppliedUndef)
-        ]
+            if boundary.has(AppliedUndef)
+        }
         if not switches:
             continue
-        boundary, plain_term = min(switches, key=_inner_first).xreplace(plain), term.xreplace(plain)
+        first = min(switches, key=_inner_first)
+        boundary, plain_term, levels = first.xreplace(plain), term.xreplace(plain), switches[first]
         origin = system.origins[index]
         equation = f"the equation of {quote(system.states[index].name)}"
         equation = equation if origin is None else f"equation {origin}"
+        if levels is None or any(levels):  # more than one
+            at = None if levels is None else tuple(map(float, levels))
+            return SwitchingTerm(written(plain_term), equation, written(boundary), "", at)
         place = written(plain_term), equation, written(_shorter(boundary))
         return SwitchingTerm(*place, smooth(plain_term, boundary))
     return None
