@@ -99,9 +99,12 @@ class Engine:
                 return held
             if failure is not None and not isinstance(failure, TrajectoryEndError):
                 raise failure
-        if failure is not None and outcome.status not in _SOLVED:
-            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(str(failure))))
-        return held if held is not None and _is_better(held, outcome) else outcome
+        if held is not None and _is_better(held, outcome):
+            return held
+        if outcome.status not in _SOLVED:
+            reason = str(failure if held is None else held.verdict)
+            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(reason)))
+        return outcome
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve with the switches of the rates as they are."""

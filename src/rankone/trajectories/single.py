@@ -239,7 +239,7 @@ class _Single:
             if again is None:
                 length, longest = _LONGER * length, math.inf
                 continue
-            longest = SHORTENING * again
+            longest = SHORTENING * (again if good.steps else min(again, longest))
             if longest < _SHORTEST * self.horizon:
                 return
             length = _SHORT_STEPS * longest
