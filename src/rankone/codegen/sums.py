@@ -45,9 +45,10 @@ def extract_pairs(
         bag = bags[i]
         active = bag.total() > degree
         for a in symbols:
-            for b in bag:
-                pair = (min(a, b), max(a, b))
-                often = (bag[a] // 2 if a == b else min(bag[a], bag[b])) if active else 0
+            of_a = bag[a] if active else 0
+            for b, of_b in bag.items():
+                pair = (a, b) if a <= b else (b, a)
+                often = of_a // 2 if a == b else min(of_a, of_b)
                 if often:
                     where[pair][i] = often
                 else:
@@ -73,7 +74,8 @@ def extract_pairs(
             bags[i].subtract({pair[0]: times})
             bags[i].subtract({pair[1]: times})
             bags[i][symbol_of_pair] = times
-            record(i, tuple(bags[i]))
+            stays = bags[i].total() > degree
+            record(i, (*pair, symbol_of_pair) if stays else tuple(bags[i]))
             bags[i] = +bags[i]
             partners.update((symbol, symbol_of_pair) for symbol in bags[i])
         for partner in sorted(partners):
