@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from rankone.ir.guarded import PREFIX
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
@@ -40,7 +41,6 @@ from rankone.verification.enclosures.samples import by_samples, of_scale_one
 
 _ENCLOSURES = 4.0  # Operations of enclosures and samples over those of the samples alone
 _CALL = Cost(2e5, 0.0)  # Operations of an evaluation besides the function
-_TABLES = "f_"  # First letters of tables and functions of the user in generated text
 
 
 class UnsuitableError(Exception):
@@ -57,7 +57,7 @@ def enclosed(function: Callable[..., object]) -> Callable[..., Sequence[Enclosur
     names = {**function.__globals__, "np": _NAMES_OF_NUMPY, "special": _NAMES_OF_SPECIAL}
     for name in function.__code__.co_names:
         original = function.__globals__.get(name)
-        if name.startswith(_TABLES) and callable(original):
+        if name.startswith(PREFIX) and callable(original):
             names[name] = by_samples(original)
         elif isinstance(original, FunctionType):
             raise UnsuitableError
