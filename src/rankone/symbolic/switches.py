@@ -255,8 +255,7 @@ class _Sliding:
     ) -> None:
         self.switches, self._system = switches, system
         self.speeds = [
-            self._speed(s.surface, rates).xreplace({o.side: o.state for o in _beside(s, switches)})
-            for s in switches
+            self._speed(s.surface, rates).xreplace(_sides_beside(s, switches)) for s in switches
         ]
         self.sides: dict[sp.Expr, sp.Expr] = {}
         self.pulls: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
@@ -333,6 +332,16 @@ def _beside(switch: _Switch, switches: Sequence[_Switch]) -> list[_Switch]:
     """The other switches whose surfaces never vanish where that of a switch does."""
     function = switch.place.function
     return [o for o in switches if o is not switch and o.place.function == function]
+
+
+def _sides_beside(switch: _Switch, switches: Sequence[_Switch]) -> dict[sp.Expr, sp.Expr]:
+    """The sides of the surfaces beside that of a switch, where this one vanishes."""
+    sides: dict[sp.Expr, sp.Expr] = {}
+    for other in _beside(switch, switches):
+        above = switch.place.level > other.place.level
+        side = sp.Integer(other.place.sign if above else -other.place.sign)
+        sides |= {other.side: side, other.state: side}
+    return sides
 
 
 def _by_level(switches: Sequence[_Switch]) -> list[_Switch]:
