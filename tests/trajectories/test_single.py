@@ -131,6 +131,29 @@ def test_both_sides_of_a_narrow_peak_are_seen():
     np.testing.assert_allclose(reference(times), exact(times), atol=1e-4)
 
 
+def test_integrations_that_crawl_behind_a_jump_begin_anew():
+    """LSODA took steps of 1e-7 from one of the jumps on; where depends on rounding."""
+    system = system_of({"x": "a - floor(x)/20"}, {"x": "1/20"}, {"a": (1, 1.1)}, 6)
+    points = np.array([[1.0270638550445057], [1.0516043479840205], [1.0737167501139422]])
+    tolerances = Tolerances(1e-7, np.full((1, 1), 1e-9))
+    with limited(4e8, np.inf):
+        dense = SingleIntegrator().run(system, points, [0.0, 6.0], tolerances)
+        sampled = SingleIntegrator().sample(system, points, [0.0, 6.0], tolerances, np.array([6.0]))
+    np.testing.assert_allclose(dense.state[0], [_climbed(a, 6.0) for a in points[:, 0]], rtol=1e-5)
+    np.testing.assert_allclose(sampled.states[0, 0], dense.state[0], rtol=1e-5)
+
+
+def _climbed(a, end):
+    """How far x comes, at a speed that falls by 1/20 at each whole number."""
+    now, x = 0.0, 0.05
+    while True:
+        speed = a - np.floor(x) / 20
+        reached = now + (np.floor(x) + 1.0 - x) / speed
+        if reached > end:
+            return x + speed * (end - now)
+        now, x = reached, np.floor(x) + 1.0
+
+
 @pytest.mark.slow
 def test_a_stack_that_stalls_goes_on_as_single_trajectories():
     system = van_der_pol(1000, 2000)

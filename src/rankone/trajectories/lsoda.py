@@ -18,6 +18,7 @@ from rankone.trajectories.scalar import scalar_jacobian, scalar_rates
 _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
 _LOOKED_CALLS = 3000  # Calls after which progress is looked at
 _TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
+_SLOW_PROGRESS = 1e-2  # Way in as many, below which an integration begins anew
 _CALL_COST = 600.0  # Operations of a call of the rates by LSODA
 _MATRIX_COST = 5e3  # Operations of a matrix of the entries of a Jacobian
 _LINEAR_ALGEBRA = 0.02  # Operations of LSODA for each cube of the states in a call of the rates
@@ -39,13 +40,22 @@ class Border(Exception):
         self.time, self.safe = time, safe
 
 
+class Crawl(Border):
+    """An integration is so slow that one that begins anew may be faster.
+
+    After a jump of rates that are constant beyond it, LSODA's estimate of their slope, and so of
+    the longest stable step, stays what it was across the jump.
+    """
+
+
 def called_by_lsoda(
-    system: System, point: Array, span: tuple[float, float], horizon: float
+    system: System, point: Array, span: tuple[float, float], horizon: float, *, restarts: bool
 ) -> tuple[Rates, Jacobian | None]:
     """Rates and Jacobian at a point (d,), taken within a span of time alone.
 
     The rates raise a Border where they are not finite, and after thousands of calls at almost the
-    same time. The Jacobian is None where LSODA's own differences cost no more.
+    same time; with ``restarts`` a Crawl after as many not far from each other. The Jacobian is None
+    where LSODA's own differences cost no more.
     """
     function = scalar_rates(system)
     stacked_cost = function_cost(system.rhs, system.user_functions)(1)
@@ -55,6 +65,7 @@ def called_by_lsoda(
     each += _LINEAR_ALGEBRA * system.n_differential**3
     (first, last), numbers, column = span, point.tolist(), point[:, None]
     tiny, calls, looked_at = _TINY_PROGRESS * horizon, 0, -math.inf
+    slow = _SLOW_PROGRESS * horizon if restarts else tiny
 
     def stacked(t: float, u: Array) -> Array:
         charge(stacked_cost)
@@ -68,8 +79,8 @@ def called_by_lsoda(
         if not calls % _COUNTED_CALLS:
             charge(_COUNTED_CALLS * each)
             if not calls % _LOOKED_CALLS:
-                if abs(t - looked_at) < tiny:
-                    raise Border(t, looked_at)
+                if abs(t - looked_at) < slow:
+                    raise Border(t, looked_at) if abs(t - looked_at) < tiny else Crawl(t)
                 looked_at = t
         calls += 1
         time = min(max(t, first), last)

@@ -31,7 +31,7 @@ from rankone.trajectories.defects import SHORTENING, DefectControl
 from rankone.trajectories.dense_paths import SingleTrajectories, StepsOfOne
 from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
-from rankone.trajectories.lsoda import Border, Jacobian, Rates, called_by_lsoda, recording
+from rankone.trajectories.lsoda import Border, Crawl, Jacobian, Rates, called_by_lsoda, recording
 from rankone.trajectories.paths import NODES, Path, joined
 from rankone.trajectories.stacks.integrator import has_smooth_rates
 
@@ -53,11 +53,13 @@ Span: TypeAlias = "tuple[float, float]"  # From a time to another
 class _Lengths:
     """The longest step of LSODA, and the first one that it tries; with zero it takes its own.
 
-    Its own one depends on the times that are asked for: two passes need the same to step alike.
+    Its own one depends on the times that are asked for: two passes need the same to step alike,
+    and the ``second`` one goes as far as the first.
     """
 
     longest: float = math.inf
     first: float = 0.0
+    second: bool = False
 
 
 @dataclass(frozen=True)
@@ -258,11 +260,12 @@ class _Single:
         except Border as border:
             safe = max((t for t in called if t < border.time), default=start)
             end = safe if border.safe is None else max(border.safe, start)
-            again = _NEARER * (border.time - end) if border.safe is None else 0.0
+            if not isinstance(border, Crawl):
+                again = _NEARER * (border.time - end) if border.safe is None else 0.0
         try:
             first = next((t - start for t in called if t > start), 0.0)
             breaks = _steps_of(called, start, end)
-            path = self._read(segment, state, breaks, _Lengths(longest, first))
+            path = self._read(segment, state, breaks, _Lengths(longest, first, second=True))
         except Border as border:
             return self._nothing(start, state), _NEARER * (border.time - start)
         missed = self._missed(path, end)
@@ -316,7 +319,7 @@ class _Single:
 
         The times at which rates are ``called`` are appended.
         """
-        rates, jacobian = self._called(*segment)
+        rates, jacobian = self._called(*segment, restarts=not lengths.second)
         if called is not None:
             rates = recording(rates, called)
         longest = min(lengths.longest, self.tighter.longest_step)
@@ -342,11 +345,11 @@ class _Single:
             raise Border(times[-1], times[0])
         return np.asarray(states)
 
-    def _called(self, a: float, b: float) -> tuple[Rates, Jacobian | None]:
+    def _called(self, a: float, b: float, *, restarts: bool) -> tuple[Rates, Jacobian | None]:
         """What LSODA calls on a segment; factors of time are never taken at its very ends."""
         near = inset(a, b) if len(self.edges) > 2 else self.near
         span = a + near, b - near
-        return called_by_lsoda(self.system, self.point, span, self.horizon)
+        return called_by_lsoda(self.system, self.point, span, self.horizon, restarts=restarts)
 
 
 def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
