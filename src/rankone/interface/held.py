@@ -101,6 +101,8 @@ def _agrees(held: System, system: System) -> bool:
         ours = np.broadcast_to(held.rhs(t, u, p), u.shape)[:n]
         theirs = np.broadcast_to(system.rhs(t, u[:n], p), ours.shape)
         factors = (held.parameter_factors(j, values) for j, values in enumerate(p))
-        finite = all(np.isfinite(each).all() for each in factors)
-        same = np.abs(ours - theirs) <= _AGREEMENT * np.abs(theirs).max(axis=1, keepdims=True)
-    return finite and bool((same | ~np.isfinite(ours) | ~np.isfinite(theirs)).all())
+        if not all(np.isfinite(each).all() for each in factors):
+            return False
+        both = np.isfinite(ours) & np.isfinite(theirs) & np.isfinite(u).all(axis=0)
+        size = np.abs(theirs).max(axis=1, keepdims=True, where=both, initial=0.0)
+    return bool(both.any() and (np.abs(ours - theirs) <= _AGREEMENT * size)[both].all())

@@ -259,7 +259,7 @@ class _Sliding:
         ]
         self.sides: dict[sp.Expr, sp.Expr] = {}
         self.pulls: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
-        sliding = [s for s in switches if s.jumps and self._depends(s, s)]
+        sliding = [s for s in switches if s.jumps and self._depends(s, s) and self._pull(s) != 0]
         if any(other.side in s.surface.free_symbols for s in sliding for other in switches):
             raise NotHeld  # a surface that moves when another one is crossed
         for switch in switches:
@@ -273,6 +273,11 @@ class _Sliding:
     def _depends(self, a: _Switch, b: _Switch) -> bool:
         """Whether the speed at the surface of one depends on the side of the other."""
         return b.side in self.speeds[self.switches.index(a)].free_symbols
+
+    def _pull(self, switch: _Switch) -> sp.Expr:
+        """How the speed at a surface changes with its own side, which chooses no branch there."""
+        speed = self.speeds[self.switches.index(switch)]
+        return _slope(speed.xreplace({switch.state: sp.S.Zero}), switch.side)
 
     def _speed(self, surface: sp.Expr, rates: Sequence[sp.Expr]) -> sp.Expr:
         """dg/dt along trajectories."""
