@@ -38,6 +38,7 @@ MOST_SWITCHES, MOST_LEVELS = 12, 40
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
 _MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one rate
 _MOST_COPIES = 81  # Most pieces of a rate that is not linear in its sides
+_MOST_NODES = 20_000  # Of all rates with sides written out: compiling more takes minutes
 _HALF = sp.Rational(1, 2)
 
 
@@ -267,6 +268,7 @@ class _Sliding:
                 self.sides[switch.side] = switch.state
         for group in _in_order(sliding, self._depends):
             self.sides.update(self._effective(group))
+            self._check_size(rates)
         self.slides = {s.side: s in sliding for s in switches}
         self.rates = [rate.xreplace(self.sides) for rate in rates]
 
@@ -288,6 +290,13 @@ class _Sliding:
         for state, rate in zip(states.values(), rates, strict=True):
             speed += Differentiator(state)(plain) * rate
         return speed.xreplace({dummy: u for u, dummy in states.items()})
+
+    def _check_size(self, rates: Sequence[sp.Expr]) -> None:
+        """Raise NotHeld if rates with sides written out have too many nodes."""
+        sizes = {side: _size(effective) for side, effective in self.sides.items()}
+        nodes = (node for rate in rates for node in sp.preorder_traversal(rate))
+        if sum(sizes.get(node, 1) for node in nodes) > _MOST_NODES:
+            raise NotHeld
 
     def _effective(self, group: Sequence[_Switch]) -> dict[sp.Expr, sp.Expr]:
         """The effective sides of switches whose sliding depends on each other.
@@ -367,6 +376,11 @@ def _by_level(switches: Sequence[_Switch]) -> list[_Switch]:
             ordered[place] = switch
             switch.name, switch.state = name, state
     return ordered
+
+
+def _size(expression: sp.Expr) -> int:
+    """The number of nodes of an expression."""
+    return sum(1 for _ in sp.preorder_traversal(expression))
 
 
 def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:
