@@ -459,8 +459,10 @@ class OrderSearch:
                 if (sign * one > 0.0).all() and (sign * other < 0.0).all():
                     size = max(np.abs(one).max(), np.abs(other).max())
                     return guard, sign, float(size)
+        orders = dict.fromkeys(self.named(self.orders[places[0]]) for places in (first, second))
         raise OrderError(
-            "events or switches go on in two ways from one instant, and nothing tells which",
+            f"trajectories part at one instant of {' and '.join(orders)}, and nothing tells which "
+            "goes on how",
             remedy=REMEDY,
         )
 
