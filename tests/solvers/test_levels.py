@@ -77,3 +77,34 @@ def test_levels_that_are_crossed(rate):
         named = dict(zip(("k", "c"), at.tolist()))
         exact = crossed.trajectory(times, rtol=1e-9, **named).values
         np.testing.assert_allclose(solution(t=times, **named), exact, atol=3e-4)
+
+
+ENDING = ro.table([0, 0.4, 0.9, 1.6, 9], [3, 2, 1.4, 1, 1], "previous")
+
+
+@pytest.mark.parametrize(
+    ("rates", "start", "further"),
+    [
+        ((ENDING(x) - k / 2, -c * y), (0, 1), {}),
+        ((k, sp.Piecewise((1, sp.Mod(x, 1) < 0.4), (0, True)) - c * y), (0.2, 0), {}),
+        ((sp.Piecewise((k, x < 1.3), (0.5 + 0.2 * sp.floor(2 * x), True)), -c * y), (0.1, 1), {}),
+        (
+            (-k * x, sp.floor(2 * x) - c * y),
+            (0.9, 0),
+            {"jumps": {1: {x: x + 1}}, "events": [ro.Event(x - 0.4, "falling", then={x: x + 0.9})]},
+        ),
+    ],
+    ids=["start at the end of a table", "condition", "branch", "resets"],
+)
+@pytest.mark.slow
+def test_levels_where_rates_end_or_states_are_reset(rates, start, further):
+    equations = [sp.Eq(u.diff(t), rate) for u, rate in zip((x, y), rates, strict=True)]
+    box = {k: (0.95, 1.05), c: (0.45, 0.55)}
+    levels = ro.Problem(equations, (t, 0, 2.3), box, dict(zip((x, y), start)), **further)
+    solution = ro.solve(levels, 1e-4)
+    assert solution.success, solution.message
+    assert solution.timeline.stretches > 1
+    times = np.linspace(0, 2.3, 47)
+    for rate, other in ((0.96, 0.46), (1.01, 0.53), (1.04, 0.49)):
+        exact = levels.trajectory(times, rtol=1e-9, k=rate, c=other).values
+        np.testing.assert_allclose(solution(t=times, k=rate, c=other), exact, atol=3e-4)

@@ -14,6 +14,7 @@ import itertools
 
 import numpy as np
 
+from rankone.ir.events import FALLING, RISING
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.integrator import finite_blocks, jacobians
@@ -24,7 +25,8 @@ _GAMMA = 1.0 - 0.5**0.5
 def coarse_states(system: System, points: Array, count: int) -> tuple[Array, Array]:
     """Times (count + 1,), and the states there of trajectories at points (m, d): (n, m, count + 1).
 
-    Events do not reset them. States that are not finite are NaN, and so are all behind them.
+    Events reset them at the end of the step in which they come, once in each. States that are not
+    finite are NaN, and so are all behind them.
     """
     times = np.linspace(*system.horizon, count + 1)
     jumps = dict(zip(system.jumps.times, system.jumps.kinds, strict=True))
@@ -41,9 +43,22 @@ def coarse_states(system: System, points: Array, count: int) -> tuple[Array, Arr
             first = _applied(inverse, np.broadcast_to(system.rhs(begin, u, p), u.shape))
             rates = np.broadcast_to(system.rhs(end, u + step * first, p), u.shape)
             second = _applied(inverse, rates - 2.0 * first)
-            further = u + 0.5 * step * (3.0 * first + second)
+            further = _reset(system, (begin, end), u, u + 0.5 * step * (3.0 * first + second), p)
             states.append(np.where(np.isfinite(further), further, np.nan))
     return times, np.stack(states, axis=2)
+
+
+def _reset(system: System, span: tuple[float, float], u: Array, further: Array, p: Array) -> Array:
+    """States (n, m) at the end of a step, after the events in it."""
+    begin, end = (np.full(u.shape[1], time) for time in span)
+    for event in system.events:
+        if event.then is None:
+            continue
+        before, after = event.when(begin, u, p), event.when(end, further, p)
+        rises, falls = (before < 0.0) & (after >= 0.0), (before > 0.0) & (after <= 0.0)
+        comes = {RISING: rises, FALLING: falls}.get(event.direction, rises | falls)
+        further = np.where(comes, event.then(end, further, p), further)
+    return further
 
 
 def _applied(matrices: Array, vectors: Array) -> Array:
