@@ -38,7 +38,7 @@ class EventTimes(SolutionCore):
         if not self.outcome.slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
         if timeline is None:
-            raise EvaluationError("the problem has no events, and the solution no timeline")
+            raise EvaluationError("the solution is over clock time: it has no events, and no timeline")
         return timeline
 
     @property
