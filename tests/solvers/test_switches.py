@@ -1,6 +1,7 @@
 """Solves whose rates switch over the unknowns, against closed forms and narrow smooth steps."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
+from rankone.ir.verdict import Status
 from rankone.solvers.engine import Engine
 from tests.honesty.cases import unknown
 
@@ -237,6 +239,20 @@ def test_a_trajectory_that_blows_up_beyond_a_kink_is_named_as_such():
     repelled = {"x": "v", "v": "-x - 20*Abs(x - k)**1.5"}
     with pytest.raises(ro.BlowUpError, match="blows up inside the horizon"):
         ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL)
+
+
+@pytest.mark.slow
+def test_switches_that_accumulate_are_told_and_not_where_steps_stall(monkeypatch):
+    """Over clock time steps may stall long before, where it sticks for a moment."""
+    rates, start = {"x": "v", "v": "-k*sign(x) - sign(v)/3"}, {"x": 1, "v": 0.1}
+    outcome = ro.solve(ro.Problem.from_strings({"x": "-x"}, {"x": 1}, {}, (0, 1))).outcome
+
+    def stalled(self, system, *_):
+        return replace(outcome, status=Status.STALLS)
+
+    monkeypatch.setattr(Engine, "_solve_as_written", stalled)
+    with pytest.raises(ro.ConvergenceError, match=r"^a trajectory ends at t = .*accumulate"):
+        ro.solve(problem(rates, start, {"k": (1, 1.1)}, 9), RTOL)
 
 
 GRAZING = {

@@ -29,7 +29,12 @@ from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
-from rankone.trajectories.events.event_order import MoreEventsError, OrderError, TrajectoryEndError
+from rankone.trajectories.events.event_order import (
+    AccumulationError,
+    MoreEventsError,
+    OrderError,
+    TrajectoryEndError,
+)
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.reference_set import ReferenceSet
 
@@ -93,6 +98,8 @@ class Engine:
             outcome = self._solve_as_written(system, request, report)
         except ConvergenceError as error:
             raise failure or error from None
+        if outcome.status.ends_early and isinstance(failure, AccumulationError):
+            raise failure
         if outcome.status is Status.BLOW_UP and system.features.n_steps:
             # over clock time, trajectories that slide along a jump seem to blow up
             if held is not None:

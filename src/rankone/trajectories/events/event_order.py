@@ -41,6 +41,10 @@ class TrajectoryEndError(OrderError):
     """A trajectory ends although no event ends it."""
 
 
+class AccumulationError(TrajectoryEndError):
+    """A trajectory ends where its events accumulate."""
+
+
 class MoreEventsError(OrderError):
     """A trajectory meets more events before the end than those that told their order."""
 
@@ -244,7 +248,8 @@ def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None
 def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> TrajectoryEndError:
     """The error for a trajectory that ends at a time."""
     why = "events accumulate" if stuck else "it cannot be integrated further"
-    return TrajectoryEndError(
+    kind = AccumulationError if stuck else TrajectoryEndError
+    return kind(
         f"a trajectory ends{at_time(clock, time)}{at_point(clock, point)}: {why}",
         remedy="shorten the horizon or narrow the box",
     )
