@@ -28,7 +28,7 @@ def points(box, count=4):
 def smoothed(rates, start, times):
     """A trajectory with a step as narrow as 1e-7 instead of a sign."""
     run = scipy.integrate.solve_ivp(
-        rates, (0, times[-1]), start, "Radau", times, rtol=1e-8, atol=1e-10
+        rates, (times[0], times[-1]), start, "Radau", times, rtol=1e-8, atol=1e-10
     )
     return run.y
 
@@ -239,6 +239,26 @@ def test_a_trajectory_that_blows_up_beyond_a_kink_is_named_as_such():
     repelled = {"x": "v", "v": "-x - 20*Abs(x - k)**1.5"}
     with pytest.raises(ro.BlowUpError, match="blows up inside the horizon"):
         ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL)
+
+
+@pytest.mark.slow
+def test_a_kick_at_a_known_time_sets_sides_by_the_rates_of_that_time():
+    box = {"F": (1.6, 1.7)}
+    rates = {"x": "v", "v": "F*sin(t) - x - sign(v)/2"}
+    kicked = problem(rates, {"x": 0, "v": 1}, box, 4, jumps={1.5: {"v": "v + F"}})
+    solution = ro.solve(kicked, RTOL)
+    assert solution.success, solution.message
+    before, after = np.linspace(0, 1.5, 11), np.linspace(1.5, 4, 21)
+    for (force,) in points(box):
+
+        def rhs(t, u, force=force):
+            return u[1], force * np.sin(t) - u[0] - sign(u[1]) / 2
+
+        first = smoothed(rhs, (0, 1), before)
+        second = smoothed(rhs, first[:, -1] + [0, force], after)
+        wanted = np.hstack([first[:, :-1], second])
+        times = np.concatenate([before[:-1], after])
+        np.testing.assert_allclose(solution(t=times, F=force), wanted, atol=5 * RTOL)
 
 
 @pytest.mark.slow

@@ -487,12 +487,22 @@ def _or_else(side: sp.Expr, other: sp.Expr) -> sp.Expr:
     return side + (1 - sp.Abs(side)) * other
 
 
+def _with_sides_after(jump: Jump, sides: _Sides, clock: sp.Symbol) -> Jump:
+    """A jump that resets sides too."""
+    after = sides.after(jump.values)
+    held = {u: sp.Dummy(real=True) for side in after for u in side.atoms(AppliedUndef)}
+    now = {clock: sp.sympify(jump.time), **{dummy: u for u, dummy in held.items()}}
+    return replace(jump, values=(*jump.values, *(s.xreplace(held).xreplace(now) for s in after)))
+
+
 def _with_sides(
     system: FirstOrderSystem, switches: Sequence[_Switch], sliding: _Sliding
 ) -> FirstOrderSystem:
     """The system with sides as states, and with the events that set them."""
     sides = _Sides(system, switches, sliding)
-    jumps = tuple(Jump(j.time, (*j.values, *sides.after(j.values))) for j in system.jumps)
+    jumps = tuple(
+        _with_sides_after(jump, sides, system.coordinates[0].symbol) for jump in system.jumps
+    )
     events = tuple(
         e if e.then is None else replace(e, then=(*e.then, *sides.after(e.then)))
         for e in system.events
