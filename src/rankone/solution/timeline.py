@@ -38,7 +38,7 @@ class EventTimes(SolutionCore):
         if not self.outcome.slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
         if timeline is None:
-            raise EvaluationError("the solution is over clock time, without events or timeline")
+            raise EvaluationError("the solution is over clock time: it has no events or timeline")
         return timeline
 
     @property
