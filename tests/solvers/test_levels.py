@@ -79,6 +79,13 @@ def test_levels_that_are_crossed(rate):
         np.testing.assert_allclose(solution(t=times, **named), exact, atol=3e-4)
 
 
+def test_levels_that_a_blow_up_reaches_are_not_written():
+    blown = ro.Problem(
+        [sp.Eq(x.diff(t), k * x**2 + sp.floor(x))], (t, 0, 9), {k: (1, 1.1)}, {x: 0.2}
+    )
+    assert ro.compile(blown).held_source is None
+
+
 ENDING = ro.table([0, 0.4, 0.9, 1.6, 9], [3, 2, 1.4, 1, 1], "previous")
 
 

@@ -22,6 +22,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.expressions.notation import exact
 from rankone.ir.functions import Table, table
+from rankone.symbolic.switches import MOST_LEVELS, NotHeld
 
 _STAIRS = (sp.floor, sp.ceiling, sp.frac, sp.Mod)
 _MARGIN = 0.02  # Part of the reached range on each side, or of a step, in which levels count too
@@ -76,6 +77,8 @@ def _floor(argument: sp.Expr, span: tuple[float, float]) -> sp.Expr:
     lower, upper = span
     margin = _MARGIN * max(upper - lower, 1.0)
     first, last = math.ceil(lower - margin), math.floor(upper + margin)
+    if last - first >= MOST_LEVELS:  # trajectories that blow up reach any number
+        raise NotHeld
     steps = [sp.Heaviside(argument - level, 1) for level in range(first, last + 1)]
     return first - 1 + sp.Add(*steps) + _nothing_beyond(argument, first - 1, last + 1)
 

@@ -18,7 +18,7 @@ from rankone.trajectories.scalar import scalar_jacobian, scalar_rates
 _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
 _LOOKED_CALLS = 3000  # Calls after which progress is looked at
 _TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
-_SLOW_PROGRESS = 1e-2  # Way in as many, below which an integration begins anew
+_SLOW_PROGRESS = 1e-3  # Way in as many, below which an integration begins anew
 _CALL_COST = 600.0  # Operations of a call of the rates by LSODA
 _MATRIX_COST = 5e3  # Operations of a matrix of the entries of a Jacobian
 _LINEAR_ALGEBRA = 0.02  # Operations of LSODA for each cube of the states in a call of the rates
