@@ -202,7 +202,7 @@ STEPS = 0.2 * np.arange(1, 17)  # Half widths of intervals in normal deviations
 @pytest.mark.parametrize("name", experiments.DESIGNS)
 @pytest.mark.slow
 def test_coverage(name):
-    """Of 36 data sets; 400 of tests/benchmarks/coverage.py have 364 to 396 in their 95 % intervals.
+    """Of 36 data sets; in 400 (tests/benchmarks/intervals.py) 364 to 396 intervals hold the truth.
 
     An interval of some level just reaches the truth. In normal deviations that level has unit
     variance if intervals hold as often as they say, at all levels: too short and too long are seen.
