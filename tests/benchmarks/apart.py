@@ -13,7 +13,7 @@ from typing import Any
 
 __all__ = ["Failed", "apart", "each_apart"]
 
-_WALL = 8.0
+_WALL = 30.0
 """Seconds on the clock per second of the processor after which a process hangs."""
 
 
