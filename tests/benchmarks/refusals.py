@@ -38,6 +38,8 @@ WORK = 15.0
 """10⁹ operations in which the bar wants a refusal."""
 LIMIT = 300.0
 """Seconds of the processor after which a solve has failed."""
+REMEDY_LIMIT = 120.0
+"""Seconds of the processor after which a remedy has failed."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _INTERVAL = re.compile(rf"`(\w+)` to [\[(]({_NUMBER}), ({_NUMBER})[\])]")
 _SIDE = re.compile(rf"narrow the box: `(\w+)` (below|above) ({_NUMBER}) would do")
@@ -180,7 +182,7 @@ def main() -> None:
         elif options.no_remedies:
             found.remedy = "not tried"
         else:
-            found.remedy = remedied(found, LIMIT)
+            found.remedy = remedied(found, REMEDY_LIMIT)
         rows.append(found)
         lines = found.message.splitlines() or [""]
         message = lines[0].replace("|", "\\|")
