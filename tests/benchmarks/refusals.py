@@ -14,6 +14,7 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 import argparse
 import json
+import math
 import re
 import sys
 import time
@@ -90,7 +91,10 @@ def narrower(message: str, case: Refusal) -> Try | None:
         (low, high), end = case.box[side[1]], float(side[3])
         box = {side[1]: (low, end) if side[2] == "below" else (end, high)}
     says = " and ".join(f"{name} in [{low:g}, {high:g}]" for name, (low, high) in box.items())
-    return Try(says, box, {}) if box else None
+    share = math.prod(
+        (high - low) / (case.box[name][1] - case.box[name][0]) for name, (low, high) in box.items()
+    )
+    return Try(f"{says} ({share:.1%} of the box)", box, {}) if box else None
 
 
 def shorter(message: str, case: Refusal) -> Try | None:
