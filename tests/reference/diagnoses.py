@@ -679,8 +679,7 @@ def _(seed, cause):
         return calibrated({"x": "-k*x"}, {"x": "a"}, box, t, data, "x", seed=seed)
     data = np.cos(3.0 * t) + 0.1 * tame(seed, 30)
     box = {"w": (2.0 + 0.05 * seed, 30.0, "log")}  # 3 is in the first of three cells of the starts
-    start = {"x": "1", "v": "0"}
-    return calibrated({"x": "v", "v": "-w**2*x"}, start, box, t, data, "x", 0.1)
+    return calibrated({"x": "w"}, {"x": "0"}, box, t, data, {"s": "cos(x)"}, 0.1)
 
 
 @both("calibration not identified", "no parameter")
