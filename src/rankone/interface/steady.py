@@ -76,7 +76,9 @@ def steady_state(
         If time appears in a rate, or states are reset.
     ConvergenceError
         If a trajectory has not settled in time: it oscillates, drifts or is slow. Or if the branch
-        ends in a fold inside the box, or trajectories lead to several branches: it says where.
+        ends or turns unstable inside the box: its ``bifurcation`` has the ``kind`` (``"fold"``,
+        ``"Hopf"``, ``"transcritical"`` or ``"pitchfork"``), the ``parameters``, the ``state`` and
+        the ``frequency``. Or if trajectories lead to several branches: it says where.
     BlowUpError
         If a trajectory blows up.
 

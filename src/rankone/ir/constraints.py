@@ -40,14 +40,18 @@ class Constraints:
     residuals: OfStates = no_rows
     slopes: OfStates = no_rows
 
-    def consistent(self, t: float, u: Array, p: Array, steps: int = _MOST_STEPS) -> Array:
+    def consistent(
+        self, t: float, u: Array, p: Array, steps: int = _MOST_STEPS, sizes: Array | None = None
+    ) -> Array:
         """States u (n, m) at p (d, m) with the guessed ones such that constraints hold.
 
-        NaN for those that Newton's method does not find in a number of steps.
+        NaN for those that Newton's method does not find in a number of steps. States are as exact
+        as rounding of their ``sizes`` (n, m) allows, by default of their own.
         """
         states, rows = np.array(u, dtype=float), list(self.guessed)
         if not rows:
             return states
+        least = _LEAST_SIZE * (np.zeros(states.shape) if sizes is None else sizes)
         with np.errstate(all="ignore"):
             converged = np.zeros(states.shape[1], dtype=bool)
             before = np.full(states.shape[1], np.inf)
@@ -55,22 +59,26 @@ class Constraints:
                 open_ = np.flatnonzero(~converged)
                 if not open_.size:
                     break
-                states[:, open_], changes = self._stepped(t, states[:, open_], p[:, open_])
+                states[:, open_], changes = self._stepped(
+                    t, states[:, open_], p[:, open_], least[:, open_]
+                )
                 rounding = (changes <= _SHORT) & (changes >= _STALLED * before[open_])
                 converged[open_] = (changes <= _CONVERGED) | rounding
                 before[open_] = changes
-            states[rows] = np.where(converged & self._hold(t, states, p), states[rows], np.nan)
+            states[rows] = np.where(
+                converged & self._hold(t, states, p, least), states[rows], np.nan
+            )
         return states
 
-    def _stepped(self, t: float, u: Array, p: Array) -> tuple[Array, Array]:
+    def _stepped(self, t: float, u: Array, p: Array, least: Array) -> tuple[Array, Array]:
         """States after a step of Newton's method, and the largest relative change (m,).
 
-        The step is halved until the residual falls.
+        The step is halved until the residual falls. Sizes of states are ``least`` (n, m) or more.
         """
         rows = list(self.guessed)
         residuals, slopes = self._at(t, u, p)
         sizes = np.abs(u[rows])
-        sizes = np.maximum(sizes, _LEAST_SIZE * sizes.max(axis=0))
+        sizes = np.maximum(np.maximum(sizes, least[rows]), _LEAST_SIZE * sizes.max(axis=0))
         sizes = np.where(sizes > 0.0, sizes, 1.0)
         scaled = slopes[:, rows] * sizes
         scale = np.abs(scaled).max(axis=1)
@@ -90,10 +98,12 @@ class Constraints:
             shares = np.where(worse, 0.5 * shares, shares)
         return stepped, shares * np.abs(steps).max(axis=0)
 
-    def _hold(self, t: float | Array, u: Array, p: Array) -> NDArray[np.bool_]:
-        """At which points (m,) all constraints hold, but for rounding."""
+    def _hold(
+        self, t: float | Array, u: Array, p: Array, least: float | Array = 0.0
+    ) -> NDArray[np.bool_]:
+        """At which points (m,) all constraints hold, but for rounding of sizes ``least`` or more."""
         residuals, slopes = self._at(t, u, p)
-        sizes = np.maximum(np.abs(u), _LEAST_SIZE * np.abs(u).max(axis=0))
+        sizes = np.maximum(np.maximum(np.abs(u), least), _LEAST_SIZE * np.abs(u).max(axis=0))
         terms = np.einsum("knm,nm->km", np.abs(slopes), sizes)
         return np.asarray((np.abs(residuals) <= _SATISFIED * terms + 1e-300).all(axis=0))
 

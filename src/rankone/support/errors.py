@@ -125,7 +125,11 @@ class ExportError(RankoneError, ValueError):
 
 
 class ConvergenceError(RankoneError, RuntimeError):
-    """The tolerance asked for was not reached; ``.solution`` holds what was reached."""
+    """The tolerance asked for was not reached; ``.solution`` holds what was reached.
+
+    ``.bifurcation`` is that at which a branch of steady states ends or turns unstable, with its
+    kind and place, or None.
+    """
 
     def __init__(
         self,
@@ -134,9 +138,11 @@ class ConvergenceError(RankoneError, RuntimeError):
         solution: Any = None,
         term: object = None,
         remedy: str | None = None,
+        bifurcation: Any = None,
     ) -> None:
         super().__init__(message, term=term, remedy=remedy)
         self.solution = solution
+        self.bifurcation = bifurcation
 
 
 class BlowUpError(ConvergenceError):

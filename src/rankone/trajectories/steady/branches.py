@@ -1,23 +1,27 @@
 """Branches of steady states: does the one at the centre of a box go on to all of its points?
 
-It is continued from the centre along straight lines by Newton's method. Where that fails, or meets
-no stable state, the branch ends in a fold. Where it goes on, but trajectories from the initial
-values lead to another steady state, the border between the two is looked for.
+It is continued from the centre along straight lines by Newton's method. To corners, and where that
+fails or meets no stable state, the line is followed with care and its bifurcation named. Where the branch goes on,
+but trajectories from the initial values lead to another steady state, the border between the two is
+looked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
 from rankone.support.errors import ConvergenceError
+from rankone.trajectories.steady.bifurcations import Bifurcation, BranchLine
 from rankone.trajectories.steady.rest import SteadyStates
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
 _MOST_NEWTON_STEPS = 15  # For each of them
+_CORNERS = 3  # Parameters up to which points begin with the centre and all corners
 _SAME = 1e-6  # Relative distance of steady states that are the same
 _HALVINGS = 24  # Of a line on which a branch ends
 _SHOWN = 5  # States that a message names
@@ -29,30 +33,76 @@ def check_one_branch(steady: SteadyStates, points: Array) -> None:
     Raises
     ------
     ConvergenceError
-        It says where the branch ends in a fold, or which parameters lead to another branch.
+        It says at which bifurcation the branch ends or turns unstable, which parameters lead to
+        another branch, or where trajectories do not settle. The first is its ``bifurcation``.
     """
-    start = steady(points[:1].T)
+    centre = points[0]
+    start = steady.reached(points[:1].T)
+    if np.isnan(start).any():
+        raise _unsettled(steady, points)
     if not steady.decays(start, points[:1])[0]:
         return  # the initial values are at rest, and unstable
-    ended = np.flatnonzero(~_goes_on(steady, start, points[0], points))
-    if ended.size:
-        place = _border(
-            points[0], points[ended[0]], lambda at: _goes_on(steady, start, points[0], at)
-        )
-        raise ConvergenceError(
-            f"{_described(steady, start)} ends in a fold at {_listed(steady, place)}",
-            remedy=f"keep the box on one side of it; {_listed(steady, points[0])} is on this side",
-        )
-    elsewhere = np.flatnonzero(~_reached(steady, start, points[0], points))
+    careful = ~_goes_on(steady, start, centre, points)
+    careful[1 : 1 + 2 ** min(points.shape[1], _CORNERS)] = True  # Newton's method may change branch
+    for end in points[careful]:
+        try:
+            bifurcation = BranchLine(steady, start[:, 0], centre, end).bifurcation()
+        except ArithmeticError:
+            raise ConvergenceError(
+                f"{_described(steady, start)} has no smooth continuation to {_listed(steady, end)}",
+                remedy=f"narrow the box around {_listed(steady, centre)}",
+            ) from None
+        if bifurcation is not None:
+            raise _ended(_described(steady, start), bifurcation, _listed(steady, centre))
+    reached = steady.reached(points.T)
+    slow = np.isnan(reached).any(axis=0)
+    if slow.any():
+        raise steady.not_settled(points[slow])
+    elsewhere = np.flatnonzero(~_reached(steady, start, centre, points))
     if elsewhere.size:
-        place = _border(
-            points[0], points[elsewhere[0]], lambda at: _reached(steady, start, points[0], at)
-        )
+        place = _border(centre, points[elsewhere[0]], lambda at: _reached(steady, start, centre, at))
         raise ConvergenceError(
             f"{_described(steady, start)} is left at {_listed(steady, place)}: beyond, the initial "
-            f"values lead to another steady state, or to none by t = {steady.settle:g}",
+            "values lead to another steady state",
             remedy="change the initial values, or keep the box on one side of it",
         )
+
+
+def _ended(branch: str, bifurcation: Bifurcation, side: str) -> ConvergenceError:
+    """The error for a branch that ends or turns unstable at a bifurcation."""
+    fate = {
+        "fold": "ends in",
+        "Hopf": "turns unstable, with oscillations beyond, at",
+        "transcritical": "turns unstable, where another branch crosses it, at",
+        "pitchfork": "turns unstable, where two others branch off, at",
+    }[bifurcation.kind]
+    return ConvergenceError(
+        f"{branch} {fate} {bifurcation}",
+        remedy=f"keep the box on one side of it; {side} is on this side",
+        bifurcation=bifurcation,
+    )
+
+
+def _unsettled(steady: SteadyStates, points: Array) -> ConvergenceError:
+    """The error for a centre, the first of points (m, d), whose trajectory does not settle.
+
+    If an unstable steady state is next to its end, it names the bifurcation in the box at which
+    this turns stable.
+    """
+    error = steady.not_settled(points[:1])
+    state = steady.beside(points[:1])
+    if not steady.grows(state, points[:1])[0]:
+        return error
+    for end in points[1:]:
+        with suppress(ArithmeticError):
+            bifurcation = BranchLine(steady, state[:, 0], points[0], end).bifurcation()
+            if bifurcation is not None:
+                return ConvergenceError(
+                    f"{error.message}; that steady state turns stable at {bifurcation}",
+                    remedy="keep the box on its stable side",
+                    bifurcation=bifurcation,
+                )
+    return error
 
 
 def _continued(steady: SteadyStates, start: Array, centre: Array, points: Array) -> Array:
@@ -63,7 +113,9 @@ def _continued(steady: SteadyStates, start: Array, centre: Array, points: Array)
         on_way = np.ascontiguousarray((centre + share * (points - centre)).T)
         there = np.isfinite(states).all(axis=0)
         before, at = states[:, there], on_way[:, there]
-        states[:, there] = constraints.consistent(0.0, before, at, _MOST_NEWTON_STEPS)
+        states[:, there] = constraints.consistent(
+            0.0, before, at, _MOST_NEWTON_STEPS, steady.sizes[:, None] + np.zeros(before.shape)
+        )
     return states
 
 
@@ -76,7 +128,7 @@ def _goes_on(steady: SteadyStates, start: Array, centre: Array, points: Array) -
 def _reached(steady: SteadyStates, start: Array, centre: Array, points: Array) -> NDArray[np.bool_]:
     """Whether trajectories at points (m, d) reach the branch of the centre."""
     states = _continued(steady, start, centre, points)
-    sizes = np.abs(states).max(axis=0)
+    sizes = np.maximum(np.abs(states), steady.sizes[:, None]).max(axis=0)
     return np.asarray((np.abs(steady.reached(points.T) - states) <= _SAME * sizes).all(axis=0))
 
 

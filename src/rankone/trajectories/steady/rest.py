@@ -27,7 +27,7 @@ _LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolera
 _CLOSE = 1e-3  # Distance from a steady state, in sizes of the states, that counts as having settled
 _AT_REST = 1e-11  # The same at which a trajectory has not moved from its start
 _MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
-_NOISE = 1e-18  # A state below this share of the largest one is zero
+_NOISE = 1e-18  # A state below this share of the largest one on the way is zero
 _LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
 _STEP = 2e-3  # Of differences, over the width of the box or the parameter itself
 _CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
@@ -57,7 +57,8 @@ class SteadyStates:
     The system is autonomous, without jumps and events. Trajectories take up to the time ``settle``;
     the first look at them is at ``first``. One that starts at a steady state stays there, and with
     ``stable_only`` has to be stable as all others have. They are integrated by what suits the
-    system, unless another way to ``follow`` them is given.
+    system, unless another way to ``follow`` them is given. ``sizes`` (n,) are the largest values of
+    the states on all trajectories so far.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class SteadyStates:
         self.follow = self._integrated if follow is None else follow
         self.conserved = ConservedSums(system)
         self.latest = 0.0
+        self.sizes = np.zeros(system.n_differential)
         self._reached: dict[bytes, Array] = {}
         self._last: dict[bytes, Array] = {}  # where trajectories were at the end
         self._constraints = self.constraints(range(system.n_differential))
@@ -91,7 +93,7 @@ class SteadyStates:
         states = self.reached(p)
         if np.isnan(states).any():
             points = np.asarray(p, dtype=float).T
-            raise self._not_settled(points[np.isnan(states).any(axis=0)])
+            raise self.not_settled(points[np.isnan(states).any(axis=0)])
         return states
 
     def reached(self, p: VectorLike) -> Array:
@@ -139,10 +141,11 @@ class SteadyStates:
             (*names, *system.constraints.names), tuple(range(len(columns))), residuals, slopes
         )
 
-    def growth(self, states: Array, points: Array) -> Array:
-        """The largest growth rate (m,) of perturbations of states (n, m) at points (m, d).
+    def leading(self, states: Array, points: Array) -> NDArray[np.complex128]:
+        """The eigenvalues (m,) of largest real part at states (n, m) and points (m, d).
 
-        They keep to what no rate changes, and to the constraints.
+        They are those of perturbations that keep to what no rate changes, and to the constraints:
+        -inf where there are none, inf where the Jacobian is not finite.
         """
         n, m = states.shape
         columns = np.ascontiguousarray(points.T)
@@ -157,9 +160,14 @@ class SteadyStates:
         across = np.where(finite[:, None, None], np.moveaxis(kept * sizes, 2, 0), 0.0)
         along = np.linalg.svd(across)[2][:, len(kept) :]  # rows that span what is left
         if not along.size:
-            return np.where(finite, -np.inf, np.inf)
+            return np.where(finite, -np.inf, np.inf).astype(complex)
         rates = np.linalg.eigvals(along @ matrices @ np.swapaxes(along, 1, 2))
-        return np.where(finite, rates.real.max(axis=1), np.inf)
+        first = np.argmax(rates.real, axis=1)
+        return np.where(finite, rates[np.arange(m), first], np.inf)
+
+    def growth(self, states: Array, points: Array) -> Array:
+        """The largest growth rate (m,) of perturbations of states (n, m) at points (m, d)."""
+        return self.leading(states, points).real
 
     def _invariants(self, states: Array, columns: Array) -> Iterator[Array]:
         """Derivatives (k, n, m) of what is the same on all of a trajectory, by the states."""
@@ -173,6 +181,11 @@ class SteadyStates:
         """At which points (m, d) perturbations of states (n, m) decay; not where these are NaN."""
         growth = self.growth(np.nan_to_num(states), points)
         return np.asarray(np.isfinite(states).all(axis=0) & (growth < -_NEUTRAL / self.first))
+
+    def grows(self, states: Array, points: Array) -> NDArray[np.bool_]:
+        """At which points (m, d) some perturbation of states (n, m) grows."""
+        growth = self.growth(np.nan_to_num(states), points)
+        return np.asarray(np.isfinite(states).all(axis=0) & (growth > _NEUTRAL / self.first))
 
     def slopes(self, points: Array) -> tuple[Array, Array]:
         """Derivatives (n, d, m) by the parameters at points (m, d), and the points.
@@ -218,6 +231,7 @@ class SteadyStates:
             close = np.where(self.decays(close, points[open_]), close, np.nan)
             sure |= (np.abs(close - before[:, open_]) <= _CLOSE * np.abs(close)).all(axis=0)
             settled[:, open_], before[:, open_] = np.where(sure, close, np.nan), close
+            self.sizes = np.maximum(self.sizes, largest.max(axis=1))
             time, later = later, min(_LENGTHENED * later, self.settle)
             self.latest = max(self.latest, time)
         for key, state in zip(points, states.T, strict=True):
@@ -233,12 +247,12 @@ class SteadyStates:
         larger on its way may still pass by.
         """
         columns = np.ascontiguousarray(points.T)
-        consistent = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS)
+        consistent = self._constraints.consistent(
+            0.0, states, columns, _MOST_NEWTON_STEPS, largest
+        )
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
         away = np.abs(consistent - states)
-        consistent = np.where(
-            np.abs(consistent) > _NOISE * np.abs(consistent).max(axis=0), consistent, 0.0
-        )
+        consistent = np.where(np.abs(consistent) > _NOISE * units.max(axis=0), consistent, 0.0)
         near = (away <= distance * np.where(units > 0.0, units, 1.0)).all(axis=0)
         sure = np.asarray((away <= distance * np.abs(consistent)).all(axis=0))
         return np.where(near, consistent, np.nan), sure
@@ -264,17 +278,36 @@ class SteadyStates:
             )
         return dense.state, dense.largest
 
-    def _not_settled(self, points: Array) -> ConvergenceError:
-        """The error for trajectories at points (m, d) that have not come to rest."""
+    def beside(self, points: Array) -> Array:
+        """The steady states (n, m) next to where trajectories at points (m, d) were last."""
         states = np.array([self._last[point.tobytes()] for point in points]).T
-        consistent = self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
-        unstable = np.isfinite(consistent).all(axis=0) & ~self.decays(consistent, points)
-        which = int(np.argmax(unstable))
+        return self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
+
+    def not_settled(self, points: Array) -> ConvergenceError:
+        """The error for trajectories at points (m, d) that have not come to rest."""
+        states = self.beside(points)
+        growth = np.where(
+            np.isfinite(states).all(axis=0), self.growth(np.nan_to_num(states), points), np.nan
+        )
+        neutral = _NEUTRAL / self.first
+        which = int(np.nanargmax(growth)) if np.isfinite(growth).any() else 0
         message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
-        if unstable[which]:
+        rate = growth[which]
+        if rate > neutral:
             message += ": a steady state nearby is not stable, they may oscillate"
             return ConvergenceError(message, remedy="narrow the box")
-        return ConvergenceError(message, remedy="give a larger settle=, or narrow the box")
+        if rate >= -neutral:
+            message += (
+                ": steady states nearby are not isolated (an eigenvalue is zero), so that the "
+                "initial values decide on which one they end"
+            )
+            return ConvergenceError(message, remedy="solve over a long horizon instead")
+        remedy = "give a larger settle=, or narrow the box"
+        if np.isfinite(rate):
+            message += f": next to the steady state perturbations decay at a rate of {-rate:.3g}"
+            longer = max(-np.log(_CLOSE * _CLOSE) / -rate, 2.0 * self.settle)
+            remedy = f"give settle={longer:.1g}, or narrow the box"
+        return ConvergenceError(message, remedy=remedy)
 
     def _at(self, point: Array) -> str:
         pairs = zip(self.system.parameters, point.tolist(), strict=True)

@@ -44,8 +44,10 @@ class RestingStart:
         try:
             check_one_branch(self.steady, points)
         except (ConvergenceError, BlowUpError) as error:
-            message = f"{_SUBJECT}: {error.message}"
-            raise ConvergenceError(message, remedy=f"{error.remedy}{_OTHERWISE}") from None
+            message, remedy = f"{_SUBJECT}: {error.message}", f"{error.remedy}{_OTHERWISE}"
+            raise ConvergenceError(
+                message, remedy=remedy, bifurcation=error.bifurcation
+            ) from None
 
 
 def before_start(system: System, rest: Rest) -> System:
