@@ -150,6 +150,68 @@ def test_a_fold_inside_the_box_is_named():
     assert at["a"] == pytest.approx(at["k"] * fold - fold**2 / (1 + fold**2), rel=1e-3)
 
 
+BRUSSELATOR = {x: 1 + x**2 * y - (a + 1) * x, y: a * x - x**2 * y}
+LORENZ = {x: 10 * (y - x), y: x * (a - z) - y, z: x * y - 2 * z}
+
+
+@pytest.mark.parametrize(
+    ("kind", "rates", "box", "start", "place"),
+    [
+        ("fold", {x: a + x**2 - x}, {a: (0.1, 0.3)}, {x: 0}, 0.25),
+        ("Hopf", BRUSSELATOR, {a: (1.2, 2.5)}, {x: 1, y: 1}, 2),
+        ("Hopf", BRUSSELATOR, {a: (1.8, 2.9)}, {x: 1.1, y: 2}, 2),
+        ("transcritical", {x: a * x - x**2, y: x - y}, {a: (-0.5, 1)}, {x: 1, y: 0}, 0),
+        ("transcritical", {x: y * x - 2 * x, y: a - y - x * y}, {a: (1, 2.7)}, {x: 1, y: 0}, 2),
+        ("pitchfork", {x: a * x - x**3}, {a: (-1, 0.6)}, {x: 1}, 0),
+        ("pitchfork", {x: a * x - x**3}, {a: (-0.4, 1)}, {x: 1}, 0),
+        ("pitchfork", LORENZ, {a: (0.2, 1.6)}, {x: 1, y: 1, z: 0}, 1),
+    ],
+)
+def test_bifurcations_are_named_and_located(kind, rates, box, start, place):
+    """In closed form; from either side, with fast and slow states, at zero and elsewhere."""
+    with pytest.raises(ro.ConvergenceError) as caught:
+        ro.steady_state(problem(rates, box, start), settle=5000)
+    found = caught.value.bifurcation
+    assert found.kind == kind
+    assert found.parameters["a"] == pytest.approx(place, abs=1e-6)
+    assert str(found) in caught.value.message
+
+
+def test_the_frequency_of_a_hopf_point_is_that_of_the_oscillation():
+    with pytest.raises(ro.ConvergenceError) as caught:
+        ro.steady_state(problem(BRUSSELATOR, {a: (1.2, 2.5)}, {x: 1, y: 1}), settle=5000)
+    assert caught.value.bifurcation.frequency == pytest.approx(1, abs=1e-6)
+    assert caught.value.bifurcation.state == pytest.approx({"x": 1, "y": 2}, abs=1e-6)
+
+
+def test_slow_settling_is_no_bifurcation():
+    """Perturbations decay at 1e-3 in all of the box: a longer time is the remedy, and works."""
+    slow = problem({x: k - x, y: (x - y) / 1000}, {k: (1, 2)}, {x: 0, y: 0})
+    with pytest.raises(ro.ConvergenceError, match=r"decay at a rate of 0\.001") as caught:
+        ro.steady_state(slow)
+    assert caught.value.bifurcation is None
+    settle = float(caught.value.remedy.split("settle=")[1].split(",")[0])
+    assert ro.steady_state(slow, settle)(k=1.5) == pytest.approx([1.5, 1.5])
+
+
+@pytest.mark.parametrize("share", [1, 1e-9])
+def test_steady_states_at_zero(share):
+    """Rounding is that of the values on the way; beside other states that are not zero as well."""
+    rates = {x: -k * x, y: x - y, z: share - z}
+    steady = ro.steady_state(problem(rates, {k: (0.5, 2)}, {x: 1, y: 0, z: 0}))
+    assert steady.success, steady.message
+    assert steady(k=1.1) == pytest.approx([0, 0, share], rel=1e-6, abs=1e-18)
+
+
+def test_a_continuum_of_steady_states_is_said():
+    """Any share of the susceptible may be left of an epidemic without births."""
+    epidemic = problem(
+        {S: -k * S * ill, ill: k * S * ill - ill / 2}, {k: (0.8, 1)}, {S: 1, ill: 0.1}
+    )
+    with pytest.raises(ro.ConvergenceError, match="are not isolated"):
+        ro.steady_state(epidemic)
+
+
 @pytest.mark.slow
 def test_another_branch_inside_the_box_is_named():
     """x goes to 1 from above a, and to 0 from below."""

@@ -101,7 +101,7 @@ class Constraints:
     def _hold(
         self, t: float | Array, u: Array, p: Array, least: float | Array = 0.0
     ) -> NDArray[np.bool_]:
-        """At which points (m,) all constraints hold, but for rounding of sizes ``least`` or more."""
+        """At which points (m,) all constraints hold, up to rounding of sizes from ``least`` on."""
         residuals, slopes = self._at(t, u, p)
         sizes = np.maximum(np.maximum(np.abs(u), least), _LEAST_SIZE * np.abs(u).max(axis=0))
         terms = np.einsum("knm,nm->km", np.abs(slopes), sizes)

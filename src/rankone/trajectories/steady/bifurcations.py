@@ -1,11 +1,12 @@
-"""Bifurcations: where a branch of steady states changes its stability or turns back, and which kind.
+"""Bifurcations: where a branch of steady states turns unstable or back, and of which kind they are.
 
 A branch is followed along a straight line of the box by its arc length, round folds as well
-(pseudo-arclength continuation; H. B. Keller, 1977). Where the leading eigenvalue passes the imaginary
-axis, or the branch turns back, the bifurcation is located by secants and told by the critical
-eigenvalue: a pair is a Hopf point. For a zero one with right and left null vectors v and w, it is a
-fold if w f_p is not zero; otherwise a transcritical point if the quadratic coefficient w f_xx v v is
-not zero, and a pitchfork if it is (Kuznetsov, Elements of Applied Bifurcation Theory, chapters 3 to 7).
+(pseudo-arclength continuation; H. B. Keller, 1977). Where the leading eigenvalue passes the
+imaginary axis, or the branch turns back, the bifurcation is located by secants and told by the
+critical eigenvalue: a pair is a Hopf point. For a zero one with right and left null vectors v and
+w, it is a fold if w f_p is not zero; otherwise a transcritical point if the quadratic coefficient
+w f_xx v v is not zero, and a pitchfork if it is (Y. A. Kuznetsov, Elements of Applied Bifurcation
+Theory).
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ _SHORTEST_STEP = 1e-7
 _MOST_STEPS = 1000
 _CORRECTIONS = 8  # Newton steps back to the branch
 _CLOSE = 1e-11  # Of the last of them
-_CLOSE_TO_IT = 1e-7  # Length of the branch on which a bifurcation is
-_INSIDE = 0.05  # Least part of it that is cut off by a secant
+_CLOSE_TO_IT = 1e-8  # Length of the branch within which a bifurcation is located
 _STRAIGHT = 0.95  # Cosine of the angle between tangents of one step and the next
 _DIFFERENCE = 1e-6  # Of derivatives along the line, as a share of it
 _BENT = 1e-3  # Of second and third derivatives along the null vector, in sizes of the states
@@ -52,6 +52,8 @@ class Bifurcation:
         ``"fold"``, ``"Hopf"``, ``"transcritical"`` or ``"pitchfork"``.
     parameters, state : dict of str to float
         Where it is.
+    parameter : str
+        The parameter that changes most, of its interval, on the way there.
     frequency : float
         The angular frequency of the oscillation that begins at a Hopf point; zero for the others.
     """
@@ -59,7 +61,13 @@ class Bifurcation:
     kind: str
     parameters: dict[str, float]
     state: dict[str, float]
+    parameter: str
     frequency: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """The value of the parameter."""
+        return self.parameters[self.parameter]
 
     def __str__(self) -> str:
         at = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
@@ -68,16 +76,17 @@ class Bifurcation:
 
 @dataclass(frozen=True)
 class _At:
-    """A point of the branch: scaled states and the share of the line (n + 1,), and what is there."""
+    """A point of the branch, and what is there."""
 
     z: Array
+    """Scaled states, and the share of the line (n + 1,)."""
     tangent: Array
     leading: complex
     """The leading eigenvalue."""
 
 
 class BranchLine:
-    """The branch of steady states from a state (n,) at one point of the box towards another."""
+    """The branch of steady states from a state (n,) at a point of the box towards another."""
 
     def __init__(self, steady: SteadyStates, state: Array, start: Array, end: Array) -> None:
         self.steady, self.start, self.direction = steady, start, end - start
@@ -168,23 +177,25 @@ class BranchLine:
     def _located(self, first: _At, last: _At, sign: Callable[[_At], float]) -> _At:
         """The point between two of the branch at which something changes its sign.
 
-        By the secant method on the cubic through both with their tangents. Next to a branch point,
-        where nothing can be corrected, the cubic is the branch.
+        By secants (the Illinois method) on the cubic through both with their tangents. Next to a
+        branch point, where nothing can be corrected, the cubic is the branch.
         """
-        ends = [(first, sign(first)), (last, sign(last))]
+        a, b, low, high = first, last, sign(first), sign(last)
         while True:
-            (a, below), (b, above) = ends
-            length = float(np.linalg.norm(b.z - a.z))
-            share = min(max(below / (below - above), _INSIDE), 1.0 - _INSIDE)
+            length, share = float(np.linalg.norm(b.z - a.z)), low / (low - high)
             guess, tangent = _cubic(a, b, length, share)
-            there = self._corrected(guess, tangent) if length > _CLOSE_TO_IT else None
-            if there is None or np.abs(there.z - guess).max() > _INSIDE * length:
+            near = length * min(share, 1.0 - share)
+            there = self._corrected(guess, tangent) if near > _CLOSE_TO_IT else None
+            if there is None or np.abs(there.z - guess).max() > near:
                 here = self._described(guess, tangent)
                 if here is None:
                     raise ArithmeticError
                 return here
             value = sign(there)
-            ends[int((value < 0.0) == (above < 0.0))] = (there, value)
+            if (value < 0.0) == (high < 0.0):
+                b, high, low = there, value, 0.5 * low
+            else:
+                a, low, high = there, value, 0.5 * high
 
     def _named(self, before: _At, at: _At) -> Bifurcation:
         """The bifurcation at a point, with its kind."""
@@ -198,6 +209,7 @@ class BranchLine:
             kind,
             dict(zip(system.parameters, values.tolist(), strict=True)),
             dict(zip(system.states, states[:, 0].tolist(), strict=False)),
+            system.parameters[int(np.argmax(np.abs(self.direction) / np.diff(system.box)[:, 0]))],
             frequency,
         )
 

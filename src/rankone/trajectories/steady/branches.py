@@ -1,9 +1,9 @@
 """Branches of steady states: does the one at the centre of a box go on to all of its points?
 
 It is continued from the centre along straight lines by Newton's method. To corners, and where that
-fails or meets no stable state, the line is followed with care and its bifurcation named. Where the branch goes on,
-but trajectories from the initial values lead to another steady state, the border between the two is
-looked for.
+fails or meets no stable state, the line is followed with care and its bifurcation named. Where the
+branch goes on, but trajectories from the initial values lead to another steady state, the border
+between the two is looked for.
 """
 
 from __future__ import annotations
@@ -60,7 +60,9 @@ def check_one_branch(steady: SteadyStates, points: Array) -> None:
         raise steady.not_settled(points[slow])
     elsewhere = np.flatnonzero(~_reached(steady, start, centre, points))
     if elsewhere.size:
-        place = _border(centre, points[elsewhere[0]], lambda at: _reached(steady, start, centre, at))
+        place = _border(
+            centre, points[elsewhere[0]], lambda at: _reached(steady, start, centre, at)
+        )
         raise ConvergenceError(
             f"{_described(steady, start)} is left at {_listed(steady, place)}: beyond, the initial "
             "values lead to another steady state",

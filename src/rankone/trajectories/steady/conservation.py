@@ -56,6 +56,7 @@ class ConservedSums:
         if (key := point.tobytes()) not in self._at:
             kernel = self._kernel(np.repeat(point[:, None], self._states.shape[1], axis=1))
             same = len(kernel) == self.count
+            kernel = kernel / np.abs(kernel).max(axis=1, keepdims=True)  # smooth over parameters
             self._at[key] = kernel if same else np.full((self.count, len(self._states)), np.nan)
         return self._at[key]
 

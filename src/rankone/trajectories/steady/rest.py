@@ -247,9 +247,7 @@ class SteadyStates:
         larger on its way may still pass by.
         """
         columns = np.ascontiguousarray(points.T)
-        consistent = self._constraints.consistent(
-            0.0, states, columns, _MOST_NEWTON_STEPS, largest
-        )
+        consistent = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS, largest)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
         away = np.abs(consistent - states)
         consistent = np.where(np.abs(consistent) > _NOISE * units.max(axis=0), consistent, 0.0)
@@ -286,14 +284,13 @@ class SteadyStates:
     def not_settled(self, points: Array) -> ConvergenceError:
         """The error for trajectories at points (m, d) that have not come to rest."""
         states = self.beside(points)
-        growth = np.where(
-            np.isfinite(states).all(axis=0), self.growth(np.nan_to_num(states), points), np.nan
-        )
+        leading = self.leading(np.nan_to_num(states), points)
+        growth = np.where(np.isfinite(states).all(axis=0), leading.real, np.nan)
         neutral = _NEUTRAL / self.first
         which = int(np.nanargmax(growth)) if np.isfinite(growth).any() else 0
         message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
         rate = growth[which]
-        if rate > neutral:
+        if rate > neutral or (rate >= -neutral and leading[which].imag):
             message += ": a steady state nearby is not stable, they may oscillate"
             return ConvergenceError(message, remedy="narrow the box")
         if rate >= -neutral:

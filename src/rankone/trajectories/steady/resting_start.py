@@ -45,9 +45,7 @@ class RestingStart:
             check_one_branch(self.steady, points)
         except (ConvergenceError, BlowUpError) as error:
             message, remedy = f"{_SUBJECT}: {error.message}", f"{error.remedy}{_OTHERWISE}"
-            raise ConvergenceError(
-                message, remedy=remedy, bifurcation=error.bifurcation
-            ) from None
+            raise ConvergenceError(message, remedy=remedy, bifurcation=error.bifurcation) from None
 
 
 def before_start(system: System, rest: Rest) -> System:
