@@ -530,9 +530,15 @@ def _(seed, cause):
 
 @both("shrinkage")
 def _(seed, cause):
-    """Noise far above the variation of levels, or far below."""
-    noise = 6.0 if cause else 0.3
-    return of_lines(line_table(seed, (2.0, 1.0), noise))
+    """Noise three times the variation of levels, or a tenth; means vary by both, as they should."""
+    noise, times = 6.0 if cause else 0.2, np.linspace(0, 4, 5)
+    generator = np.random.default_rng([5161, seed])
+    means = 10.0 + np.hypot(2.0, noise / np.sqrt(5.0)) * standard(generator, 12)
+    residuals = np.stack([standard(generator, 5) for _ in means])
+    data = means[:, None] + noise * np.sqrt(0.8) * residuals
+    return simulated.level().fit_population(
+        table(times, data), random={"a": "normal"}, noise="constant"
+    )
 
 
 def population_table(seed, times, lag=False):
