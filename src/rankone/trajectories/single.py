@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -44,6 +45,7 @@ _NEARER = 0.25  # Length of a step that missed something, over the distance of a
 _LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
 _COINCIDENT = 1e-13  # Times that are closer, relative to their size, belong to the same step
 _NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
+_ONE_AT_A_TIME = threading.RLock()  # LSODA in Fortran keeps its state in common blocks
 _NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
 
 Span: TypeAlias = "tuple[float, float]"  # From a time to another
@@ -323,7 +325,7 @@ class _Single:
         if called is not None:
             rates = recording(rates, called)
         longest = min(lengths.longest, self.tighter.longest_step)
-        with np.errstate(all="ignore"), warnings.catch_warnings():
+        with _ONE_AT_A_TIME, np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("error", scipy.integrate.ODEintWarning)
             try:
                 states = scipy.integrate.odeint(

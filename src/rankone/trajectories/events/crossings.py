@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
+from rankone.trajectories.events.heights import LOOK_COST, heights_of, roundings_of
 from rankone.trajectories.events.instants import SAME_INSTANT
 from rankone.trajectories.paths import NODES, Path, step_coefficients
 from rankone.trajectories.roots import roots_or_jumps
@@ -23,7 +24,6 @@ _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
 _ON_SURFACE = 0.1  # Height where a path begins, over its change to the next node: rounding
 _ROUNDING = 1e-9  # Height, over the largest one on a path, that is rounding where it just crossed
-_LOOK_COST = 10.0  # Operations of an event function for each number that it reads
 _MOST_DIVISIONS = 12  # Most divisions of a step in which an event may hide
 _NEWTON_STEPS = 4  # Iterations to where a polynomial is nearest to zero
 _AT_END = 1e-4  # Distance from an end of a step, as a share, that is the end
@@ -35,10 +35,7 @@ _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
 _BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
 _STAYS = 1e-3  # Part of the horizon for which heights are rounding, from which paths stay there
-_ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
-_DIVIDED = 8.0  # Such changes where steps are divided again and again, over those elsewhere
 _BESIDE = 1e-100  # Height on the side from which a path came to a surface on which it stays
-_CHANGES = 3  # Random changes by as much, which tell what becomes of them
 
 
 # From values at the nodes of a step to the coefficients of the powers of shares
@@ -49,6 +46,12 @@ def _interpolation(shares: Array) -> Array:
     """From values at the nodes of a step to those of the polynomial at shares, (..., nodes)."""
     powers = (2.0 * shares - 1.0)[..., None] ** np.arange(NODES.size)
     return np.asarray(powers @ step_coefficients(np.eye(NODES.size)[None])[:, 0])
+
+
+def _read(weights: Array, nodal: Array) -> Array:
+    """States of steps (S, nodes, n) by weights (..., nodes); those that rest keep every bit."""
+    first = nodal[:, :1]
+    return np.asarray(first + np.matmul(weights, nodal - first))
 
 
 _TO_BETWEEN, _TO_FINE = _interpolation(_BETWEEN), _interpolation(_FINE)
@@ -84,12 +87,12 @@ class _Steps:
     def heights(self, event: SystemEvent, shares: Array, nodal: Array) -> Array:
         """What crosses zero (S, shares), from the states (S, shares, n) there."""
         if (marker := event.marker) is not None:
-            charge(CALL + _LOOK_COST * nodal[:, :, 0].size)
+            charge(CALL + LOOK_COST * nodal[:, :, 0].size)
             return np.asarray(nodal[:, :, marker.state] - marker.level)
         times = (self.begin[:, None] + (self.end - self.begin)[:, None] * shares).ravel()
         parameters = np.repeat(self.parameters, shares.size, axis=1)
         states = nodal.reshape(times.size, -1).T
-        return _heights(event, times, states, parameters).reshape(-1, shares.size)
+        return heights_of(event, times, states, parameters).reshape(-1, shares.size)
 
     def telling(self, event: SystemEvent) -> _Steps:
         """The first step of each path, and all others on which an event may take place.
@@ -99,7 +102,7 @@ class _Steps:
         """
         if (marker := event.marker) is None:
             return self
-        charge(CALL + _LOOK_COST * self.nodal[:, :, 0].size)
+        charge(CALL + LOOK_COST * self.nodal[:, :, 0].size)
         heights = np.ascontiguousarray(self.nodal[:, :, marker.state].T) - marker.level
         lowest, highest = heights.min(axis=0), heights.max(axis=0)
         far = (lowest > 0.0) & (lowest > _LOW * highest)
@@ -121,7 +124,7 @@ class _Steps:
         if not near.size:
             return stays
         some = self._chosen(near)
-        between = some.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, some.nodal))
+        between = some.heights(event, _BETWEEN, _read(_TO_BETWEEN, some.nodal))
         near = near[np.abs(between).max(axis=1) <= roundings[near]]
         apart = (np.diff(self.owner[near]) != 0) | (self.begin[near][1:] != self.end[near][:-1])
         runs = np.split(near, 1 + np.flatnonzero(apart))
@@ -131,24 +134,9 @@ class _Steps:
         return stays
 
     def _roundings(self, event: SystemEvent, heights: Array) -> Array:
-        """By how much heights (S,) where steps begin change if what they are made of is rounded."""
+        """What of heights (S,) where steps begin is rounding, (S,)."""
         sizes = np.abs(self.nodal).max(axis=1).T
-        random, largest = np.random.default_rng(3061), np.zeros(self.begin.size)
-        for _ in range(_CHANGES):
-            factors = [random.uniform(0.5, 1.0, k) for k in (1, len(sizes), len(self.parameters))]
-            time, states, parameters = (
-                (_ROUNDINGS * factor * random.choice([-1.0, 1.0], factor.size))[:, None]
-                for factor in factors
-            )
-            changed = _heights(
-                event,
-                self.begin * (1.0 + time[0]),
-                self.nodal[:, 0].T + states * sizes,
-                self.parameters * (1.0 + parameters),
-            )
-            with np.errstate(all="ignore"):
-                largest = np.fmax(largest, np.abs(changed - heights))
-        return largest
+        return roundings_of(event, self.begin, self.nodal[:, 0].T, self.parameters, sizes, heights)
 
     def resolved(self, event: SystemEvent, least: float) -> tuple[_Steps, Array]:
         """Steps divided until polynomials resolve what crosses zero, where it may do so.
@@ -196,7 +184,7 @@ class _Steps:
             largest, least = sizes.max(axis=1), sizes.min(axis=1)
             unresolved = np.zeros(largest.size, dtype=bool)
         else:
-            between = self.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, self.nodal))
+            between = self.heights(event, _BETWEEN, _read(_TO_BETWEEN, self.nodal))
             missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
             sizes = np.concatenate([sizes, np.abs(between)], axis=1)
             largest, least = sizes.max(axis=1), sizes.min(axis=1)
@@ -224,8 +212,8 @@ class _Steps:
         border = self.begin + shares * (self.end - self.begin)
         divided.end[::2] = divided.begin[1::2] = border
         before, after = shares[:, None] * NODES, shares[:, None] + (1.0 - shares[:, None]) * NODES
-        divided.nodal[::2] = np.matmul(_interpolation(before), self.nodal)
-        divided.nodal[1::2] = np.matmul(_interpolation(after), self.nodal)
+        divided.nodal[::2] = _read(_interpolation(before), self.nodal)
+        divided.nodal[1::2] = _read(_interpolation(after), self.nodal)
         return divided
 
 
@@ -273,7 +261,9 @@ class Crossings:
     """The crossings of events on paths, each at its own point (d,) of points (m, d).
 
     Every path has made a step. ``fired`` are for each of them the events at its very start, and
-    ``first`` says whether they were the first ones there. Times within an ``instant`` are the same.
+    ``first`` says whether they were the first ones there. ``landed`` are those on whose surface it
+    was put there, each with the side that it came from, or 0 for none. Times within an ``instant``
+    are the same.
     """
 
     system: System
@@ -282,6 +272,7 @@ class Crossings:
     fired: Sequence[frozenset[int]]
     first: NDArray[np.bool_]
     instant: float
+    landed: Sequence[Mapping[int, float]] = ()
 
     def of(self, k: int, event: SystemEvent) -> list[Array]:
         """For each path the times of event ``k``, in order; the first alone if it interrupts."""
@@ -299,6 +290,7 @@ class Crossings:
                 points=self.points[a:b],
                 fired=self.fired[a:b],
                 first=self.first[a:b],
+                landed=self.landed[a:b],
             )
             for a, b in itertools.pairwise([*sorted(set(borders)), len(self.paths)])
         ]
@@ -320,6 +312,13 @@ class Crossings:
         instants = [steps.begin[:0]] * len(self.paths)
         firsts = np.searchsorted(steps.owner, np.arange(len(self.paths)))
         was_here = np.array([k in fired for fired in self.fired])
+        for start, path, landed in zip(firsts, range(len(was_here)), self.landed, strict=False):
+            side = landed.get(k)
+            if side is None or (was_here[path] and (event.switch or not side)):
+                continue
+            was_here[path] = False
+            # rates switch where they do not let it stay on the positive side
+            heights[start, 0] = _BESIDE * (1.0 if event.switch else side)
         began = firsts[was_here]
         if event.then is None:  # nothing but rounding moved it away
             since = steps.end - steps.begin[firsts][steps.owner]
@@ -374,7 +373,7 @@ class Crossings:
         if not settled.any():
             return settled
         some = starts[settled]
-        roundings = _DIVIDED * steps._chosen(some)._roundings(event, heights[some, 0])
+        roundings = steps._chosen(some)._roundings(event, heights[some, 0])
         settled[settled] = np.abs(heights[some, 0]) <= roundings
         for start, rounding in zip(some.tolist(), roundings.tolist(), strict=True):
             behind = np.searchsorted(steps.owner, steps.owner[start], side="right")
@@ -395,9 +394,9 @@ class Crossings:
         charge(function_cost(self.system.rhs, self.system.user_functions)(starts.size))
         length = NODES[1] * (steps.end[starts] - t)
         step = _SLOPE_STEP * np.maximum(length, np.abs(t))
-        slope = (_heights(event, t + step, u + step * rates, p) - _heights(event, t, u, p)) / step
-        mean = _heights(event, t + length, next_u, p) / length
-        return np.asarray(event.direction * slope > _CROSSING * np.abs(mean))
+        rise = heights_of(event, t + step, u + step * rates, p) - heights_of(event, t, u, p)
+        mean = heights_of(event, t + length, next_u, p) / length
+        return np.asarray(event.direction * rise / step > _CROSSING * np.abs(mean))
 
 
 def _keep_sides(steps: _Steps, heights: Array) -> None:
@@ -451,16 +450,9 @@ def _roots(
         states = coefficients[-1]
         for coefficient in coefficients[-2::-1]:
             states = states * x + coefficient
-        return _heights(event, begin + length * places, states.T, parameters)
+        return heights_of(event, begin + length * places, states.T, parameters)
 
     before = heights[rows, nodes]
     shares = roots_or_jumps(height, before, heights[rows, nodes + 1])
     shares[np.abs(before) == _BESIDE] = 0.0
     return np.asarray(begin + length * (a + width * shares))
-
-
-def _heights(event: SystemEvent, times: Array, states: Array, parameters: Array) -> Array:
-    charge(CALL + _LOOK_COST * states.size)
-    with np.errstate(all="ignore"):
-        heights = np.asarray(event.when(times, states, parameters), dtype=float)
-    return np.broadcast_to(heights, times.shape).copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
@@ -63,6 +63,7 @@ class EventTrajectory:
     rounds: int = 0
     shorter: int = 0
     returned: bool = False
+    landed: Mapping[int, float] = field(default_factory=dict)
     period: float = 0.0
 
     @property
@@ -74,6 +75,13 @@ class EventTrajectory:
         """The last state (n,), after a reset there."""
         at_end = self.occurrences and self.occurrences[-1].time == self.end
         return self.occurrences[-1].after if at_end else self.paths[-1].state
+
+    @property
+    def sizes(self) -> Array:
+        """The largest absolute values of states (n,) on the last step to where it is."""
+        last = next((path.nodal[-1] for path in reversed(self.paths) if path.steps), self.state)
+        largest = np.abs(last).reshape(-1, self.state.size).max(axis=0)
+        return np.asarray(np.maximum(largest, np.abs(self.state)))
 
     @property
     def steps(self) -> int:

@@ -14,6 +14,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.heights import sides_of_surface
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
@@ -42,9 +43,12 @@ class Instants:
         """
         active, before, last = np.arange(len(trajectories)), states, states.copy()
         all_happened: list[list[int]] = [[] for _ in fired]
+        sizes = _sizes(trajectories, states)
+        sides = self._sides(times, states, points, sizes)
+        landed = np.zeros(sides.shape, dtype=bool)
         while active.size:
             now, at = times[active], points[:, active]
-            after, happened = self._reset(fired, now, before, at)
+            after, happened = self._reset(fired, now, before, at, sizes[:, active])
             last[:, active] = after
             self._put_off(trajectories, active, happened, now, before, at)
             for place, each, *pair in zip(
@@ -55,7 +59,13 @@ class Instants:
                 for k in each:
                     trajectory.happen(k, here, *pair)
                 trajectory.rounds += 1
-            triggered = self._triggered(happened, now, (before, after), at)
+            sizes[:, active] = np.maximum(sizes[:, active], np.abs(after))
+            came, on = sides[:, active], self._sides(now, after, at, sizes[:, active])
+            for column, each in enumerate(fired):
+                came[each, column] = 0.0
+            landed[:, active] = on == 0.0
+            sides[:, active] = np.where(on == 0.0, came, on)
+            triggered = self._triggered(came, on)
             for place, time, each in zip(active.tolist(), now, triggered, strict=True):
                 each += self.due(trajectories[place], time)
             goes_on = np.array(
@@ -73,18 +83,32 @@ class Instants:
                 all_happened[place] += each
             active, before = active[goes_on], after[:, goes_on]
         pairs = zip(trajectories, times.tolist(), last.T, all_happened, strict=True)
-        for trajectory, time, state, each in pairs:
+        for place, (trajectory, time, state, each) in enumerate(pairs):
             trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
+            trajectory.landed = _landed(landed[:, place], sides[:, place])
             trajectory.leave(time, tuple(each), self.horizon)
             terminal = any(self.events[k].terminal for k in each)
             trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
+
+    def land(
+        self, trajectories: Sequence[EventTrajectory], times: Array, states: Array, points: Array
+    ) -> None:
+        """Note on which surfaces trajectories begin, or jump to, at times (m,); from no side."""
+        sides = self._sides(times, states, points, _sizes(trajectories, states))
+        for trajectory, each in zip(trajectories, sides.T, strict=True):
+            trajectory.landed = _landed(each == 0.0, each)
 
     def due(self, trajectory: EventTrajectory, time: float) -> list[int]:
         """The events of a trajectory at known times that are not later than a time."""
         return np.flatnonzero(trajectory.ahead <= time + SAME_INSTANT * self.horizon).tolist()
 
     def _reset(
-        self, fired: Sequence[Sequence[int]], times: Array, states: Array, points: Array
+        self,
+        fired: Sequence[Sequence[int]],
+        times: Array,
+        states: Array,
+        points: Array,
+        sizes: Array,
     ) -> tuple[Array, list[list[int]]]:
         """The states (n, m) after events at times (m,), and the events in their order.
 
@@ -97,9 +121,9 @@ class Instants:
         for k, event in enumerate(self.events):
             if event.cancels is not None:
                 waiting[event.cancels] &= ~waiting[k]
-        first = np.minimum(self._heights(waiting, times, states, points), 0.0)
+        turned = self._turned(waiting, times, states, points, sizes)
         while waiting.any():
-            waiting &= self._heights(waiting, times, states, points) >= first
+            waiting &= turned | ~self._turned(waiting, times, states, points, sizes)
             priorities = np.where(
                 waiting, self._priorities(waiting, times, states, points), -math.inf
             )
@@ -114,15 +138,16 @@ class Instants:
                     states[:, met] = np.asarray(after, dtype=float).reshape(len(states), -1)
         return states, happened
 
-    def _heights(
-        self, waiting: NDArray[np.bool_], times: Array, states: Array, points: Array
-    ) -> Array:
-        """How far events that do not persist are beyond zero (events, m), 0 for all others."""
-        heights = np.zeros(waiting.shape)
+    def _turned(
+        self, waiting: NDArray[np.bool_], times: Array, states: Array, points: Array, sizes: Array
+    ) -> NDArray[np.bool_]:
+        """Which events (events, m) do not persist, and are on the side that they came from."""
+        turned = np.zeros(waiting.shape, dtype=bool)
         for k, event in enumerate(self.events):
             if not event.persistent and waiting[k].any():
-                heights[k] = event.direction * np.asarray(event.when(times, states, points))
-        return heights
+                side = sides_of_surface(event, times, states, points, sizes)
+                turned[k] = event.direction * side < 0.0
+        return turned
 
     def _priorities(
         self, waiting: NDArray[np.bool_], times: Array, states: Array, points: Array
@@ -169,27 +194,30 @@ class Instants:
                     raise overlap(self.events[event.starts].name, f"t = {trajectory.end:.6g}")
                 trajectory.put_off(event.starts, [*planned, due])
 
-    def _triggered(
-        self,
-        fired: Sequence[Sequence[int]],
-        times: Array,
-        states: tuple[Array, Array],
-        points: Array,
-    ) -> list[list[int]]:
-        """The events whose surface a reset, from some states (n, m) to others, jumps across."""
-        triggered: list[list[int]] = [[] for _ in fired]
+    def _sides(self, times: Array, states: Array, points: Array, sizes: Array) -> Array:
+        """The sides of their surfaces that states (n, m) are on, (events, m), 0 if on them.
+
+        NaN for events at known times, whatever the states.
+        """
+        sides = np.full((len(self.events), times.size), np.nan)
         for k, event in enumerate(self.events):
-            if event.at is not None:
-                continue  # its time is known, whatever the states
-            with np.errstate(all="ignore"):
-                before, after = (
-                    np.broadcast_to(np.sign(event.when(times, each, points)), times.shape)
-                    for each in states
-                )
-            crossed = before * after < 0.0
-            if event.direction != BOTH:
-                crossed &= after == event.direction
-            for place in np.flatnonzero(crossed).tolist():
-                if k not in fired[place]:
-                    triggered[place].append(k)
-        return triggered
+            if event.at is None:
+                sides[k] = sides_of_surface(event, times, states, points, sizes)
+        return sides
+
+    def _triggered(self, before: Array, after: Array) -> list[list[int]]:
+        """The events whose surface a reset jumps across, from some sides (events, m) to others."""
+        directions = np.array([[event.direction] for event in self.events])
+        crossed = (before * after < 0.0) & ((directions == BOTH) | (after == directions))
+        return [np.flatnonzero(each).tolist() for each in crossed.T]
+
+
+def _sizes(trajectories: Sequence[EventTrajectory], states: Array) -> Array:
+    """The sizes of states (n, m) that trajectories are put to, and of those before."""
+    before = np.stack([each.sizes for each in trajectories], axis=1)
+    return np.asarray(np.maximum(before, np.abs(states)))
+
+
+def _landed(on: NDArray[np.bool_], sides: Array) -> dict[int, float]:
+    """The events on whose surface a trajectory is, of all (events,), and where it came from."""
+    return {k: float(sides[k]) for k in np.flatnonzero(on).tolist()}

@@ -147,6 +147,7 @@ class _Search:
             EventTrajectory([Path(np.array([time]), nothing, state)], time, known)
             for state, known in zip(states.T, ahead.T.copy(), strict=True)
         ]
+        self.instants.land(trajectories, np.full(len(points), time), states, columns)
         at_once = np.flatnonzero((ahead <= time + instant).any(axis=0))
         if at_once.size:
             some = [trajectories[k] for k in at_once.tolist()]
@@ -170,6 +171,7 @@ class _Search:
             else:
                 each.paths.append(replace(each.paths[-1], state=after))
                 each.paths[-1] = Path(np.array([time]), each.paths[-1].nodal[:0], after)
+            self.instants.land([each], np.array([time]), after[:, None], point[:, None])
 
     def paths(
         self,
@@ -210,7 +212,8 @@ class _Search:
         fired = [each.fired for each in some]
         first = np.array([not each.returned for each in some])
         instant = SAME_INSTANT * self.horizon
-        crossings = Crossings(self.system, moving, points[moved], fired, first, instant)
+        landed = [each.landed for each in some]
+        crossings = Crossings(self.system, moving, points[moved], fired, first, instant, landed)
         of_events = [
             crossings.of(k, event) if event.at is None else self._known(k, some, moving)
             for k, event in enumerate(self.events)
@@ -222,12 +225,16 @@ class _Search:
         for place in np.flatnonzero(next_times == math.inf).tolist():
             each, k = some[place], moved[place]
             each.paths.append(paths[k])
+            each.landed = {}
             each.stretch, each.rounds = _LONGER * each.stretch, 0
             each.ends = not interrupted.size and each.end < ends[k] - SAME_INSTANT * self.horizon
         if interrupted.size:
             at = next_times[interrupted]
             met = Paths.of([moving[k] for k in interrupted.tolist()])
             before = met(at[:, None])[:, :, 0]
+            for column, k in enumerate(interrupted.tolist()):
+                if at[column] == moving[k].breaks[0]:  # where it is, to the last bit
+                    before[:, column] = some[k].state
             cuts = met.until(at, before)
             _hold(cuts)
             for place, cut in zip(interrupted.tolist(), cuts, strict=True):

@@ -1,0 +1,155 @@
+"""What trajectories meet does not depend on the last bits of times, states and constants."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.events import SystemEvent
+from rankone.trajectories.events import crossings
+from tests.trajectories.test_events import INTEGRATORS, system_of, trajectories
+
+ULPS = 4.0 * np.finfo(float).eps
+SEEDS = [None, 1, 2, 3]  # None changes nothing
+
+
+def level(at, direction, then=None, **further):
+    return SystemEvent(lambda t, u, p: u[0] - at, direction, then, **further)
+
+
+def add(*changes):
+    return lambda t, u, p: u + np.array(changes)[:, None]
+
+
+def put(*values):
+    return lambda t, u, p: np.array(values)[:, None] + 0.0 * u
+
+
+def line(rate, start=0.0, end=1.0):
+    """x moves evenly; a second state moves alike from zero."""
+    rates = {"x": f"{rate}*k", "y": "k"}
+    return system_of(rates, {"x": repr(float(start)), "y": "0"}, {"k": (1, 2)}, end)
+
+
+def shaken(random, event):
+    """The event, whose resets are rounded in another way."""
+    if event.then is None:
+        return event
+
+    def then(t, u, p):
+        after = np.asarray(event.then(t, u, p))
+        return after * (1.0 + ULPS * random.uniform(-1.0, 1.0, after.shape))
+
+    return dataclasses.replace(event, then=then)
+
+
+def met(monkeypatch, seed, system, point, events, integrator):
+    """The events of a trajectory in their order, and where it ends."""
+    if seed is not None:
+        random = np.random.default_rng(seed)
+        root = crossings.roots_or_jumps
+
+        def shaken_root(*arguments):
+            roots = root(*arguments)
+            return roots + ULPS * random.uniform(-1.0, 1.0, roots.shape)
+
+        monkeypatch.setattr(crossings, "roots_or_jumps", shaken_root)
+        events = [shaken(random, event) for event in events]
+    (each,) = trajectories(system, [point], events, integrator)
+    return [o.event for o in each.occurrences], each
+
+
+# A system, its events, and those that a trajectory meets
+CASES = {
+    "lands on a surface from below and goes on": (
+        line(1.0),
+        [level(0.25, 1, add(0.5, 0.0)), level(0.75, 1, put(0.8, 0.0))],
+        [0, 1],
+    ),
+    "lands on a surface from below and goes back": (
+        line(-1.0, 1.0, 1.75),
+        [level(0.5, -1, add(0.7, 0.0)), level(1.2, 0, put(9.0, 0.0))],
+        [0, 0],
+    ),
+    "lands on a surface from above and goes on": (
+        line(-1.0, 1.0, 0.75),
+        [level(0.9, -1, add(-0.6, 0.0)), level(0.3, -1, add(-0.3, 0.0)), level(0.3, 1)],
+        [0, 1],
+    ),
+    "lands on the surface of a mark, whose rising crossing it is": (
+        line(1.0),
+        [level(0.25, 1, add(0.5, 0.0)), level(0.75, 1), level(0.75, -1), level(0.75, 0)],
+        [0, 1, 3],
+    ),
+    "starts on a surface and rises": (line(1.0, 0.1 + 0.2), [level(0.3, 0, put(0.0, 0.0))], []),
+    "starts just below a surface": (
+        line(1.0, 0.3 * (1.0 - 2.0 * ULPS)),
+        [level(0.3, 1, put(0.0, 0.0))],
+        [],
+    ),
+    "is reset to its surface": (line(1.0), [level(0.3, 1, put(0.1 + 0.2, 0.0))], [0]),
+    "is turned back by another at the same instant": (
+        line(1.0),
+        [
+            level(0.5, 1, add(-0.2, 0.0), priority=lambda t, u, p: 1.0 + 0.0 * t),
+            level(0.5, 1, add(5.0, 0.0), persistent=False),
+        ],
+        [0, 0, 0],
+    ),
+    "is left where it is by another at the same instant": (
+        line(1.0),
+        [
+            level(0.5, 1, add(0.0, -9.0), priority=lambda t, u, p: 1.0 + 0.0 * t),
+            level(0.5, 1, add(5.0, 0.0), persistent=False),
+        ],
+        [0, 1],
+    ),
+    "bounces twice on a floor far from zero": (
+        system_of({"y": "v", "v": "-2 + 0*y"}, {"y": "h + 30", "v": "0"}, {"h": (0.5, 2)}, 2.4),
+        [SystemEvent(lambda t, u, p: u[0] - 30, -1, lambda t, u, p: np.stack([u[0], -0.5 * u[1]]))],
+        [0, 0],
+    ),
+}
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("case", CASES)
+def test_events_in_their_order(monkeypatch, case, seed, integrator):
+    system, events, expected = CASES[case]
+    found, each = met(monkeypatch, seed, system, [1.0], events, integrator)
+    assert found == expected
+    assert not each.stuck
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("method", ["solve", "trajectory"])
+def test_resets_to_a_surface_over_a_box(method, direction):
+    """All trajectories land on 3/4 from below: those that rise go on to zero from there."""
+    falls = direction < 0.0
+    events = [
+        {
+            "when": "x - 0.25" if not falls else "x - 0.45",
+            "direction": "falling" if falls else "rising",
+            "then": {"x": "x + 0.3" if falls else "x + 0.5"},
+            "name": "lift",
+        },
+        {"when": "x - 0.75", "then": {"x": 0}, "name": "empty"},
+    ]
+    problem = ro.Problem.from_strings(
+        {"x": f"{direction}*k + b*x"},
+        {"x": "0.7" if falls else "0"},
+        {"k": (0.8, 1.2), "b": (0.01, 0.02)},
+        (0, 0.4),
+        events=events,
+    )
+    points = [{"k": k, "b": b} for k, b in [(0.8, 0.01), (0.97, 0.013), (1.2, 0.02)]]
+    solution = ro.solve(problem, 1e-3) if method == "solve" else problem
+    for point in points:
+        if method == "solve":
+            count = {name: solution.event_times(name, point).size for name in ("lift", "empty")}
+        else:
+            events = problem.trajectory(np.array([0.4]), point).events
+            count = {name: events[name].size for name in ("lift", "empty")}
+        assert count == {"lift": 1, "empty": 0 if falls else 1}
