@@ -1,14 +1,14 @@
 """Branches of steady states: does the one at the centre of a box go on to all of its points?
 
-It is continued from the centre along straight lines by Newton's method. To corners, and where that
-fails or meets no stable state, the line is followed with care and its bifurcation named. Where the
+It is continued from the centre along straight lines by Newton's method. Where that fails, or meets
+a state that is hardly stable, the line is followed with care and its bifurcation named. Where the
 branch goes on, but trajectories from the initial values lead to another steady state, the border
 between the two is looked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -21,7 +21,7 @@ from rankone.trajectories.steady.rest import SteadyStates
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
 _MOST_NEWTON_STEPS = 15  # For each of them
-_CORNERS = 3  # Parameters up to which points begin with the centre and all corners
+_NEAR = 0.3  # Growth rate over that at the centre, from which on Newton's method may change branch
 _SAME = 1e-6  # Relative distance of steady states that are the same
 _HALVINGS = 24  # Of a line on which a branch ends
 _SHOWN = 5  # States that a message names
@@ -42,9 +42,7 @@ def check_one_branch(steady: SteadyStates, points: Array) -> None:
         raise _unsettled(steady, points)
     if not steady.decays(start, points[:1])[0]:
         return  # the initial values are at rest, and unstable
-    careful = ~_goes_on(steady, start, centre, points)
-    careful[1 : 1 + 2 ** min(points.shape[1], _CORNERS)] = True  # Newton's method may change branch
-    for end in points[careful]:
+    for end in points[~_goes_on(steady, start, centre, points)]:
         try:
             bifurcation = BranchLine(steady, start[:, 0], centre, end).bifurcation()
         except ArithmeticError:
@@ -107,29 +105,42 @@ def _unsettled(steady: SteadyStates, points: Array) -> ConvergenceError:
     return error
 
 
-def _continued(steady: SteadyStates, start: Array, centre: Array, points: Array) -> Array:
-    """Steady states (n, m) at points (m, d), continued from the one at the centre; NaN if none."""
+def _on_way(
+    steady: SteadyStates, start: Array, centre: Array, points: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Steady states (n, m) on the way to points (m, d), and where; NaN from where there are none.
+
+    They are continued from the one at the centre.
+    """
     constraints = steady.constraints(range(len(start)))
     states = np.repeat(start, len(points), axis=1)
+    sizes = np.repeat(steady.sizes[:, None], len(points), axis=1)
     for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-        on_way = np.ascontiguousarray((centre + share * (points - centre)).T)
+        at = centre + share * (points - centre)
         there = np.isfinite(states).all(axis=0)
-        before, at = states[:, there], on_way[:, there]
         states[:, there] = constraints.consistent(
-            0.0, before, at, _MOST_NEWTON_STEPS, steady.sizes[:, None] + np.zeros(before.shape)
+            0.0,
+            states[:, there],
+            np.ascontiguousarray(at[there].T),
+            _MOST_NEWTON_STEPS,
+            sizes[:, there],
         )
-    return states
+        yield states, at
 
 
 def _goes_on(steady: SteadyStates, start: Array, centre: Array, points: Array) -> NDArray[np.bool_]:
-    """Whether the branch goes on from the centre to points (m, d), and is stable there."""
-    states = _continued(steady, start, centre, points)
-    return steady.decays(states, points)
+    """Whether the branch goes on from the centre to points (m, d), well stable on the way."""
+    least = _NEAR * steady.growth(start, centre[None])[0]
+    goes_on = np.ones(len(points), dtype=bool)
+    for states, at in _on_way(steady, start, centre, points):
+        goes_on &= np.isfinite(states).all(axis=0)
+        goes_on &= steady.growth(np.nan_to_num(states), at) <= least
+    return goes_on
 
 
 def _reached(steady: SteadyStates, start: Array, centre: Array, points: Array) -> NDArray[np.bool_]:
     """Whether trajectories at points (m, d) reach the branch of the centre."""
-    states = _continued(steady, start, centre, points)
+    *_, (states, _) = _on_way(steady, start, centre, points)
     sizes = np.maximum(np.abs(states), steady.sizes[:, None]).max(axis=0)
     return np.asarray((np.abs(steady.reached(points.T) - states) <= _SAME * sizes).all(axis=0))
 
