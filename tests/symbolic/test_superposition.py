@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cProfile
+
 import pytest
 
 import rankone as ro
@@ -29,8 +31,16 @@ def test_a_dose_after_a_lag():
     assert additive(initial=LATER, jumps={2: {"A": "A + dose"}}) == ("dose",)
 
 
-def test_an_infusion():
-    given = {"A": "dose/T*Heaviside(T - t) - ka*A", "C": "ka*A/V - CL/V*C"}
+@pytest.mark.parametrize(
+    "infusion",
+    [
+        "dose/T*Heaviside(T - t)",
+        "Piecewise((dose/T, t < T), (0, True))",
+        "(dose + A)*(2 - CL) - 2*A + CL*A",
+    ],
+)
+def test_an_infusion(infusion):
+    given = {"A": f"{infusion} - ka*A", "C": "ka*A/V - CL/V*C"}
     assert additive(given, LATER) == ("dose",)
 
 
@@ -42,6 +52,10 @@ OTHERS = {
     "with a baseline": {"initial": {"A": "dose", "C": "1"}},
     "with a second dose": {"initial": {"A": "dose", "C": "T"}},
     "not proportional": {"initial": {"A": "dose**2", "C": "0"}},
+    "changing with a switch": {
+        "rhs": {**ORAL, "A": "Piecewise((-ka*A, t < T), (0, True))"},
+    },
+    "growing by the dose": {"jumps": {3: {"A": "A + dose*A"}}},
     "with a loss": {"jumps": {3: {"A": "A/2"}}},
     "with a reset": {"jumps": {3: {"A": "dose"}}},
     "after a lag that the dose changes": {
@@ -58,3 +72,19 @@ OTHERS = {
 @pytest.mark.parametrize("options", OTHERS.values(), ids=OTHERS)
 def test_what_does_not_add_up(options):
     assert additive(**options) == ()
+
+
+def calls_for_a_dense_system(n):
+    names = [f"x{i}" for i in range(n)]
+    rates = (" + ".join(f"{i + j + 1}.5*ka*{y}" for j, y in enumerate(names)) for i in range(n))
+    start = dict.fromkeys(names, "0") | {"x0": "dose"}
+    problem = ro.Problem.from_strings(dict(zip(names, rates, strict=True)), start, BOX, (0, 24))
+    system = first_order(problem)
+    profile = cProfile.Profile()
+    with profile:
+        assert additive_parameters(system) == ("dose",)
+    return sum(each.callcount for each in profile.getstats())
+
+
+def test_dense_systems_are_read_in_proportion_to_their_size():
+    assert calls_for_a_dense_system(12) < 5.5 * calls_for_a_dense_system(6)

@@ -8,47 +8,44 @@ curves of each one, counted from its own time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import sympy as sp
-from sympy.core.function import AppliedUndef
+from sympy.functions.elementary.piecewise import ExprCondPair
 
 from rankone.ir.forms import EventForm
 from rankone.symbolic.first_order import FirstOrderSystem
 
+_NONLINEAR = 2  # The degree of all that is neither constant nor affine
+
 
 def additive_parameters(system: FirstOrderSystem) -> tuple[str, ...]:
-    """Names of the parameters whose effects add up, whenever each of them begins."""
+    """Names of the parameters whose effects add up, whenever each of them begins.
+
+    Rates are walked once, and once more for each parameter left that they hold.
+    """
     clock, *parameters = system.coordinates
     times = _times_of_events(system.events)
     if times is None or system.rest is not None or system.constraints.expressions:
         return ()
-    amounts = [c.symbol for c in parameters if _proportional(system.initial, c.symbol)]
-    for added in _added(system):
-        amounts = [p for p in amounts if _proportional(added, p)]
-    amounts = [p for p in amounts if _free_of(times, p)]
-    if len(system.examined_rates) < len(system.states):
+    rates, states = system.examined_rates, system.functions
+    if len(rates) < len(states):
         return ()
-    states = set(system.functions)
-
-    @cache
-    def split(rate: sp.Expr) -> tuple[list[sp.Expr], sp.Expr]:
-        """Slopes of a rate in its states, and what it is without them."""
-        present = states & rate.atoms(AppliedUndef)
-        slopes = [rate.diff(state) for state in present]
-        return slopes, rate.xreplace(dict.fromkeys(present, sp.S.Zero))
-
-    def adds_up(p: sp.Symbol) -> bool:
-        """Rates with the parameter come first: they decide soon, of many states too."""
-        rates = sorted(system.examined_rates, key=lambda rate: p not in rate.free_symbols)
-        splits = (split(rate) for rate in rates)
-        return all(_free_of(slopes, p) and _proportional([rest], p) for slopes, rest in splits)
-
-    amounts = [p for p in amounts if adds_up(p)]
-    if amounts and not all(_free_of(split(r)[0], clock.symbol) for r in system.examined_rates):
+    amounts = {c.symbol for c in parameters}.difference(*(each.free_symbols for each in times))
+    given = [*system.initial, *_added(system)]
+    amounts = _in_all(given, amounts)
+    if not amounts or any(_degree(rate, states, clock.symbol) > 1 for rate in rates):
         return ()
-    return tuple(p.name for p in amounts)
+    at_zero = dict.fromkeys(states, sp.S.Zero)
+    rests = [rate.xreplace(at_zero) for rate in rates]
+    amounts = _in_all(rests, amounts)
+    proportional = [
+        p
+        for p in amounts
+        if all(_degree(each, (*states, p)) <= 1 for each in (*given, *rates) if each.has_free(p))
+        and not any(each.subs(p, 0) for each in (*given, *rests) if each)
+    ]
+    return tuple(c.name for c in parameters if c.symbol in proportional)
 
 
 def _times_of_events(events: Sequence[EventForm]) -> list[sp.Expr] | None:
@@ -65,19 +62,50 @@ def _times_of_events(events: Sequence[EventForm]) -> list[sp.Expr] | None:
     return times
 
 
-def _added(system: FirstOrderSystem) -> Iterator[list[sp.Expr]]:
+def _added(system: FirstOrderSystem) -> Iterator[sp.Expr]:
     """What each jump, and each event that resets states, adds to them."""
     after = [jump.values for jump in system.jumps]
     after += [event.then for event in system.events if event.then is not None]
     for values in after:
-        yield [value - state for value, state in zip(values, system.functions, strict=True)]
+        yield from (value - state for value, state in zip(values, system.functions, strict=True))
 
 
-def _proportional(expressions: Sequence[sp.Expr], p: sp.Symbol) -> bool:
-    """Whether expressions are zero, or p times something without p and without states."""
-    slopes = [each.diff(p) for each in expressions]
-    return _free_of(slopes, p) and all(each.subs(p, 0) == 0 for each in expressions)
+def _in_all(expressions: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> set[sp.Symbol]:
+    """The symbols that occur in every expression other than zero."""
+    return symbols.intersection(*(each.free_symbols for each in expressions if each))
 
 
-def _free_of(expressions: Sequence[sp.Expr], p: sp.Symbol) -> bool:
-    return not any(p in each.free_symbols for each in expressions)
+def _degree(
+    expression: sp.Basic, variables: Collection[sp.Expr], clock: sp.Symbol | None = None
+) -> int:
+    """0, 1 or ``_NONLINEAR``, as it is constant, affine or neither in the variables.
+
+    With a ``clock`` the coefficients of what is affine do not depend on it.
+    """
+    variables = frozenset(variables)
+
+    def walk(node: sp.Basic) -> tuple[int, bool]:
+        """The degree, and whether the clock occurs outside the variables."""
+        if node in variables:
+            return 1, False
+        if not node.args:
+            return 0, node == clock
+        degrees, timed = zip(*map(walk, node.args), strict=True)
+        coefficients: Iterable[bool] = ()
+        if isinstance(node, sp.Add):
+            degree = max(degrees)
+        elif isinstance(node, sp.Mul):
+            degree = sum(degrees)
+            coefficients = (late for late, each in zip(timed, degrees, strict=True) if not each)
+        elif isinstance(node, sp.Piecewise):
+            degree = max(degrees)
+            coefficients = (walk(condition)[1] for _, condition in node.args)
+        elif isinstance(node, ExprCondPair):
+            degree = degrees[0] + _NONLINEAR * degrees[1]
+        else:
+            degree = _NONLINEAR * max(degrees)
+        if degree and any(coefficients):
+            degree = _NONLINEAR
+        return min(degree, _NONLINEAR), any(timed)
+
+    return walk(expression)[0]
