@@ -27,8 +27,41 @@ def test_a_smooth_system_has_no_switches():
     assert held(-k * x) is None
 
 
-def test_a_switch_in_time_is_left_to_known_times():
-    assert held(sp.Heaviside(t - k) * x) is None
+def test_switches_at_fixed_times_are_left_to_known_times():
+    assert held(sp.Heaviside(t - 1) * x + sp.Max(0, sp.sin(3 * t))) is None
+
+
+def test_a_switch_at_a_moving_time_is_held_at_that_time():
+    system = held(sp.Heaviside(k - t) * x + sp.Heaviside(t - 1))
+    assert {event.at for event in system.events} == {k, 1}
+    assert {event.then[-2:] for event in system.events} == {
+        (-1, system.functions[-1]),
+        (system.functions[-2], 1),
+    }
+
+
+@pytest.mark.parametrize(
+    ("clipped", "levels"),
+    [
+        (sp.Max(-12, sp.Min(12, x - k * v)), {-12, 12}),
+        (sp.Min(12, sp.Max(-12, x - k * v)), {-12, 12}),
+        (sp.Max(-k, sp.Min(k, x - k * v)), {-k, k}),
+        (sp.Max(sp.Min(k, x - k * v), sp.Min(2, -12)), {-12, k}),
+    ],
+)
+def test_nested_saturations_switch_where_their_argument_meets_a_limit(clipped, levels):
+    switches = held(clipped).switches
+    assert {abs(sp.expand(g - (x - k * v))) for g in switches} | {
+        abs(sp.expand(g + (x - k * v))) for g in switches
+    } >= {abs(level) for level in levels}
+    assert not any(g.has(sp.Max, sp.Min) for g in switches)
+
+
+def test_a_condition_is_not_read_where_it_cannot_be_slid_along():
+    """On the surface it is as it was written: 0/0 of the other side is left alone."""
+    system = held(sp.Piecewise((v / x, x > 0), (-1, True)))
+    at_rest = {x: 0, v: 0, system.functions[-1]: 0}
+    assert system.rhs[1].subs(at_rest) == -1
 
 
 def test_absolute_values_become_products_with_their_side():

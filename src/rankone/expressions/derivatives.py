@@ -9,6 +9,7 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import AppliedUndef, ArgumentIndexError
 
+from rankone.expressions.conditions import compared
 from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
@@ -78,7 +79,8 @@ class Differentiator:
         if isinstance(expression, sp.Max | sp.Min):
             first, *further = sorted(args, key=sp.default_sort_key)
             second = expression.func(*further)
-            is_first = first >= second if isinstance(expression, sp.Max) else first <= second
+            relation = sp.Ge if isinstance(expression, sp.Max) else sp.Le
+            is_first = compared(relation, first, second)
             return sp.Piecewise((self(first), is_first), (self(second), True))
         if isinstance(expression, _STEPS):
             return sp.S.Zero

@@ -76,7 +76,8 @@ class Engine:
         if system.held is None or not request.markers:
             return self._solve_as_written(system, request, report)
         held: Outcome | None = None
-        kinks = not system.events and not system.features.n_steps
+        jumps = system.features.n_steps or system.features.n_moving_steps
+        kinks = not system.events and not jumps
         if kinks and request.rtol < _LOOSE:
             with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
                 held = self._solve_in_order(system.held, request, report, Stages(), crossed=True)
@@ -120,8 +121,12 @@ class Engine:
         if system.features.n_moving_steps and not system.separated:
             try:
                 return self._solve_over_stretches(system, request, report)
-            except OrderError:
-                pass
+            except OrderError as error:
+                with limited(*_part(_KINKS_SHARE)), suppress(ConvergenceError):
+                    outcome = self._solve(system, request, report)
+                    if outcome.status in _SOLVED:
+                        return outcome
+                raise error
         return self._solve(system, request, report)
 
     def _solve_over_stretches(

@@ -15,6 +15,7 @@ from functools import partial
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
+from rankone.expressions.conditions import with_plain_conditions
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.expressions.unknowns import rate_of, unknown_of
 from rankone.frontend.events import Event, event_latex, event_texts, known_time
@@ -260,6 +261,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in problem.initial]
     states_of_time = list(functions.values())
     rhs, impulses = without_impulses(rates, states_of_time, origins, problem.time)
+    rhs = tuple(map(with_plain_conditions, rhs))
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
     initial, reset = tuple(problem.initial.values()), None
     if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right

@@ -12,6 +12,10 @@ The side is 0 then, and the rates are the mean of those of both sides,
     f = (1 + s)/2 f₊ + (1 - s)/2 f₋,   with s from dg/dt = 0,
 
 until s leaves [-1, 1]. Coulomb friction that sticks is the classic example.
+
+Switches of the clock, such as ``Heaviside(t - a)``, are held as well: so each order of them and of
+others is continued smoothly. Where all are at times that are the same for all parameters, or there
+are too many, they stay as they are written.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property, reduce
 from typing import TypeAlias
 
@@ -27,9 +32,9 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import Boolean
 
-from rankone.expressions.derivatives import Differentiator
+from rankone.expressions.derivatives import Differentiator, slope
 from rankone.ir.events import FALLING
-from rankone.ir.forms import EventForm, Jump, State
+from rankone.ir.forms import Coordinate, EventForm, Jump, State
 from rankone.ir.metadata import Role
 from rankone.symbolic.first_order import FirstOrderSystem
 
@@ -67,7 +72,8 @@ class _Switch:
 
     ``surface`` has the sides of others in place of what switches inside of it, ``written`` has not.
     ``side`` is the effective side in rates, any number from -1 to 1 while trajectories slide;
-    ``state`` is the side as a state.
+    ``state`` is the side as a state. Where the surface is crossed once at a time that is known,
+    that is ``at``, and ``behind`` is the side after it.
     """
 
     surface: sp.Expr
@@ -76,6 +82,8 @@ class _Switch:
     state: sp.Expr
     name: str
     jumps: bool = False
+    at: sp.Expr | None = None
+    behind: sp.Expr = sp.S.Zero
 
     @cached_property
     def place(self) -> _Place:
@@ -93,28 +101,58 @@ def held_switches(system: FirstOrderSystem) -> FirstOrderSystem | None:
     NotHeld
         If there are too many switches, or how they slide is not known.
     """
-    replacement = _Replacement(system)
-    rates = [replacement.held(rate) for rate in system.examined_rates]
-    switches = _by_level(replacement.switches)
-    if not switches:
-        return None
+    failure: NotHeld | None = None
+    for least in (_Kind.FIXED, _Kind.MOVING, _Kind.STATES):
+        replacement = _Replacement(system, least)
+        rates = [replacement.held(rate) for rate in system.examined_rates]
+        if replacement.most <= _Kind.FIXED:
+            break
+        try:
+            return _with_switches(system, replacement.switches, rates)
+        except NotHeld as not_held:
+            failure = not_held
+    if failure is not None:
+        raise failure
+    return None
+
+
+def _with_switches(
+    system: FirstOrderSystem, found: Sequence[_Switch], rates: Sequence[sp.Expr]
+) -> FirstOrderSystem:
+    """The system with the sides of the switches that were found, with rates that have these."""
+    switches = _by_level(found)
     distinct = [s for k, s in enumerate(switches) if not _beside(s, switches[:k])]
     if len(distinct) > MOST_SWITCHES or len(switches) > MOST_LEVELS:
         raise NotHeld
-    sliding = _Sliding(system, switches, [_mixed(rate, switches) for rate in rates])
-    return _with_sides(system, switches, sliding)
+    return _with_sides(system, switches, _Sliding(system, switches, rates))
+
+
+class _Kind(IntEnum):
+    """What an expression changes with along a trajectory, the least of it first."""
+
+    CONSTANT = 0
+    FIXED = 1
+    """With the clock alone: it is the same for all parameters."""
+    MOVING = 2
+    """With the clock and parameters."""
+    STATES = 3
 
 
 class _Replacement:
-    """Replaces what switches over the unknowns by expressions of sides."""
+    """Replaces what switches by expressions of sides, from a ``least`` kind on.
 
-    def __init__(self, system: FirstOrderSystem) -> None:
+    ``most`` is the largest kind of what was replaced.
+    """
+
+    def __init__(self, system: FirstOrderSystem, least: _Kind) -> None:
         self.switches: list[_Switch] = []
-        self._system = system
+        self.most = _Kind.CONSTANT
+        self._system, self._least = system, least
         self._names = {state.name for state in system.states}
         self._names |= {coordinate.name for coordinate in system.coordinates}
         self._names |= {event.name for event in system.events}
         self._by_place: dict[tuple[sp.Expr, sp.Expr], _Switch] = {}
+        self._extremes: dict[sp.Expr, tuple[_Held, _Held]] = {}
 
     def held(self, expression: sp.Expr, bounded: bool = False) -> sp.Expr:
         """The expression with sides, from the inside out.
@@ -122,7 +160,7 @@ class _Replacement:
         Steps look a little beyond a surface. What is ``bounded`` there, since a function around it
         ends, stays as it is.
         """
-        if not expression.has(AppliedUndef) or isinstance(expression, AppliedUndef):
+        if self._kind(expression) < self._least or isinstance(expression, sp.Symbol | AppliedUndef):
             return expression
         bounded |= isinstance(expression, sp.log)
         bounded |= expression.is_Pow and not expression.exp.is_integer
@@ -138,11 +176,19 @@ class _Replacement:
             return self._condition(expression, *args)
         return expression.func(*args)
 
+    def _kind(self, expression: sp.Expr) -> _Kind:
+        if expression.has(AppliedUndef):
+            return _Kind.STATES
+        free = expression.free_symbols
+        if self._system.coordinates[0].symbol not in free:
+            return _Kind.CONSTANT
+        return _Kind.MOVING if len(free) > 1 else _Kind.FIXED
+
     def _condition(self, relation: Relational, left: sp.Expr, right: sp.Expr) -> Boolean:
         if isinstance(relation, sp.Eq | sp.Ne):  # on the surface alone
             return sp.false if isinstance(relation, sp.Eq) else sp.true
         side = self._side(left - right, relation.lhs - relation.rhs, jumps=True)
-        return side > 0 if isinstance(relation, sp.Gt | sp.Ge) else side < 0
+        return relation.func(side, 0)
 
     def _continuous(self, function: sp.Expr, args: Sequence[sp.Expr]) -> sp.Expr:
         """An absolute value, or an extreme."""
@@ -152,18 +198,50 @@ class _Replacement:
         def extreme(first: _Held, second: _Held) -> _Held:
             (a, a_written), (b, b_written) = first, second
             both = function.func(a_written, b_written)
-            if not both.has(AppliedUndef):
+            if self._kind(both) < self._least:
                 return both, both
-            side = self._side(a - b, a_written - b_written, jumps=False)
+            side = self._side_between(first, second)
+            if side is None:
+                side = self._side(a - b, a_written - b_written, jumps=False)
+            self._extremes[both] = first, second
             side = side if isinstance(function, sp.Max) else -side
             return a * (1 + side) / 2 + b * (1 - side) / 2, both
 
         return reduce(extreme, zip(args, function.args, strict=True))[0]
 
+    def _side_between(self, first: _Held, second: _Held) -> sp.Expr | None:
+        """The side of the difference of two expressions, through those that they are extremes of.
+
+        So ``Max(-12, Min(12, v))`` switches where v is -12, as 12 never is. None where several
+        surfaces are left.
+        """
+        for turned, (one, other) in ((False, (first, second)), (True, (second, first))):
+            if one[1] not in self._extremes:
+                continue
+            inner = [(part, other) for part in self._extremes[one[1]]]
+            known = [_definite_sign(a[0] - b[0], self._system.coordinates) for a, b in inner]
+            largest = isinstance(one[1], sp.Max)
+            decides = sp.Integer(1 if largest else -1)
+            if decides in known:
+                return -decides if turned else decides
+            open_pairs = [pair for pair, sign in zip(inner, known, strict=True) if sign is None]
+            if not open_pairs:
+                return decides if turned else -decides
+            if len(open_pairs) > 1:
+                continue
+            ((a, a_written), (b, b_written)) = open_pairs[0]
+            side = self._side_between(*open_pairs[0])
+            if side is None:
+                side = self._side(a - b, a_written - b_written, jumps=False)
+            return -side if turned else side
+        return None
+
     def _side(self, surface: sp.Expr, written: sp.Expr, *, jumps: bool) -> sp.Expr:
         """The effective side of a surface."""
-        if not surface.has(AppliedUndef):
+        kind = self._kind(surface)
+        if kind < self._least:
             return sp.sign(surface)
+        self.most = max(self.most, kind)
         place = _place_of(surface)
         if switch := self._by_place.get((place.function, place.level)):
             switch.jumps |= jumps
@@ -178,6 +256,10 @@ class _Replacement:
             event_name,
             jumps,
         )
+        if kind < _Kind.STATES and surface == written:
+            rate = slope(surface, t)
+            if rate != 0 and not rate.has(t, sp.nan):
+                switch.at, switch.behind = -surface.subs(t, 0) / rate, sp.sign(rate)
         self.switches.append(switch)
         self._by_place[place.function, place.level] = switch
         return switch.side
@@ -189,8 +271,21 @@ class _Replacement:
         return name
 
 
+def _definite_sign(expression: sp.Expr, coordinates: Sequence[Coordinate]) -> sp.Expr | None:
+    """The sign of an expression if it is a number, or linear in each parameter and never zero."""
+    parameters = [c for c in coordinates[1:] if c.symbol in expression.free_symbols]
+    symbols = [c.symbol for c in parameters]
+    if expression.has(AppliedUndef) or not expression.free_symbols <= {*symbols}:
+        return None
+    if any(sp.diff(expression, symbol, 2) != 0 for symbol in symbols):
+        return None
+    corners = itertools.product(*((c.lower, c.upper) for c in parameters))
+    signs = {sp.sign(expression.subs(dict(zip(symbols, at, strict=True)))) for at in corners}
+    return signs.pop() if len(signs) == 1 and signs < {sp.S.One, sp.S.NegativeOne} else None
+
+
 def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
-    """A rate that is linear in the side of each surface at which it may jump."""
+    """A rate that is linear in the side of each surface that may be slid along."""
     branching = [s for s in switches if any(s.side in c.free_symbols for c in _conditions(rate))]
     if len({s.place.function for s in branching}) > _MOST_IN_BRANCHES:
         raise NotHeld
@@ -205,8 +300,6 @@ def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
             if copies > _MOST_COPIES:
                 raise NotHeld
             rate = _between_levels(rate, levels)
-        elif not switch.jumps and switch in branching:
-            raise NotHeld
     return rate
 
 
@@ -255,6 +348,8 @@ class _Sliding:
         self, system: FirstOrderSystem, switches: Sequence[_Switch], rates: Sequence[sp.Expr]
     ) -> None:
         self.switches, self._system = switches, system
+        held = [s for s in switches if s.side in self._speed(s.surface, rates).free_symbols]
+        rates = [_mixed(rate, held) for rate in rates]
         self.speeds = [
             self._speed(s.surface, rates).xreplace(_sides_beside(s, switches)) for s in switches
         ]
@@ -433,7 +528,7 @@ class _Sides:
         for state, surface, new in zip(
             self.states, self._surfaces, self._sides_at(reset), strict=True
         ):
-            moved = sp.Abs(sp.sign(surface - surface.xreplace(reset)))
+            moved = sp.sign(surface - surface.xreplace(reset)) ** 2
             sides.append(moved * new + (1 - moved) * state)
         return sides
 
@@ -455,7 +550,7 @@ class _Sides:
                     each.xreplace(signs).xreplace(values)
                     for each in self._sliding.pulls[switch.side]
                 )
-                onward = sp.sign(drift) * sp.Heaviside(sp.Abs(drift) - pull, 0)
+                onward = sp.sign(drift) * sp.Heaviside(_size_of(drift) - pull, 0)
             else:
                 speed = self._sliding.speeds[k].xreplace(signs).xreplace(values)
                 stays = sp.S.Zero if switch.jumps else sp.S.One  # a kink is the same on both sides
@@ -472,19 +567,25 @@ class _Sides:
                 speed = self._sliding.speeds[k].xreplace({switch.side: side})
                 speed = speed.xreplace(self._sliding.sides).xreplace({side: -side})
                 passes = sp.Heaviside(-side * speed, 0)
-                stays = pull * sp.Abs(pull) - drift**2
+                stays = pull * _size_of(pull) - drift**2
                 height = sp.Piecewise((height, _on_side(switch)), (stays, True))
                 other = sp.Piecewise((-side * passes, _on_side(switch)), (sp.sign(drift), True))
             else:
                 other = -side
+            other = other if switch.at is None else switch.behind
             others = [other if state == side else state for state in self.states]
             then = (*self._system.functions, *others)
-            yield EventForm(switch.name, height, FALLING, then, terminal=False)
+            yield EventForm(switch.name, height, FALLING, then, terminal=False, at=switch.at)
 
 
 def _or_else(side: sp.Expr, other: sp.Expr) -> sp.Expr:
     """A side, or the other one where it is 0."""
-    return side + (1 - sp.Abs(side)) * other
+    return side + (1 - side**2) * other
+
+
+def _size_of(expression: sp.Expr) -> sp.Expr:
+    """The absolute value: SymPy's own one is a root of products where symbols may be complex."""
+    return expression * sp.sign(expression)
 
 
 def _with_sides_after(jump: Jump, sides: _Sides, clock: sp.Symbol) -> Jump:

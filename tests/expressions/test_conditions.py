@@ -1,0 +1,65 @@
+"""Conditions in one form: as they were written, but of functions that are smooth."""
+
+import itertools
+
+import pytest
+import sympy as sp
+
+from rankone.expressions.conditions import with_plain_conditions
+
+t, a, k = sp.symbols("t a k", real=True)
+x, v = sp.symbols("x v", real=True)
+
+
+def when(condition):
+    return sp.Piecewise((x + 2, condition), (-k, True), evaluate=False)
+
+
+STEPPED = sp.Piecewise((0, t < 1), (2, True))
+CASES = [
+    when(sp.Abs(t - a) < 1),
+    when((t - a) ** 2 <= 1),
+    when(sp.Max(x, v) < 1),
+    when(sp.Min(x, 2 * v, t) >= 1),
+    when((sp.Abs(v) > 1) & ((x - 1) * (v - k) > 0)),
+    when(x < STEPPED),
+    when(sp.ITE(t < 1, x < 2, v < 1)),
+    when(sp.Xor(x > 1, v > 1)),
+    sp.Heaviside(1 - sp.Abs(t - a)),
+    sp.Heaviside((t - a) * (a + 1 - t)),
+    sp.sign((x - 1) * (v - k)) + k,
+    sp.Min(1, k * (STEPPED - x)),
+    when(k * sp.Abs(x) - sp.Abs(v) > -1),
+]
+
+
+@pytest.mark.parametrize("written", CASES, ids=str)
+def test_values_are_those_that_were_written(written):
+    plain = with_plain_conditions(written)
+    for values in itertools.product(
+        (-1.3, 0.4, 2.7), (0.7, 1.6), (0.3, 1.9), (-2.2, 0.9), (-1.7, 1.2)
+    ):
+        at = dict(zip((t, a, k, x, v), values, strict=True))
+        assert plain.subs(at) == pytest.approx(written.subs(at), rel=1e-12)
+
+
+@pytest.mark.parametrize("written", CASES[:-1], ids=str)
+def test_conditions_compare_smooth_functions(written):
+    plain = with_plain_conditions(written)
+    assert not plain.has(sp.ITE)
+    for node in plain.atoms(sp.core.relational.Relational, sp.sign, sp.Heaviside):
+        assert not node.has(sp.Abs, sp.Max, sp.Min, sp.Piecewise)
+
+
+def test_the_spellings_of_a_pulse_are_one():
+    pulses = [
+        when(sp.Abs(t - a) < 1),
+        when((t > a - 1) & (t < a + 1)),
+        when((t - a) ** 2 < 1),
+        when(sp.Max(t - a, a - t) < 1),
+    ]
+    heights = [
+        {abs(each.lhs - each.rhs) for each in plain.atoms(sp.core.relational.Relational)}
+        for plain in map(with_plain_conditions, pulses)
+    ]
+    assert all(each == heights[0] for each in heights)
