@@ -30,7 +30,8 @@ def boundaries(
         elif isinstance(node, sp.Heaviside | sp.sign | sp.Abs):
             yield node.args[0], zero
         elif isinstance(node, sp.Max | sp.Min):
-            yield from ((a - b, zero) for a, b in itertools.combinations(node.args, 2))
+            for pair in itertools.combinations(node.args, 2):
+                yield from ((a - b, zero) for a, b in itertools.product(*map(_compared, pair)))
         elif isinstance(node, sp.floor | sp.ceiling | sp.frac):
             yield node.args[0], None
         elif isinstance(node, sp.Mod):
@@ -41,3 +42,10 @@ def boundaries(
             yield node.base, zero
         elif isinstance(node, Table) and node.kind != "cubic":
             yield node.args[0], node.points
+
+
+def _compared(argument: sp.Expr) -> Sequence[sp.Expr]:
+    """What an argument of an extreme is where it is smooth: of nested extremes their arguments."""
+    if not isinstance(argument, sp.Max | sp.Min):
+        return (argument,)
+    return [each for inner in argument.args for each in _compared(inner)]
