@@ -8,6 +8,7 @@
 :mod:`~.unknowns`         unknowns as functions of time, and their derivatives
 :mod:`~.named_constants`  numbers that keep their name up to generated code
 :mod:`~.admissible`       where an expression is defined: poles, roots, gaps between branches
+:mod:`~.conditions`       comparisons of smooth functions in place of others
 :mod:`~.boundaries`       where an expression kinks or jumps
 :mod:`~.peaks`            where a smooth expression may change faster than samples see
 :mod:`~.derivatives`      the derivatives that a Jacobian needs
