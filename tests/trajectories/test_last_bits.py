@@ -153,3 +153,17 @@ def test_resets_to_a_surface_over_a_box(method, direction):
             events = problem.trajectory(np.array([0.4]), point).events
             count = {name: events[name].size for name in ("lift", "empty")}
         assert count == {"lift": 1, "empty": 0 if falls else 1}
+
+
+@pytest.mark.parametrize("horizon", [(0.3, 1.0), (0.0, 0.3)])
+@pytest.mark.parametrize("ulps", [-2, -1, 0, 1, 2])
+def test_known_times_at_an_end_of_the_horizon(horizon, ulps):
+    """That of the dose is 0.2 + 0.1, next to the number 0.3."""
+    dose = {"when": "t - lag - 0.1", "then": {"x": "x + 1"}, "name": "dose"}
+    problem = ro.Problem.from_strings(
+        {"x": "-x"}, {"x": 1}, {"lag": (0.1, 0.5)}, horizon, events=[dose]
+    )
+    lag = 0.2 + ulps * np.spacing(0.2)
+    found = problem.trajectory(np.array(horizon), lag=lag)
+    np.testing.assert_allclose(found.events["dose"], [0.3], rtol=1e-12)
+    assert found.values[0, horizon.index(0.3)] > 1.5

@@ -72,13 +72,11 @@ class Sides:
         A trajectory that is on a surface goes to the side that its rates tell, and that is no
         crossing. ``unmoved`` are events whose surface it is on, whatever rounding says.
         """
-        heights = self.events.when(time, state, self.point)
         slopes = self.events.slopes(time, rates, state, self.point)
-        noise = self.events.noise(time, state, self.point, np.abs(state))
-        definite = np.abs(heights) > noise + _TIME_ROUNDING * np.abs(np.nan_to_num(slopes) * time)
+        sides = self.beside(time, state, rates)
         crossed = []
-        for k, (height, slope) in enumerate(zip(heights, slopes, strict=True)):
-            side = int(np.sign(height)) if definite[k] and k not in unmoved else 0
+        for k, slope in enumerate(slopes):
+            side = 0 if k in unmoved else int(sides[k])
             if side == 0 and self.sides[k] == 0:
                 self.sides[k] = np.sign(np.nan_to_num(slope))
                 self._expected[k] = True
@@ -87,6 +85,14 @@ class Sides:
                     crossed.append(k)
                 self.sides[k], self._expected[k] = side, False
         return crossed
+
+    def beside(self, time: float, state: Array, rates: Array) -> Array:
+        """The sides of surfaces that a state is on (events,), 0 for those that it is on itself."""
+        heights = self.events.when(time, state, self.point)
+        slopes = self.events.slopes(time, rates, state, self.point)
+        noise = self.events.noise(time, state, self.point, np.abs(state))
+        definite = np.abs(heights) > noise + _TIME_ROUNDING * np.abs(np.nan_to_num(slopes) * time)
+        return np.where(definite, np.sign(heights), 0.0)
 
     def crossings(self, path: Callable[[Array], Array], start: float, end: float) -> list[Crossing]:
         """All crossings of a step, in order; :meth:`pass_until` takes the sides after them."""

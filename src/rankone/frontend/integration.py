@@ -300,8 +300,10 @@ class Integration:
     def _known_at(self, time: float) -> list[int]:
         """The events at known times that happen at the start, or at the end: they cross nothing."""
         events = self.equations.events
-        heights = events.when(time, self._state, self.point)
-        now = [k for k, at_times in enumerate(events.scheduled) if at_times and heights[k] == 0.0]
+        if not any(events.scheduled):
+            return []
+        sides = self._sides.beside(time, self._state, self._rates(time, self._state))
+        now = [k for k, at_times in enumerate(events.scheduled) if at_times and sides[k] == 0.0]
         return [k for k in now if not self._occurrences[k]]
 
     def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:
