@@ -219,7 +219,7 @@ class Resolution:
         lost, grows = dips & (least < _LEAST_SIZE), np.zeros_like(dips)
         sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
-            blocks = jacobian_blocks(self.system, self.points, time, at, small)
+            blocks = self._forwards(at) * jacobian_blocks(self.system, self.points, time, at, small)
             if np.isfinite(blocks).all():
                 charge(len(blocks) * eigenvalues(small.size))
                 growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
@@ -236,6 +236,16 @@ class Resolution:
                 remedy="take its logarithm as the unknown, or shorten the horizon",
             )
         return dips[:, None]
+
+    def _forwards(self, states: Array) -> Array:
+        """1 for trajectories at ``states`` (n, m) that go on in time, -1 for others: (m, 1, 1).
+
+        Those of an order that does not hold go back to its events.
+        """
+        if self.system.clock is None:
+            return np.ones((1, 1, 1))
+        lengths = states[len(self.system.unknowns) - 1]
+        return np.where(lengths < 0.0, -1.0, 1.0)[:, None, None]
 
     def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
         """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.
@@ -266,7 +276,7 @@ def _growing(blocks: Array, slowest: float) -> NDArray[np.bool_]:
 
 
 def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
-    """States (n,) that fall to a negligible part of what they were, and their least sizes.
+    """States (n,) that fall to a negligible part of what they were, and their least sizes there.
 
     Also the time at which the first of them is there.
     """
@@ -281,7 +291,9 @@ def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
             staying = np.maximum(before[low], sizes[low])
             below = (staying < NEGLIGIBLE * largest[low]).any(axis=1)
             if below.any():
-                first, dips[low[below]] = min(first, earlier), True
+                fallen = low[below]
+                first, dips[fallen] = min(first, earlier), True
+                least[fallen] = np.minimum(least[fallen], lowest[fallen])
         before, earlier, largest = sizes, time, np.maximum(largest, sizes)
-        least, highest = np.minimum(least, lowest), np.maximum(highest, sizes.max(axis=1))
+        highest = np.maximum(highest, sizes.max(axis=1))
     return dips, least, first

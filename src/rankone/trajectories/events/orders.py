@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -327,7 +328,12 @@ class OrderSearch:
 
     def named(self, order: Order) -> str:
         """An order of events, as messages name it."""
-        names = ", ".join(quote(self.system.events[met[0]].name) for met in order.met)
+        names = ", ".join(
+            name if (times := len([*same])) == 1 else f"{name} {times} times"
+            for name, same in itertools.groupby(
+                quote(self.system.events[met[0]].name) for met in order.met
+            )
+        )
         return f"the order of events {names}" if names else "the case without events"
 
     def places(self, steps: Sequence[object]) -> NDArray[np.intp]:

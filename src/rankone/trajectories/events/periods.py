@@ -24,7 +24,7 @@ from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import Path, joined
 from rankone.trajectories.single import SingleIntegrator
 
-FAR = 4.0
+FAR = 10.0
 """Horizons beyond the horizon up to which events are waited for."""
 _AGREEING = 3  # Crossings in a row that agree with those one period before
 # Error of marks that are foreseen, in times of a swing, above which less accurate trajectories tell
