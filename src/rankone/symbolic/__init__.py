@@ -9,6 +9,7 @@
 :mod:`~.lifting`        functions of the unknowns become unknowns, so that the system separates
 :mod:`~.stretches`      the system over stretches between events at known times
 :mod:`~.features`       where a system is not smooth: cuts of each coordinate
+:mod:`~.rests`          where speeds are zero by the equations, and jumps of rates that are none
 :mod:`~.superposition`  parameters whose effects add up, such as the amount of a dose
 :mod:`~.switches`       switches of the rates, each held on one side of its surface
 :mod:`~.surfaces`       functions that vanish where the system kinks, jumps or is narrow

@@ -11,7 +11,9 @@ The side is 0 then, and the rates are the mean of those of both sides,
 
     f = (1 + s)/2 f₊ + (1 - s)/2 f₋,   with s from dg/dt = 0,
 
-until s leaves [-1, 1]. Coulomb friction that sticks is the classic example.
+until s leaves [-1, 1]. Coulomb friction that sticks is the classic example. What is full or
+empty *rests*: dg/dt is zero on one side by the equations. There s is that side exactly, and the
+speed of the other side alone, or the end of what makes it zero, lets trajectories leave.
 
 Switches of the clock, such as ``Heaviside(t - a)``, are held as well: so each order of them and of
 others is continued smoothly. Where all are at times that are the same for all parameters, or there
@@ -37,6 +39,7 @@ from rankone.ir.events import FALLING
 from rankone.ir.forms import Coordinate, EventForm, Jump, State
 from rankone.ir.metadata import Role
 from rankone.symbolic.first_order import FirstOrderSystem
+from rankone.symbolic.rests import Sides, only_kinks, zero_where
 
 MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
@@ -45,9 +48,11 @@ _MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one 
 _MOST_COPIES = 81  # Most pieces of a rate that is not linear in its sides
 _MOST_NODES = 20_000  # Of all rates with sides written out: compiling more takes minutes
 _HALF = sp.Rational(1, 2)
+_LEAST = sp.Float("1e-300")  # Beside the square of a divisor that may be zero
 
 
 _Held: TypeAlias = tuple[sp.Expr, sp.Expr]  # An expression with sides, and as it was written
+_Case: TypeAlias = tuple[sp.Expr, Boolean]  # Of a piecewise function
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,11 @@ def _with_switches(
     distinct = [s for k, s in enumerate(switches) if not _beside(s, switches[:k])]
     if len(distinct) > MOST_SWITCHES or len(switches) > MOST_LEVELS:
         raise NotHeld
+    for switch in switches:
+        if switch.jumps:
+            changed = [rate for rate in rates if switch.side in rate.free_symbols]
+            others = _states_of(switches, switch)
+            switch.jumps = not only_kinks(changed, switch.surface, switch.side, others)
     return _with_sides(system, switches, _Sliding(system, switches, rates))
 
 
@@ -342,6 +352,7 @@ class _Sliding:
     ``sides`` maps what stands for sides in rates to expressions of the states. ``speeds`` are dg/dt
     of each switch, of sides as they stand in the rates. Where trajectories may slide, ``pulls`` are
     two numbers: they slide while the first, which drives them off, is not larger than the second.
+    ``rests`` tell where they rest.
     """
 
     def __init__(
@@ -355,6 +366,7 @@ class _Sliding:
         ]
         self.sides: dict[sp.Expr, sp.Expr] = {}
         self.pulls: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
+        self.rests: dict[sp.Expr, _Rests] = {}
         sliding = [s for s in switches if s.jumps and self._depends(s, s) and self._pull(s) != 0]
         if any(other.side in s.surface.free_symbols for s in sliding for other in switches):
             raise NotHeld  # a surface that moves when another one is crossed
@@ -419,14 +431,49 @@ class _Sliding:
             slope = _slope(speed, unknowns[0])
             drift = speed.subs(unknowns[0], 0)
             self.pulls[unknowns[0]] = drift, -slope  # positive where it attracts from both sides
+            rests = self.rests[unknowns[0]] = self._rests_of(group[0])
             on_side = group[0].state, _on_side(group[0])
-            return {unknowns[0]: sp.Piecewise(on_side, (-drift / slope, True))}
+            cases = [*rests.cases(sp.S.One, sp.S.NegativeOne)]
+            # Rates may be the same on both sides where what makes one of them zero ends
+            share = -drift * slope / (slope**2 + _LEAST) if cases else -drift / slope
+            return {unknowns[0]: sp.Piecewise(on_side, *cases, (share, True))}
         matrix, vector = sp.Matrix(rows), sp.Matrix(right)
         solved = matrix.adjugate() * vector / matrix.det(method="berkowitz")
         self.pulls.update(
             (side, (share, sp.S.One)) for side, share in zip(unknowns, solved, strict=True)
         )
         return dict(zip(unknowns, solved, strict=True))
+
+    def _rests_of(self, switch: _Switch) -> _Rests:
+        """Where trajectories rest at the surface of a switch that slides alone."""
+        speed = self.speeds[self.switches.index(switch)].xreplace({switch.state: sp.S.Zero})
+        above, below = (speed.xreplace({switch.side: sp.Integer(sign)}) for sign in (1, -1))
+        others = _states_of(self.switches, switch)
+        where = zero_where(above, others), zero_where(below, others)
+        return _Rests(*where, above.xreplace(self.sides), below.xreplace(self.sides))
+
+
+@dataclass(frozen=True)
+class _Rests:
+    """Where the speed at a surface is zero ``above`` or ``below`` it, and what it is on each side.
+
+    The speed of the other side holds trajectories there while it pushes.
+    """
+
+    above: Boolean
+    below: Boolean
+    speed_above: sp.Expr
+    speed_below: sp.Expr
+
+    def cases(self, above: sp.Expr, below: sp.Expr) -> Iterator[tuple[sp.Expr, Boolean]]:
+        """Cases of a piecewise function: what is so where they rest above, and below."""
+        pairs = (above, self.above), (below, self.below)
+        yield from ((each, rest) for each, rest in pairs if rest != sp.false)
+
+
+def _states_of(switches: Sequence[_Switch], without: _Switch) -> Sides:
+    """What stands for the sides of all switches but one, with their states."""
+    return {s.side: s.state for s in switches if s is not without}
 
 
 def _place_of(surface: sp.Expr) -> _Place:
@@ -546,17 +593,25 @@ class _Sides:
         sides = []
         for k, (switch, height) in enumerate(zip(self._switches, heights, strict=True)):
             if self._sliding.slides[switch.side]:
-                drift, pull = (
-                    each.xreplace(signs).xreplace(values)
-                    for each in self._sliding.pulls[switch.side]
-                )
-                onward = sp.sign(drift) * sp.Heaviside(_size_of(drift) - pull, 0)
+                onward = self._onward(switch).xreplace(signs).xreplace(values)
             else:
                 speed = self._sliding.speeds[k].xreplace(signs).xreplace(values)
                 stays = sp.S.Zero if switch.jumps else sp.S.One  # a kink is the same on both sides
                 onward = _or_else(sp.sign(speed), stays)
             sides.append(_or_else(sp.sign(height), onward))
         return sides
+
+    def _onward(self, switch: _Switch) -> sp.Expr:
+        """The side that trajectories on a surface go on to, 0 where they slide or rest."""
+        drift, pull = self._sliding.pulls[switch.side]
+        onward = sp.sign(drift) * sp.Heaviside(_size_of(drift) - pull, 0)
+        if (rests := self._sliding.rests.get(switch.side)) is None:
+            return onward
+        falls, rises = (
+            sign * sp.Heaviside(sign * speed, 0)
+            for sign, speed in ((-1, rests.speed_below), (1, rests.speed_above))
+        )
+        return sp.Piecewise(*rests.cases(falls, rises), (onward, True))
 
     def crossings(self) -> Iterator[EventForm]:
         """The events that set the sides."""
@@ -567,15 +622,28 @@ class _Sides:
                 speed = self._sliding.speeds[k].xreplace({switch.side: side})
                 speed = speed.xreplace(self._sliding.sides).xreplace({side: -side})
                 passes = sp.Heaviside(-side * speed, 0)
-                stays = pull * _size_of(pull) - drift**2
-                height = sp.Piecewise((height, _on_side(switch)), (stays, True))
-                other = sp.Piecewise((-side * passes, _on_side(switch)), (sp.sign(drift), True))
+                stays, leaves = (pull * _size_of(pull) - drift**2, True), (sp.sign(drift), True)
+                stay_there, leave = list[_Case](), list[_Case]()
+                if rests := self._sliding.rests.get(switch.side):
+                    stay_there = [*rests.cases(rests.speed_below, -rests.speed_above)]
+                    leave = [*rests.cases(sp.S.NegativeOne, sp.S.One)]
+                height = sp.Piecewise((height, _on_side(switch)), *stay_there, stays)
+                other = sp.Piecewise((-side * passes, _on_side(switch)), *leave, leaves)
             else:
                 other = -side
             other = other if switch.at is None else switch.behind
             others = [other if state == side else state for state in self.states]
             then = (*self._system.functions, *others)
-            yield EventForm(switch.name, height, FALLING, then, terminal=False, at=switch.at)
+            # At one instant a rest ends by its speed before another switch ends what makes it one
+            first = sp.S.One if self._rests_while(switch) else None
+            yield EventForm(
+                switch.name, height, FALLING, then, terminal=False, at=switch.at, priority=first
+            )
+
+    def _rests_while(self, switch: _Switch) -> bool:
+        """Whether trajectories rest at a surface as long as others are on some sides."""
+        rests = self._sliding.rests.get(switch.side)
+        return rests is not None and not {rests.above, rests.below} <= {sp.true, sp.false}
 
 
 def _or_else(side: sp.Expr, other: sp.Expr) -> sp.Expr:

@@ -231,7 +231,7 @@ class _Search:
         if interrupted.size:
             at = next_times[interrupted]
             met = Paths.of([moving[k] for k in interrupted.tolist()])
-            before = met(at[:, None])[:, :, 0]
+            before = self._on_sides(met(at[:, None])[:, :, 0])
             for column, k in enumerate(interrupted.tolist()):
                 if at[column] == moving[k].breaks[0]:  # where it is, to the last bit
                     before[:, column] = some[k].state
@@ -244,6 +244,12 @@ class _Search:
             self.instants.apply(
                 [some[k] for k in interrupted.tolist()], fired_now, at, before, at_points
             )
+
+    def _on_sides(self, states: Array) -> Array:
+        """States (n, m) whose sides are whole numbers, as steps have them but for rounding."""
+        first = len(states) - self.system.n_sides
+        states[first:] = np.rint(states[first:])
+        return states
 
     def _known(
         self, k: int, trajectories: Sequence[EventTrajectory], paths: Sequence[Path]
