@@ -63,6 +63,45 @@ def test_an_error_beyond_both_is_none_that_is_allowed():
     assert solution.errors["y"] * (sizes[1] + 1e-12 / RTOL) >= 0.3 * absolute[1]
 
 
+def shared(n=30, atol=None, units="mg", **options):
+    """A chain whose last compartments are as small as 1e-33."""
+    rates = {f"x{i}": f"k*x{i - 1} - k*x{i}" if i else "-k*x0" for i in range(n)}
+    start = dict.fromkeys(rates, 0) | {"x0": 1}
+    units = units and dict.fromkeys(rates, units)
+    given = rates, start, {"k": (1, 2)}, (0, 0.5)
+    return ro.solve(ro.Problem.from_strings(*given, units=units, atol=atol), RTOL, **options)
+
+
+@pytest.mark.parametrize("method", ["cross", "train"])
+def test_unknowns_of_one_unit_count_relative_to_the_largest(method):
+    solution, plain = shared(method=method), shared(units=None, method=method)
+    assert solution.success
+    assert plain.success
+    points = {"t": np.linspace(0.05, 0.5, 10), "k": np.linspace(1, 2, 10)}
+    difference = np.abs(solution(**points) - plain(**points))
+    assert difference.max() <= 2.0 * RTOL
+    assert (difference[15:] <= 1e-12).all()
+    assert "do not count" not in plain.message
+    assert "`x11` and 18 more below 1.0e-12 do not count" in " ".join(str(solution).split())
+    assert solution.errors["x29"] < 1e-3 * plain.errors["x29"]
+
+
+def test_an_atol_of_zero_asks_for_the_size_of_the_unknown_itself():
+    solution, plain = shared(atol={"x29": 0}), shared(units=None)
+    exact = plain(t=0.5, k=1.5)[29]
+    assert solution(t=0.5, k=1.5)[29] == pytest.approx(exact, rel=3 * RTOL)
+    assert "17 more" in solution.message
+    assert shared(12, units=None, atol={"x3": 0}).success
+
+
+def test_a_limit_names_the_unknowns_that_cost_most():
+    refused = shared(100, units=None, effort=0.01)
+    assert not refused.success
+    assert "`x99`, `x98`" in refused.message
+    assert 'give `atol={"x99": 1e-12, …}`' in refused.message
+    assert shared(100, effort=0.01).success
+
+
 @pytest.mark.slow
 def test_events_take_them():
     of = problem({"y": 1e-6}, events=[ro.Event(x - 0.5, "falling", then={x: x + 0.25})])
@@ -97,7 +136,7 @@ def test_they_are_kept_by_problems_that_follow():
     m = sp.Symbol("m")
     equations = [sp.Eq(m * x.diff(t), -k * x), sp.Eq(y.diff(t), -k * y)]
     of = problem({x: 1e-3, y: 0}, equations=equations, constants={m: 1})
-    assert of.set(m=2).vary(k=(2, 3)).atol == {"x": 1e-3}
+    assert of.set(m=2).vary(k=(2, 3)).atol == {"x": 1e-3, "y": 0.0}
     assert "absolute tolerances: x to 0.001" in repr(of)
 
 

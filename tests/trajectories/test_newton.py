@@ -17,6 +17,7 @@ from rankone.trajectories.integrator import Tolerances, jacobians
 from rankone.trajectories.spectra import (
     decays_faster,
     first_jacobian,
+    growth_bounds,
     growth_rate,
     jacobian_blocks,
 )
@@ -150,6 +151,12 @@ def test_blocks_of_some_states_are_parts_of_the_jacobian(system, stack) -> None:
     rows = np.array([3, 4, 5, 40])
     expected = jacobians(system, stack[0], TIME, stack[1])[:, rows[:, None], rows]
     assert jacobian_blocks(system, *stack[:1], TIME, stack[1], rows) == pytest.approx(expected)
+    bounds = growth_bounds(system, *stack[:1], TIME, stack[1], rows)
+    fastest = np.linalg.eigvals(expected).real.max(axis=1)
+    assert (fastest <= bounds + 1e-12 * np.abs(bounds)).all()
+    diagonal = np.einsum("mii->mi", expected)
+    radii = [np.abs(expected).sum(axis=a) - np.abs(diagonal) for a in (1, 2)]
+    assert bounds == pytest.approx(np.min([(diagonal + r).max(axis=1) for r in radii], axis=0))
 
 
 def test_full_jacobians_are_dense(system) -> None:

@@ -251,10 +251,14 @@ def _tables(
     products: Iterable[tuple[int, int]],
     coordinates: Sequence[Coordinate],
 ) -> list[str]:
-    """Whether it separates, its states, its parameters, their domain, absolute tolerances."""
+    """Whether it separates, its states, its parameters, their domain, tolerances of states."""
     clock, *parameters = coordinates
     scaled = any(c.scale != LINEAR for c in parameters)
-    atol = nested((state.name, float(state.atol)) for state in states if state.atol)
+    atol = nested((s.name, float(s.atol)) for s in states if s.atol is not None)
+    names_of: dict[str, list[str]] = {}
+    for state in states:
+        names_of.setdefault(state.unit, []).append(state.name)
+    alike = [tuple(names) for unit, names in names_of.items() if unit and len(names) > 1]
     return [
         f"SEPARATED = {separated}",
         *table("STATES", [quoted(state.name) for state in states]),
@@ -265,6 +269,7 @@ def _tables(
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
         *(table("SCALES", [quoted(c.scale) for c in parameters]) if scaled else ()),
         *(table("ATOL", atol) if atol else ()),
+        *(table("ALIKE", nested(alike)) if alike else ()),
     ]
 
 

@@ -211,7 +211,7 @@ def real_number(value: Any, subject: str, remedy: str) -> float:
 
 
 def check_tolerances(atol: object, states: Iterable[sp.Expr], time: sp.Symbol) -> dict[str, float]:
-    """Absolute tolerances by the names of states, those of zero left out."""
+    """Absolute tolerances by the names of states; zero asks for the state's own size."""
     remedy = "give {unknown: error}, for example {x: 1e-6}"
     if not isinstance(atol, Mapping | None):
         raise ProblemError(f"atol is {shown(atol)}, not a mapping", term=atol, remedy=remedy)
@@ -234,7 +234,7 @@ def check_tolerances(atol: object, states: Iterable[sp.Expr], time: sp.Symbol) -
             message = f"the absolute tolerance of {quote(name)} is {fault}"
             raise ProblemError(message, term=key, remedy=remedy)
         tolerances[name] = size
-    return {name: size for name, size in tolerances.items() if size}
+    return tolerances
 
 
 def _name_among(names: Sequence[str], key: object, time: sp.Symbol) -> str:

@@ -112,7 +112,8 @@ class Problem(CheckedProblem):
     atol : mapping of Expr to float, optional
         Absolute tolerances of unknowns, for those that are or become numerically zero. The error of
         ``x`` is relative to its largest reference value plus ``atol/rtol``, so that with
-        ``{x: 1e-6}`` one of up to 1e-6 is always within the tolerance.
+        ``{x: 1e-6}`` one of up to 1e-6 is always within the tolerance. An unknown that has none and
+        shares its unit with others has 1e-12 of the largest of them; zero asks for its own size.
 
     Attributes
     ----------

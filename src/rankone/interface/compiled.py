@@ -158,7 +158,7 @@ class CompiledProblem(CompiledStages):
         max_memory : float or str, optional
             Bytes that arrays may take at once, or a text such as ``"2GB"``. Needs are foreseen from
             counts of trajectories, states and ranks; what does not fit ends the solve before it
-            is begun, with a message that says how much it needs.
+            is begun, with a message that says how much it needs. By default ``"4GB"``.
         unknowns : sequence, optional
             The unknowns to solve for, by functions ``x(t)``, their derivatives or names: the
             solution holds these alone, and their error has to be within the tolerance. By default

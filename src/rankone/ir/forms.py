@@ -60,13 +60,14 @@ class State:
     Its name is the unknown's, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``);
     the expression is the applied function, its derivative or the product of states, as the user
     writes it. ``atol`` over the relative tolerance adds to the size that errors of it are relative
-    to.
+    to; without one a tiny part of the largest state of the same ``unit`` does, if it has a unit.
     """
 
     name: str
     expression: sp.Expr
     role: Role = Role.UNKNOWN
-    atol: float = 0.0
+    atol: float | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)

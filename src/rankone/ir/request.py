@@ -40,6 +40,7 @@ SOLVE_ARGUMENTS = (
 )
 """Arguments of every ``solve``, beside the options of an engine."""
 # Smallest tolerance: the reference, three digits better, comes close to rounding errors there
+_MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memory is given
 _TIGHTEST_RTOL = 1e-10
 _LOOSEST_RTOL = 0.1  # Largest tolerance: beyond it a solution says little
 # Interior check points for ``check=True``: a twentieth of the box is missed with probability below
@@ -241,7 +242,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Limits:
-    """The budget of a solve: operations of counted work; seconds and bytes if a user set them."""
+    """The budget of a solve: operations of counted work, bytes, and seconds if a user set them."""
 
     operations: float = math.inf
     seconds: float = math.inf
@@ -258,7 +259,7 @@ class Limits:
         """The limits for arguments of ``solve``, or an OptionError."""
         factor = _USER_FUNCTION_FACTOR if system.user_functions else 1.0
         operations = operations_for(effort) * factor
-        seconds = memory = math.inf
+        seconds, memory = math.inf, _MEMORY
         if max_seconds is not None:
             seconds = checked_number("max_seconds", max_seconds, 0.0, kind=float)
         if max_memory is not None:

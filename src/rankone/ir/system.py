@@ -75,6 +75,8 @@ Box: TypeAlias = Sequence[tuple[float, float]]
 """An interval for each parameter."""
 UserFunction: TypeAlias = Callable[..., object]
 """A function that the user gave for an expression."""
+SHARED_UNIT = 1e-12
+"""Part of the largest of the states that share a unit below which errors do not count."""
 Answer = TypeVar("Answer")
 Member = TypeVar("Member")
 
@@ -141,7 +143,8 @@ class System:
     separated system of that kind, of a clock and a box, where that is asked for. The last
     ``n_sides`` of the differential states are the sides of switches, set by as many of the last
     events; ``held`` is the same system with such states, where there are any.
-    ``constraints`` vanish on all trajectories. ``atol`` has absolute tolerances of states by name.
+    ``constraints`` vanish on all trajectories. ``atol`` has absolute tolerances of states by name;
+    the states of each tuple in ``alike`` share a unit.
     Where trajectories start at steady states, ``rest`` is what has them, and ``at_rest`` finds them
     at p (d, m), without lifted states.
     """
@@ -176,10 +179,24 @@ class System:
     separated_stretches: Callable[[Clock, Box], System] | None = None
     constraints: Constraints = field(default_factory=Constraints)
     atol: tuple[tuple[str, float], ...] = ()
+    alike: tuple[tuple[str, ...], ...] = ()
     n_sides: int = 0
     held: System | None = None
     rest: Rest | None = None
     at_rest: OfParameters | None = None
+
+    def tolerances(self, sizes: Array) -> Array:
+        """Absolute tolerances of the differential states, whose largest values are ``sizes`` (n,).
+
+        One without a tolerance of its own that shares its unit has a part of the largest of them.
+        """
+        names = self.states[: len(sizes)]
+        absolute = dict.fromkeys(names, 0.0)
+        for alike in self.alike:
+            shared = SHARED_UNIT * max(sizes[names.index(name)] for name in alike)
+            absolute.update(dict.fromkeys(alike, float(shared)))
+        absolute.update(self.atol)
+        return np.array([absolute[name] for name in names])
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -394,6 +411,7 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
         events=_events(names),
         constraints=constraints,
         atol=member("ATOL", ()),
+        alike=member("ALIKE", ()),
         n_sides=member("N_SIDES", 0),
         held=None if held is None else system_of(held),
         rest=_rest(names),

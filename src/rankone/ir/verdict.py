@@ -7,10 +7,15 @@ sentence: nothing else writes what users read of the end of a solve.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import ClassVar
 
+import numpy as np
+
+from rankone.ir.system import SHARED_UNIT, System
+from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, OutOfWorkError
 from rankone.support.memory import in_words
 from rankone.support.plain_data import Tagged
@@ -473,6 +478,61 @@ class NumericallyZero(Note):
     def sentence(self, status: Status) -> str:
         same = f" (the same holds for {self.further} more)" if self.further else ""
         return super().sentence(status) + same
+
+
+@dataclass(frozen=True)
+class SharedUnit(Note):
+    """Unknowns that are tiny beside another of the same unit, and the errors that do not count."""
+
+    unknowns: tuple[str, ...]
+    tolerance: float
+
+    def sentence(self, status: Status) -> str:
+        first, *others = self.unknowns
+        more = f" and {len(others)} more" if others else ""
+        return (
+            f"errors of {quote(first)}{more} below {self.tolerance:.1e} do not count, which is "
+            f"{SHARED_UNIT:g} of the largest unknown of the same unit; an `atol` of 0 asks for the "
+            "size of the unknown itself"
+        )
+
+
+@dataclass(frozen=True)
+class TinyUnknowns(Note):
+    """Unknowns that are tiny beside the largest, the smallest first, and what would relieve them.
+
+    Errors below ``tolerance`` are no part of the largest that matters.
+    """
+
+    unknowns: tuple[str, ...]
+    smallest: float
+    tolerance: float
+
+    @classmethod
+    def of(
+        cls, system: System, sizes: Array, asked: Collection[int] | None
+    ) -> tuple[TinyUnknowns, ...]:
+        """The note on states of sizes (n,), if it applies to some that are ``asked`` for."""
+        sizes = sizes[: len(system.unknowns)]
+        tolerance = SHARED_UNIT * float(sizes.max(initial=0.0))
+        own = (sizes > 0.0) & (sizes < tolerance) & (system.tolerances(sizes) == 0.0)
+        tiny = [int(i) for i in np.argsort(sizes, kind="stable") if own[i]]
+        tiny = [i for i in tiny if asked is None or i in asked]
+        if not tiny:
+            return ()
+        names = tuple(system.states[i] for i in tiny)
+        return (cls(names, float(sizes[tiny[0]]), tolerance),)
+
+    def sentence(self, status: Status) -> str:
+        first = self.unknowns[:_MOST_NAMES]
+        more = len(self.unknowns) - len(first)
+        names = listing(first) + (f" and {more} more" if more else "")
+        return (
+            f"{names} are as small as {self.smallest:.1e}, and the digits of what is so small cost "
+            f"most; if errors below {self.tolerance:.0e} do not matter, give "
+            f'`atol={{"{first[0]}": {self.tolerance:.0e}, …}}`, or declare in `units` that the '
+            "unknowns share a unit"
+        )
 
 
 def _percent(share: float) -> str:

@@ -22,6 +22,7 @@ from rankone.ir.verdict import (
     Note,
     OutputError,
     Remedy,
+    SharedUnit,
     Status,
     UnknownOutputError,
 )
@@ -174,6 +175,9 @@ class OutputInterpolation:
         """
         solution, states, rtol = self.solution, self.solution.states, self.solution.rtol
         absolute = dict(solution.metadata.atol)
+        for note in solution.outcome.notes:
+            if isinstance(note, SharedUnit):
+                absolute |= dict.fromkeys(note.unknowns, note.tolerance)
         atol = np.array([absolute.get(state, 0.0) for state in states])
         shares = np.array(list(solution.errors.values())) / rtol
         in_sums = sampler.largest_in_sums(points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
@@ -31,6 +31,7 @@ from rankone.ir.verdict import (
     Status,
     SteepParameter,
     StoppedAt,
+    TinyUnknowns,
 )
 from rankone.solvers.march import MarchResult
 from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
@@ -244,7 +245,7 @@ def solve_in_attempts(
             with stages.of("reference"):
                 marcher = marcher_of()
         except OutOfBudgetError as out:
-            return out_at_reference(out, system, stages)
+            return out_at_reference(out, system, stages, request.check.states)
         made = _attempts(marcher, request.rtol, options, report, stages)
     reference_set, best = marcher.reference_set, made.best
     status = best.status(reference_set, request.rtol)
@@ -282,6 +283,10 @@ def solve_in_attempts(
             notes.append(StoppedAt(end))
     if status is Status.MEMORY_LIMIT and made.memory_needed is not None:
         notes.append(made.memory_needed)
+    with suppress(OutOfBudgetError):
+        if status in (Status.MEMORY_LIMIT, Status.WORK_LIMIT):
+            notes += TinyUnknowns.of(system, reference_set.largest, reference_set.asked)
+        notes += reference_set.shared
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += () if status is Status.NARROW else Budget.of(stages.named, stages.budget)
@@ -342,8 +347,13 @@ def _narrowed(
     return [] if box is None else [box]
 
 
-def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:
-    """The outcome when a limit is met by the reference."""
+def out_at_reference(
+    out: OutOfBudgetError,
+    system: System,
+    stages: Stages,
+    asked: Collection[int] | None = None,
+) -> Outcome:
+    """The outcome when a limit is met by the reference; all states are ``asked`` for if None."""
     status, switching = Status.of_limit(out), None
     cause: Cause | None = ReferenceLimit()
     if out.reached is not None:
@@ -353,6 +363,8 @@ def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> O
     notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
     if (memory_needed := MemoryNeeded.of(out)) is not None:
         cause, notes = None, [memory_needed]
+    if out.sizes is not None:
+        notes += TinyUnknowns.of(system, out.sizes, asked)
     if switching is None:
         notes.append(Remedy(_REMEDIES[status]))
     ended = Outcome((), status, None, (), stages.timings, stages.work, switching=switching)

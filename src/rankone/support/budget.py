@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import NamedTuple, Self
 
+from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
 
@@ -43,8 +44,11 @@ class Reached(NamedTuple):
 class OutOfBudgetError(Exception):
     """A limit was reached; caught where the best answer so far is known.
 
-    ``reached`` says how far an integration came, if the limit was reached by one.
+    ``reached`` says how far an integration came, if the limit was reached by one, and ``sizes``
+    how large its states are, (n,), as far as that is known.
     """
+
+    sizes: Array | None = None
 
     def __init__(self, reached: Reached | None = None) -> None:
         super().__init__(reached)
@@ -64,7 +68,7 @@ class OutOfTimeError(OutOfBudgetError):
 
 
 class OutOfMemoryError(OutOfBudgetError):
-    """What comes next needs more bytes, ``needed``, than the ``limit`` that a user gave."""
+    """What comes next needs more bytes, ``needed``, than the ``limit``."""
 
     def __init__(self, needed: float, limit: float, reached: Reached | None = None) -> None:
         super().__init__(reached)
@@ -81,8 +85,8 @@ class Account:
     """The work that was counted, and the limits on it.
 
     ``done`` operations are counted, at most ``most`` may be; once ``telling`` ones are, those that
-    are foreseen count too. ``memory`` are the bytes that may be held at once, infinite unless a
-    user asked for a limit, and ``held`` those that are kept for now. ``end`` is the deadline, by
+    are foreseen count too. ``memory`` are the bytes that may be held at once, and ``held`` those
+    that are kept for now. ``end`` is the deadline, by
     ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
     whose answer is kept.
     """
@@ -217,7 +221,7 @@ def check_time() -> None:
 
 
 def memory_left() -> float:
-    """The bytes that may be held beside those that are; infinite unless a user set a limit."""
+    """The bytes that may be held beside those that are; infinite outside of a solve."""
     account = _ACCOUNT.get()
     return math.inf if account is None else account.memory - account.held
 

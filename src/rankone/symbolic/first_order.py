@@ -236,7 +236,8 @@ def _states(problem: Problem) -> tuple[State, ...]:
             name_of(e),
             e,
             Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN,
-            (problem.atol or {}).get(name_of(e), 0.0),
+            (problem.atol or {}).get(name_of(e)),
+            (problem.units or {}).get(name_of(e), ""),
         )
         for e in problem.initial
     )

@@ -16,6 +16,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, eigs
 
+from rankone.ir.jacobian import PatternJacobian
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -87,13 +88,47 @@ def jacobian_blocks(
     pattern = sparse_pattern(system)
     if pattern is None:
         return jacobians(system, points, time, states)[:, rows[:, None], rows]
-    places = np.full(system.n_differential, -1)
-    places[rows] = np.arange(rows.size)
-    own = np.flatnonzero((places[pattern.rows] >= 0) & (places[pattern.columns] >= 0))
-    entries = entries_at(system, pattern, points, time, states)[own]
+    own, places, entries = _own_entries(system, pattern, points, time, states, rows)
     blocks = np.zeros((len(points), rows.size, rows.size))
     blocks[:, places[pattern.rows[own]], places[pattern.columns[own]]] = entries.T
     return blocks
+
+
+def growth_bounds(
+    system: System, points: Array, time: float, states: Array, rows: NDArray[np.intp]
+) -> Array:
+    """For each trajectory of a stack a rate that no eigenvalue of such a block exceeds: (m,).
+
+    By the circles of its rows and of its columns; infinite for few states, whose eigenvalues cost
+    as little.
+    """
+    pattern = sparse_pattern(system)
+    if pattern is None:
+        return np.full(len(points), np.inf)
+    own, places, entries = _own_entries(system, pattern, points, time, states, rows)
+    lines, columns = places[pattern.rows[own]], places[pattern.columns[own]]
+    radii = np.where((lines == columns)[:, None], entries, np.abs(entries))
+    shape, numbers = (rows.size, own.size), np.arange(own.size)
+    bounds = [
+        (scipy.sparse.csr_array((np.ones(own.size), (ends, numbers)), shape) @ radii).max(axis=0)
+        for ends in (lines, columns)
+    ]
+    return np.asarray(np.minimum(*bounds))
+
+
+def _own_entries(
+    system: System,
+    pattern: PatternJacobian,
+    points: Array,
+    time: float,
+    states: Array,
+    rows: NDArray[np.intp],
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Numbers of the entries that some states have in themselves, their places, and values."""
+    places = np.full(system.n_differential, -1)
+    places[rows] = np.arange(rows.size)
+    own = np.flatnonzero((places[pattern.rows] >= 0) & (places[pattern.columns] >= 0))
+    return own, places, entries_at(system, pattern, points, time, states)[own]
 
 
 def decays_faster(system: System, points: Array, time: float, states: Array, rate: float) -> bool:

@@ -196,7 +196,11 @@ def integrate_reference(
     resolution = Resolution(system, points, start, end, rtol, initial, asked)
 
     def integrated(points: Array, absolute: Array) -> DenseTrajectories:
-        return chosen.run(system, points, edges, Tolerances(rtol, absolute, longest))
+        try:
+            return chosen.run(system, points, edges, Tolerances(rtol, absolute, longest))
+        except OutOfBudgetError as out:
+            out.sizes = resolution.largest[:, 0]
+            raise
 
     if resolution.presumes and initial.size >= _MANY_NUMBERS:
         first = initial[:, :_PILOTS]

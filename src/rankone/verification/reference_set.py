@@ -16,7 +16,7 @@ from rankone.ir.observation import Observation
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.timeline import CLOCK_STATES
-from rankone.ir.verdict import HiddenEvent, HiddenRate, NumericallyZero
+from rankone.ir.verdict import HiddenEvent, HiddenRate, NumericallyZero, SharedUnit
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
@@ -254,9 +254,19 @@ class ReferenceSet:
 
     @cached_property
     def sizes(self) -> Array:
+        """The sizes to which errors of each state, products included, are relative.
+
+        These are the largest values, to which absolute tolerances over the relative one are added;
+        one for a vanishing state.
+        """
+        sizes = self.largest.copy()
+        sizes[: self.system.n_differential] += self.added
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    @cached_property
+    def largest(self) -> Array:
         """Largest absolute value of each state, products included; one for a vanishing state.
 
-        Absolute tolerances over the relative one are added.
         Over the centre and the interior points: states at corners of a box of many parameters may
         be larger by orders of magnitude and are seen by nobody. States that are numerically zero
         get a size of which their rounding errors are a small part.
@@ -276,15 +286,14 @@ class ReferenceSet:
             self._size_clock(sizes, times, states)
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
-        sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy) + self.added
-        return np.where(sizes > 0.0, sizes, 1.0)
+        sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy)
+        return sizes
 
     @cached_property
     def added(self) -> Array:
         """What absolute tolerances add to the sizes of the differential states."""
-        absolute = dict(self.system.atol)
-        names = self.system.states[: self.system.n_differential]
-        return np.array([absolute.get(name, 0.0) / (self.rtol or 1.0) for name in names])
+        absolute = self.system.tolerances(self.largest[: self.system.n_differential])
+        return absolute / (self.rtol or 1.0)
 
     @property
     def added_to_seen(self) -> Array | float:
@@ -358,6 +367,18 @@ class ReferenceSet:
     def interior_points(self) -> Array:
         """The centre and the interior points, (m, d)."""
         return self.interior(self.reference.points, axis=0)
+
+    @property
+    def shared(self) -> tuple[SharedUnit, ...]:
+        """The unknowns asked for that are tiny beside others of their unit."""
+        if not self.system.alike:
+            return ()
+        tiny: dict[float, list[str]] = {}
+        for i in self.asked if self.asked is not None else range(len(self.system.unknowns)):
+            name, tolerance = self.system.states[i], float(self.rtol * self.added[i])
+            if name not in dict(self.system.atol) and self.rtol * self.largest[i] < tolerance:
+                tiny.setdefault(tolerance, []).append(name)
+        return tuple(SharedUnit(tuple(names), tolerance) for tolerance, names in tiny.items())
 
     @property
     def zeros(self) -> tuple[NumericallyZero, ...]:

@@ -22,6 +22,7 @@ from rankone.trajectories.diagnosis import MOST_GROWTH, Rounding, rounding_error
 from rankone.trajectories.integrator import LEAST_TOLERANCE, DenseTrajectories
 from rankone.trajectories.spectra import (
     first_jacobian,
+    growth_bounds,
     growth_rate,
     jacobian_blocks,
     logarithmic_norm,
@@ -61,9 +62,10 @@ def times_held(size: int) -> int:
 class Resolution:
     """How far down each state is resolved; an integration shows whether that was far enough.
 
-    For each state, (n, 1): the size that it has at ``first`` and the one that it is presumed to
-    have, the floor of a ``Reference``, and the absolute tolerance. ``asked`` are the states that
-    somebody asks for, None for all. Others are resolved for what they do to these.
+    For each state, (n, 1): the size that it has at ``first``, the ``largest`` that was seen and
+    the one that it is presumed to have, the floor of a ``Reference``, and the absolute tolerance.
+    ``asked`` are the states that somebody asks for, None for all. Others are resolved for what they
+    do to these.
     """
 
     def __init__(
@@ -84,9 +86,7 @@ class Resolution:
         self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
         self.floor = np.full((len(initial), 1), np.inf)
         self.asked = np.isin(np.arange(len(initial)), [*asked]) if asked is not None else None
-        absolute = dict(system.atol)
-        names = system.states[: len(initial)]
-        self.tolerated = np.array([[absolute.get(name, 0.0)] for name in names])
+        self.largest = self.first
         self.absolute = self._absolute(NEGLIGIBLE * self.size)
 
     def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
@@ -101,13 +101,18 @@ class Resolution:
     def follow(self, pilots: Resolution) -> None:
         """Begin with sizes and floors that a few of the trajectories have shown, and a margin."""
         self.size = np.where(self.first > 0.0, np.maximum(self.size, pilots.size), pilots.size)
-        self.floor = pilots.floor
+        self.floor, self.largest = pilots.floor, np.maximum(self.first, pilots.largest)
         self.absolute = self._absolute(_MARGIN * np.minimum(NEGLIGIBLE * self.size, self.floor))
 
     def _absolute(self, finest: Array) -> Array:
         """The absolute tolerances at which states are relative down to the sizes ``finest``."""
         least = np.maximum(self.least, self.rounding.floor)
         return np.asarray(np.maximum(self.rtol * finest, least))
+
+    @property
+    def tolerated(self) -> Array:
+        """Absolute tolerances of the problem, (n, 1), for the sizes that are known."""
+        return self.system.tolerances(self.largest[:, 0])[:, None]
 
     @property
     def least(self) -> Array:
@@ -138,6 +143,7 @@ class Resolution:
             early = np.maximum(early, self._begun(dense, samples))
             lingers = candidates & (early < np.minimum(usual, self.floor))
         dips = ~zero & self._grows_again(dense)
+        self.largest = np.maximum(self.first, largest)
         self.size = np.where(small, largest, self.size)
         self.floor = np.where(lingers, _LINGERING * early, self.floor)
         deepest = np.where(self.from_zero, _ZERO_FLOOR * largest, _DIP_FLOOR)
@@ -219,12 +225,14 @@ class Resolution:
         lost, grows = dips & (least < _LEAST_SIZE), np.zeros_like(dips)
         sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
-            blocks = self._forwards(at) * jacobian_blocks(self.system, self.points, time, at, small)
-            if np.isfinite(blocks).all():
-                charge(len(blocks) * eigenvalues(small.size))
-                growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
-                if lost.any():
-                    grows[small] |= _growing(blocks * (sizes / sizes[:, None]), slowest)
+            for some in self._may_grow(time, at, small, slowest):
+                stack = self.points[some], time, at[:, some]
+                blocks = self._forwards(stack[2]) * jacobian_blocks(self.system, *stack, small)
+                if np.isfinite(blocks).all():
+                    charge(len(blocks) * eigenvalues(small.size))
+                    growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
+                    if lost.any():
+                        grows[small] |= _growing(blocks * (sizes / sizes[:, None]), slowest)
         if growth <= slowest:
             return np.zeros_like(dips)[:, None]
         lost &= grows
@@ -246,6 +254,16 @@ class Resolution:
             return np.ones((1, 1, 1))
         lengths = states[len(self.system.unknowns) - 1]
         return np.where(lengths < 0.0, -1.0, 1.0)[:, None, None]
+
+    def _may_grow(
+        self, time: float, states: Array, rows: NDArray[np.intp], slowest: float
+    ) -> list[NDArray[np.intp]]:
+        """Trajectories some of whose states may grow faster, as many at once as are held."""
+        some = np.arange(len(self.points))
+        if self.system.clock is None:
+            bounds = growth_bounds(self.system, self.points, time, states, rows)
+            some = np.flatnonzero(~(bounds <= slowest))
+        return np.array_split(some, -(-some.size * rows.size**2 // _HELD_NUMBERS) or 1)[: some.size]
 
     def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
         """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.

@@ -13,6 +13,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
+from rankone.support.budget import OutOfMemoryError
 from tests.problems import REFERENCE
 
 solve = partial(ro.solve, method="train")
@@ -161,6 +162,10 @@ def test_history_tells_every_slab():
 # -- limits: success is False with the error reached, or an exception on request -----------------
 
 
+def refused(count):
+    raise OutOfMemoryError(count, 1e3)
+
+
 @pytest.mark.parametrize(
     ("options", "status"),
     [
@@ -172,7 +177,7 @@ def test_history_tells_every_slab():
 )
 def test_limits_are_reported_never_hidden(options, status, monkeypatch):
     if not options:
-        monkeypatch.setattr("rankone.solvers.train.iteration.MOST_MEMORY", 1e3)
+        monkeypatch.setattr("rankone.solvers.train.iteration.reserve", refused)
     with pytest.raises(ro.ConvergenceError, match=status.value) as caught:
         solve(REFERENCE["lotka_volterra"](), rtol=1e-6, on_failure="raise", **options)
     solution = caught.value.solution

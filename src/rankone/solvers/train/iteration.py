@@ -21,7 +21,6 @@ from rankone.solvers.train.options import (
     JUMP_SHARE,
     LEAST_CONTRACTION,
     MAX_PROBES,
-    MOST_MEMORY,
     RELIABLE_CONTRACTION,
     SLOWEST_CONTRACTION,
     STAGNANT_CONTRACTION,
@@ -30,7 +29,7 @@ from rankone.solvers.train.options import (
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfMemoryError, memory_left, reserve
+from rankone.support.budget import OutOfMemoryError, reserve
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.reference_set import ReferenceSet
@@ -88,9 +87,7 @@ class Convergence:
 
 
 def _memory_needed(count: float) -> MemoryNeeded | None:
-    """What is needed if so many bytes do not fit, or are more than any slab may take."""
-    if memory_left() == math.inf:
-        return MemoryNeeded(count, MOST_MEMORY) if count > MOST_MEMORY else None
+    """What is needed if so many bytes do not fit."""
     try:
         reserve(count)
     except OutOfMemoryError as out:

@@ -34,7 +34,6 @@ FAST_FACTOR = 1.5  # Factor on the length of the next slab after few sweeps
 RECOVERY_FACTOR = 1.15  # Largest growth of the length per slab after a rejection
 REFERENCE_NOISE = 1e-7  # Relative size below which the dense output of the reference is not smooth
 RETRY_LENGTH_RATIO = 0.8  # A slab whose proper length is below this part of its own is solved again
-MOST_MEMORY = 4e9  # Bytes of a sweep, estimated, unless max_memory is less
 MEMORY_HALVING_LIMIT = 1e-3  # Shortest slab, relative to the horizon, that is halved to save memory
 SHORTEST_SLAB = 1e-10  # Shortest slab, relative to the horizon
 
