@@ -59,3 +59,39 @@ def test_solutions_without_events_have_no_jumps():
     problem = ro.Problem.from_strings({"A": "-k*A"}, {"A": "10"}, {"k": (0.2, 0.5)}, (0, 8))
     fit = ro.solve(problem, 1e-6).fit(TIMES, 10.0 * np.exp(-0.3 * TIMES) + 0.1, sigma=0.3)
     assert (fit.stuck, fit.jumps) == (False, ())
+
+
+@functools.cache
+def switched():
+    """A rate that ends at an unknown time; the state has a kink there, and no jump."""
+    rates, box = {"x": "Piecewise((r, t < a), (0, True)) - k*x"}, {"k": (0.2, 1), "r": (0.5, 3)}
+    problem = ro.Problem.from_strings(rates, {"x": "0"}, {"a": (1, 6), **box}, (0, 8))
+    return ro.solve(problem, 1e-4)
+
+
+@functools.cache
+def clipped():
+    """A rate that ends where the state falls to an unknown level."""
+    rates = {"x": "-k*Max(0, x - c) - 0.05*x"}
+    box = {"k": (0.2, 3), "c": (0.5, 2)}
+    return ro.solve(ro.Problem.from_strings(rates, {"x": "3"}, box, (0, 8)), 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("model", "seed", "noise", "every"),
+    [(switched, 9, 0.3, 1), (switched, 22, 0.3, 4), (clipped, 7, 0.3, 1), (clipped, 5, 0.03, 4)],
+)
+def test_models_that_switch_have_no_jumps(model, seed, noise, every):
+    """Steep curves and kinks are none, though the solution has stretches between switches."""
+    solution, generator = model(), np.random.default_rng(seed)
+    at = {
+        name: low + generator.uniform() * (high - low)
+        for name, (low, high) in solution.parameters.items()
+    }
+    times = TIMES if every == 1 else TIMES[1::every]
+    data = solution["x"](times, at) + noise * generator.standard_normal(times.size)
+    fit = solution.fit(times, data, sigma=noise)
+    assert (fit.stuck, fit.jumps) == (False, ())
+    assert fit.kinked is (model is switched)
+    assert ("at a kink of the sum of squares" in fit.message) is fit.kinked
+    assert "event" not in " ".join([fit.message, *fit.checks])

@@ -1,5 +1,7 @@
 """Best parameters, against closed forms."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -100,6 +102,22 @@ def test_a_minimum_that_may_be_local():
     assert low.searches <= 4 + 2
     again = case.solution.minimize(case.objective, case.at, start=start, starts=0)
     assert again == best
+
+
+@functools.cache
+def failed():
+    """A solution that missed its tolerance, and an output of one."""
+    rates, box = {"x": "cos(a*b*t + a*x)"}, {"a": (0.5, 2), "b": (0.5, 2)}
+    return ro.solve(ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 3)), 1e-8, max_rank=3)
+
+
+@pytest.mark.parametrize("output", [None, {"y": "x**2"}])
+def test_of_a_solution_that_is_no_success(output):
+    solution = failed() if output is None else failed().output(output)
+    assert not solution.success
+    best = solution.minimize(next(iter(solution.states)), 1.5, effort="low")
+    assert not best.success
+    assert best.message.startswith("the solution itself is not a success: ")
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,9 @@ def test_subjects():
         np.testing.assert_array_equal(data, one_way(1)[subject])
         np.testing.assert_allclose(times, np.linspace(0, 4, 4))
     assert len(plotting.plot_population(fit)) == 12
+    assert [ax.get_title() for ax in plotting.plot_population(fit, subjects=range(3))] == list(
+        "012"
+    )
 
 
 def test_predictive_check():

@@ -235,3 +235,43 @@ def test_data_without_a_deviation_are_refused():
     at_dose = {**table, "t": np.where(table["t"] == HOURS[0], 0.0, table["t"])}
     with pytest.raises(ro.OptionError, match="standard deviation of a datum is zero"):
         oral().fit_population(at_dose, random=["V"], noise="proportional")
+
+
+@functools.cache
+def lagged():
+    """A dose by mouth after a lag that all subjects share."""
+    events = [{"when": "t - lag", "direction": "rising", "then": {"A": "A + 100"}, "name": "dose"}]
+    problem = ro.Problem.from_strings(
+        {"A": "-ka*A", "C": "ka*A/V - CL/V*C"},
+        {"A": "0", "C": "0"},
+        {"ka": (0.3, 6), "CL": (0.5, 6), "V": (5, 40), "lag": (0.05, 1.2)},
+        (0, 24),
+        events=events,
+    )
+    return ro.solve(problem, 1e-5)
+
+
+@pytest.mark.parametrize("start", [None, {"lag": 1.1}])
+def test_no_search_ends_where_predictions_vanish(start, capfd):
+    """Before the lag there is no prediction, and no noise in proportion to it."""
+    generator = np.random.default_rng(2)
+    ka, CL, V = (
+        mean * np.exp(0.25 * generator.standard_normal(12))[:, None] for mean in (1.5, 2.0, 15.0)
+    )
+    times = np.array([0.75, 1.0, 1.5, 2.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0])
+    exact = concentration(times - 0.4, 100.0, ka, CL, V)
+    columns = {
+        "subject": np.repeat(np.arange(12), times.size),
+        "t": np.tile(times, 12),
+        "C": (exact * (1.0 + 0.1 * generator.standard_normal(exact.shape))).ravel(),
+    }
+    options = {"random": ["ka", "CL", "V"], "noise": "proportional", "start": start}
+    if start is not None:
+        with pytest.raises(ro.OptionError, match="far from all curves with the start"):
+            lagged().fit_population(columns, **options)
+        return
+    fit = lagged().fit_population(columns, **options)
+    assert fit.success, fit.message
+    assert fit.x["lag"] == pytest.approx(0.4, abs=4 * fit.std["lag"])
+    assert fit.x["relative_C"] == pytest.approx(0.1, rel=0.3)
+    assert capfd.readouterr() == ("", "")

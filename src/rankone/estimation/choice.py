@@ -59,6 +59,7 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
         level=level,
         converged=bool(ends.converged[k]),
         stuck=bool(ends.stuck[k]),
+        kinked=bool(ends.kinked[k]),
         dof=dof,
         _problem=problem,
         _best=Best(z, cost, deviations),

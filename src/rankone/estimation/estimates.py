@@ -30,6 +30,7 @@ class Estimates:
     level: float
     converged: bool
     stuck: bool
+    kinked: bool
     dof: float
     _problem: Likelihood
     _best: Best

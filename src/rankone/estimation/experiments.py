@@ -175,6 +175,17 @@ class Trial:
         return predictions
 
 
+def failure_of(solution: SolutionCore) -> str:
+    """What to say of a solution that is no success."""
+    return f"the solution itself is not a success: {solution.message}"
+
+
+def failures_of(trials: Iterable[Trial]) -> list[str]:
+    """What to say of the solutions that are none, a sentence each."""
+    solutions = {id(trial.solution): trial.solution for trial in trials}.values()
+    return [failure_of(solution) for solution in solutions if not solution.success]
+
+
 def states_of(solution: SolutionCore, observations: Observations) -> tuple[tuple[str, ...], ...]:
     """For each observable the states that it and its noise depend on."""
     rows = []

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from rankone.estimation.experiments import failures_of
 from rankone.estimation.formulas import formula_of
 from rankone.estimation.intervals import Intervals
 from rankone.support.errors import with_remedy
@@ -19,14 +20,22 @@ _MODEL_SHARE = 0.5
 
 def findings_of(fit: Intervals) -> Iterator[str]:
     """The sentences, the most important first."""
+    yield from failures_of(fit.trials)
     if fit.stuck or (fit.jumps and not fit.converged):
         times = sorted({jump.time for jump in fit.jumps})
         of = f"the time {times[0]:.6g}" if len(times) == 1 else "a time"
         reason = f", because an event passes {of} of the data there" if times else ""
+        elsewhere = ", or measure at times that no event can pass" if times else ""
         yield with_remedy(
             f"the search ended where the sum of squares jumps{reason}: intervals by linearisation "
             "are not valid",
-            'use interval(method="profile"), or measure at times that no event can pass',
+            f'use interval(method="profile"){elsewhere}',
+        )
+    elif fit.kinked:
+        yield with_remedy(
+            "the search ended at a kink of the sum of squares: intervals by linearisation are not "
+            "valid",
+            'use interval(method="profile")',
         )
     elif not fit.converged:
         yield with_remedy("the search did not converge", "give a start, or more starts")
@@ -43,9 +52,6 @@ def findings_of(fit: Intervals) -> Iterator[str]:
             f"{fit.dof:.4g} degrees of freedom, p = {fit.p_value:.1g}): "
             "the model does not describe the data, or sigma is larger"
         )
-    for solution in {id(trial.solution): trial.solution for trial in fit.trials}.values():
-        if not solution.success:
-            yield f"the solution itself is not a success: {solution.message}"
     yield from _error_of_solution(fit)
 
 

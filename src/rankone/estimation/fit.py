@@ -26,6 +26,8 @@ class Fit(Intervals, Labelled):
         Whether the search converged.
     stuck : bool
         Whether it ended where the likelihood jumps: an event passes a time of the data there.
+    kinked : bool
+        Whether it ended at a kink of the likelihood: rates switch at a time of the data there.
     dof : float
         Degrees of freedom: number of data less that of directions of the parameters that were
         fitted to them. Priors make it fractional: what they say is not fitted.

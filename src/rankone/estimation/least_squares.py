@@ -43,7 +43,8 @@ _BISECTIONS = 40  # Bisections of the last step before a jump
 class Minima:
     """K local minima: z (K, n), costs (K,), pseudo-residuals (K, r), Jacobian (K, r, n).
 
-    ``stuck`` are those where the cost jumps: it falls as far as the end, and rises beyond.
+    ``stuck`` are those where the cost falls as far as the end, and rises beyond: it jumps there, or
+    is ``kinked``.
     """
 
     z: Array
@@ -52,6 +53,7 @@ class Minima:
     jacobian: Array
     converged: NDArray[np.bool_]
     stuck: NDArray[np.bool_]
+    kinked: NDArray[np.bool_]
 
     def selected(self, rows: NDArray[np.intp]) -> Minima:
         """Some of the minima."""
@@ -98,7 +100,7 @@ def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
         going = going[~ended]
         if not going.size:
             break
-    return Minima(z, cost, residuals, jacobian, converged, stuck)
+    return Minima(z, cost, residuals, jacobian, converged, stuck, np.zeros(len(z), dtype=bool))
 
 
 def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
@@ -118,22 +120,36 @@ def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
         beyond = stuck.z[:, None] + _HOPS[:, None] * way[:, None]
         last = minima(problem, beyond.reshape(-1, starts.shape[1]))
         ends = ends.joined(last)
+    rows = np.flatnonzero(ends.stuck)
+    if not rows.size:
+        return ends
+    near, jumps = _jump_ahead(problem, ends.selected(rows))
+    ends.stuck[rows], ends.kinked[rows] = jumps, ~jumps
     best = int(np.argmin(ends.cost))
     if not ends.stuck[best]:
         return ends
-    return ends.joined(_at_jump(problem, ends.selected(np.array([best]))))
+    return ends.joined(_at_jump(problem, near[rows == best]))
 
 
-def _at_jump(problem: Likelihood, stuck: Minima) -> Minima:
-    """The minima (n,) close to a jump, where one of n coordinates is held at it."""
-    z, n = stuck.z, stuck.z.shape[1]
-    free = np.zeros(z.shape, dtype=bool)
-    step, _ = _step(z, stuck.residuals, stuck.jacobian, free, np.zeros(1))
+def _jump_ahead(problem: Likelihood, stuck: Minima) -> tuple[Array, NDArray[np.bool_]]:
+    """The last points (K, n) that are no worse than ends, on the ways of their steps.
+
+    Beside them whether the cost jumps behind them.
+    """
+    z, free = stuck.z, np.zeros(stuck.z.shape, dtype=bool)
+    step, _ = _step(z, stuck.residuals, stuck.jacobian, free, np.zeros(len(z)))
 
     def before(points: Array) -> NDArray[np.bool_]:
         return np.asarray(problem.costs(points)[1] <= stuck.cost)[:, None]
 
-    near, _ = bisected(z, np.clip(z + step, 0.0, 1.0), before, _BISECTIONS)
+    near, far = bisected(z, np.clip(z + step, 0.0, 1.0), before, _BISECTIONS)
+    rise = problem.costs(far)[1] - problem.costs(near)[1]
+    return near, rise > _STUCK_SHARE * squares_of(stuck.residuals) / problem.size
+
+
+def _at_jump(problem: Likelihood, near: Array) -> Minima:
+    """The minima (n,) close to a jump at a point (1, n), where one of n coordinates is held."""
+    n = near.shape[1]
     ends = minima(problem, np.repeat(near, n, axis=0), np.eye(n, dtype=bool))
     return replace(ends, converged=np.zeros(n, dtype=bool), stuck=np.ones(n, dtype=bool))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize as scipy_minimize
 from scipy.spatial import cKDTree
 
+from rankone.estimation.experiments import failure_of
 from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters
 from rankone.estimation.objective import (
     Constraint,
@@ -69,7 +70,8 @@ class Optimum(Labelled):
     fun : float
         The objective there.
     success : bool
-        Whether a search converged to a minimum that fulfils the constraints.
+        Whether a search converged to a minimum that fulfils the constraints, of a solution that
+        is a success itself.
     message : str
     values : dict of str to float or ndarray
         The unknowns there, at the times of the objective.
@@ -200,7 +202,11 @@ def minimize(
         descendants = _evolved(merit, *pool, math.ceil(factor * _GENERATIONS))
         most = -(-starts // _FIRST_PER_SECOND_SEARCH)
         minima += [merit.search(point) for point in descendants[:most]]
-    return _optimum(merit, minima, len(lowest) <= starts)
+    best = _optimum(merit, minima, len(lowest) <= starts)
+    if self.success:
+        return best
+    message = f"{failure_of(self)}; {best.message}"
+    return replace(best, success=False, message=message)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.estimation.duals import value_of
-from rankone.estimation.experiments import Predicted, Trial
+from rankone.estimation.experiments import Predicted, Trial, failures_of
 from rankone.estimation.formulas import linear_names
 from rankone.estimation.free_parameters import FreeParameters, Range
 from rankone.estimation.likelihood import START_ROUNDS, Likelihood
@@ -139,9 +139,12 @@ def check_certain(problem: Likelihood, points: Array) -> None:
             vanishing = vanishing_noise(trial, i, one, data)
             if vanishing.any():
                 k, time = int(np.argmax(vanishing)), trial.solution.metadata.time
-                raise OptionError(
+                zero = (
                     f"{quote(observations.names[i])} at {time} = {times[k]:g} is zero for all "
-                    "parameters, and noise that is relative to it vanishes there",
+                    "parameters, and noise that is relative to it vanishes there"
+                )
+                raise OptionError(
+                    "; ".join([*failures_of([trial]), zero]),
                     term=float(data[k]),
                     remedy="leave this measurement out",
                 )
@@ -154,7 +157,8 @@ def vanishing_noise(trial: Trial, i: int, one: Predicted, data: Array) -> NDArra
     if noise.formula is None or not own & set(noise.formula.names) or not data.size:
         return np.zeros(data.size, dtype=bool)
 
-    error = np.nan_to_num(trial.solution.error)
+    # Where a solution is no success, nothing is known of its error
+    error = np.nan_to_num(trial.solution.error) if trial.solution.success else 0.0
 
     def none(rows: Array) -> NDArray[np.bool_]:
         sizes = np.abs(np.broadcast_to(rows, (len(rows), data.size)))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rankone.estimation.choice import chosen, judged
-from rankone.estimation.experiments import Experiment, Trial, trials_of
+from rankone.estimation.experiments import Experiment, Trial, failures_of, trials_of
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters, with_start
 from rankone.estimation.intervals import checked_level
@@ -322,9 +322,12 @@ def _starts(problem: Likelihood, starts: int, points: Array) -> Array:
     places, costs = problem.costs(points, start=True)
     usable = np.isfinite(costs)
     if not usable.any():
-        raise EvaluationError(
+        reason = (
             "the likelihood is not finite, wherever it was tried: the solution ends before the "
-            "last of the data, an observable has no value, or the noise is zero there",
+            "last of the data, an observable has no value, or the noise is zero there"
+        )
+        raise EvaluationError(
+            "; ".join([*failures_of(problem.trials), reason]),
             remedy="leave out such data, or restrict the solution to parameters where it goes on",
         )
     order = np.argsort(np.where(usable, costs, np.inf))[: usable.sum()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -27,7 +27,7 @@ _TYPICAL = "0.55"  # Grey of the curves of typical subjects
 def plot_population(
     fit: PopulationFit | PredictiveCheck,
     *,
-    subjects: Sequence[object] | None = None,
+    subjects: Iterable[object] | None = None,
     observable: str | None = None,
     ax: Axes | Sequence[Axes] | None = None,
 ) -> Sequence[Axes]:
@@ -41,7 +41,7 @@ def plot_population(
     ----------
     fit : PopulationFit or PredictiveCheck
         What :meth:`rankone.Solution.fit_population` or its ``predictive_check`` returns.
-    subjects : list, optional
+    subjects : iterable, optional
         Names of the subjects to draw; the first twelve if left out.
     observable : str, optional
         What to draw of a fit; the first observable if left out.
@@ -86,11 +86,12 @@ def plot_population(
     return tuple(panels)
 
 
-def _subjects(fit: PopulationFit, given: Sequence[object] | None) -> list[str]:
+def _subjects(fit: PopulationFit, given: Iterable[object] | None) -> list[str]:
     """Names of the subjects to draw."""
     if given is None:
         return list(fit.subjects[:_MOST_PANELS])
-    names = [str(each) for each in (given if isinstance(given, list | tuple) else [given])]
+    several = isinstance(given, Iterable) and not isinstance(given, str)
+    names = [str(each) for each in (given if several else [given])]
     for name in names:
         if name not in fit.subjects:
             raise OptionError(

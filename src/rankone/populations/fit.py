@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rankone.estimation.experiments import failure_of
 from rankone.populations import predictive_check as _check
 from rankone.populations.estimates import PopulationEstimates
 from rankone.support.errors import with_remedy
@@ -53,12 +54,12 @@ class PopulationFit(PopulationEstimates, Labelled):
         return "; ".join(self.findings) or "the fit converged, and nothing speaks against it"
 
     def _findings(self) -> Iterator[str]:
+        if not self.solution.success:
+            yield failure_of(self.solution)
         if not self.converged:
             yield with_remedy("the search did not converge", "give a start, or fewer parameters")
         yield from self._at_ends()
         yield from self._not_identified()
-        if not self.solution.success:
-            yield f"the solution itself is not a success: {self.solution.message}"
         yield from self._error_of_solution()
 
     def _at_ends(self) -> Iterator[str]:

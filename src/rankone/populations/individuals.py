@@ -20,7 +20,8 @@ from rankone.populations.layout import Layout
 from rankone.populations.subjects import Subjects
 from rankone.support.arrays import Array
 
-_MOST_STEPS = 60
+MOST_STEPS = 60
+"""Most steps of the search for the random effects."""
 _STEPS_TOGETHER = 4  # Steps after which subjects that have converged are left out
 _LEAST_DECREMENT = 1e-10  # Squared length of a step, in standard deviations of eta, that ends
 _DAMPING_FACTOR = 6.0
@@ -52,7 +53,8 @@ class Linearised:
 
     ``cost`` (K, n) is -2 log p(y | eta) up to a constant, ``gradient`` (K, n, E) half of its
     derivatives, ``information`` (K, n, E, E) the Fisher information, ``squares`` (K, n) the sums
-    of squared residuals in standard deviations.
+    of squared residuals in standard deviations. Where the cost is infinite, as at a prediction of
+    zero with noise in proportion to it, the derivatives and the information are zero.
     """
 
     cost: Array
@@ -167,7 +169,10 @@ def _collected(
             squares += np.sum(each.weights * each.standardised**2, axis=-1)
             gradient += (each.residuals[..., None, :] @ each.jacobian)[..., 0, :]
             information += each.jacobian.swapaxes(-1, -2) @ each.jacobian
-    cost = np.where(np.isfinite(cost), cost, np.inf)
+    finite = np.isfinite(cost)
+    cost = np.where(finite, cost, np.inf)
+    gradient = np.where(finite[..., None], gradient, 0.0)
+    information = np.where(finite[..., None, None], information, 0.0)
     sums = (subjects.over_records(rows, 1) for rows in (cost, gradient, information, squares))
     return Linearised(*sums)
 
@@ -181,7 +186,7 @@ class EmpiricalBayes:
         ends = np.array([box[name] for name in layout.names]).T
         self.lower, self.upper = layout.coordinates(ends)
 
-    def __call__(self, psi: Array, start: Start, steps: int = _MOST_STEPS) -> Individuals:
+    def __call__(self, psi: Array, start: Start, steps: int = MOST_STEPS) -> Individuals:
         """The random effects at psi (K, P), in a number of steps at most.
 
         A start has no first axis, or one of population parameters. Subjects that need many steps

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.populations.individuals import EmpiricalBayes, Individuals, Start
+from rankone.populations.individuals import MOST_STEPS, EmpiricalBayes, Individuals, Start
 from rankone.populations.slopes import Slopes, slopes_of
 from rankone.support.arrays import Array
 
@@ -25,9 +25,9 @@ class Marginal:
 
     search: EmpiricalBayes
 
-    def at(self, psi: Array, start: Start) -> tuple[Array, Individuals]:
+    def at(self, psi: Array, start: Start, steps: int = MOST_STEPS) -> tuple[Array, Individuals]:
         """-2 log L (K,), up to a constant, at psi (K, P), and the random effects there."""
-        individuals = self.search(psi, start)
+        individuals = self.search(psi, start, steps)
         return self._values(psi, individuals), individuals
 
     def values(self, psi: Array, start: Start) -> Array:

@@ -135,8 +135,9 @@ def fit_population(
     except np.linalg.LinAlgError:
         names = [layout.names[e] for e in layout.random]
         raise OptionError(
-            f"the data do not tell the random effects of {listing(names)} apart",
-            remedy="make fewer parameters random, or measure each subject more often",
+            f"the search for the covariance of the random effects of {listing(names)} broke down: "
+            "a matrix became singular",
+            remedy="give a start, make fewer parameters random, or measure each subject more often",
         ) from None
     return PopulationFit(level, marginal, optimum, idle)
 

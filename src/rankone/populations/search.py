@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rankone.estimation.experiments import failure_of
 from rankone.populations.individuals import EmpiricalBayes, Individuals, Start, linearised
 from rankone.populations.layout import Layout
 from rankone.populations.marginal import Marginal
 from rankone.populations.slopes import Slopes
 from rankone.populations.subjects import Subjects
 from rankone.support.arrays import Array, spread
-from rankone.support.errors import OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import quote
 
 _SCREENED_POINTS = 512  # Points of the box that are tried for each subject
@@ -66,31 +67,46 @@ def start_of(
     n = len(subjects.names)
     repeated = np.broadcast_to(places[:, None], (len(places), n, len(layout.names)))
     screened = linearised(subjects, layout, np.repeat(psi, len(places), 0), repeated)
-    _check_deviations(subjects, layout, screened.cost, screened.squares)
+    _check_deviations(subjects, layout, screened.cost, screened.squares, bool(given))
     best = places[np.argmin(screened.cost, axis=0)]
     psi = psi[0]
-    psi[: len(layout.names)] = np.median(best, axis=0)
+    psi[: len(layout.names)] = middle = np.median(best, axis=0)
+    own = np.where(np.isin(np.arange(middle.size), layout.random), best, middle)
+    if not np.isfinite(linearised(subjects, layout, psi[None], own[None]).cost).all():
+        # What all subjects share is too late or early for some
+        own[:] = psi[: middle.size] = places[np.argmin(screened.cost.sum(axis=1))]
     width = (search.upper - search.lower)[list(layout.random)]
     psi[layout.factors] = layout.factored(np.diag((_START_SPREAD * width) ** 2))
     random = list(layout.random)
-    return psi, Start.at(best[:, random] - layout.typical(psi[None])[0][:, random])
+    return psi, Start.at(own[:, random] - layout.typical(psi[None])[0][:, random])
 
 
-def _check_deviations(subjects: Subjects, layout: Layout, cost: Array, squares: Array) -> None:
+def _check_deviations(
+    subjects: Subjects, layout: Layout, cost: Array, squares: Array, given: bool
+) -> None:
     """Raise an OptionError for subjects with a datum of no deviation at the best of places (K, n).
 
-    Proportional noise has none where the prediction is zero.
+    Proportional noise has none where the prediction is zero. ``given`` is whether a start limits
+    the places.
     """
     least = np.take_along_axis(squares, np.argmin(cost, axis=0)[None], axis=0)[0]
     far = least > _FARTHEST_DATUM if layout.levels else np.zeros(least.size, dtype=bool)
     impossible = np.flatnonzero(far | ~np.isfinite(cost).any(axis=0))
     if impossible.size:
-        raise OptionError(
+        where = "with the start that was given" if given else "in the box"
+        far_off = (
             f"the data of subject {quote(subjects.names[impossible[0]])} are far from all curves "
-            "in the box: the standard deviation of a datum is zero, or an event ends the solution",
-            remedy="leave out data where the prediction is zero, as before the first dose, or "
-            'choose noise="combined"',
+            f"{where}: the standard deviation of a datum is zero, or an event ends the solution"
         )
+        raise OptionError(
+            "; ".join([*_failures(subjects), far_off]),
+            remedy=f"{'give another start, ' if given else ''}leave out data where the prediction "
+            'is zero, as before the first dose, or choose noise="combined"',
+        )
+
+
+def _failures(subjects: Subjects) -> list[str]:
+    return [] if subjects.solution.success else [failure_of(subjects.solution)]
 
 
 def _noise_start(subjects: Subjects, layout: Layout) -> Array:
@@ -105,29 +121,49 @@ def _noise_start(subjects: Subjects, layout: Layout) -> Array:
 
 
 def expectation_steps(marginal: Marginal, psi: Array, start: Start) -> tuple[Array, Start]:
-    """Population parameters (P,) and random effects near the optimum."""
+    """Population parameters (P,) and random effects near the optimum.
+
+    Steps are shortened until they lower -2 log L: whole ones may lead to where predictions vanish,
+    and proportional noise with them.
+    """
+    value, individuals = marginal.at(psi[None], start, _STEPS_EACH)
     for _ in range(_EXPECTATIONS):
-        individuals = marginal.search(psi[None], start, _STEPS_EACH)
-        psi, eta = _maximised(marginal, psi, individuals)
-        start = Start(eta, individuals.correction[0], individuals.damping[0])
-    return psi, start
+        step, change = _maximised(marginal, psi, individuals)
+        here = individuals.eta[0], individuals.correction[0], individuals.damping[0]
+        for share in _SHARES:
+            begin = Start(here[0] + share * change, *here[1:])
+            lower, tried = marginal.at((psi + share * step)[None], begin, _STEPS_EACH)
+            if lower[0] < value[0]:
+                psi, value, individuals = psi + share * step, lower, tried
+                break
+        else:
+            break
+    if not np.isfinite(value[0]):
+        reason = (
+            "the likelihood is not finite, wherever it was tried: an event ends the solution "
+            "before the last of the data, an observable has no value, or the noise is zero there"
+        )
+        raise EvaluationError(
+            "; ".join([*_failures(marginal.search.subjects), reason]),
+            remedy="leave out such data, or give a start",
+        )
+    return psi, Start(individuals.eta[0], individuals.correction[0], individuals.damping[0])
 
 
 def _maximised(marginal: Marginal, psi: Array, individuals: Individuals) -> tuple[Array, Array]:
-    """The parameters that the linearised model makes most likely, and the effects there."""
+    """The step (P,) to what the linearised model makes most likely, and that of the effects."""
     layout, eta = marginal.search.layout, individuals.eta[0]
     random = list(layout.random)
     at = psi[None]
     covariance = marginal.posterior_covariance(at, individuals)[0]
-    step = _mean_step(marginal, at, individuals)
     moved = psi.copy()
-    moved[layout.means] += step
+    moved[layout.means] += _mean_step(marginal, at, individuals)
     shift = layout.typical(moved[None])[0][:, random] - layout.typical(at)[0][:, random]
     eta = eta - shift
     omega = np.einsum("nq,nr->qr", eta, eta) / len(eta) + covariance.mean(axis=0)
     moved[layout.factors] = layout.factored(omega + _LEAST_SPREAD**2 * np.eye(len(random)))
     moved[layout.noise] += _noise_step(marginal, individuals, covariance)
-    return moved, eta
+    return moved - psi, -shift
 
 
 def _mean_step(marginal: Marginal, psi: Array, individuals: Individuals) -> Array:
@@ -192,11 +228,18 @@ def standard_steps(hessian: Array) -> Array:
 
 
 def hessian_of(marginal: Marginal, psi: Array, slopes: Slopes, scale: Array) -> Array:
-    """Second derivatives (P, P) of -2 log L by differences of the first."""
+    """Second derivatives (P, P) of -2 log L by differences of the first.
+
+    They are one-sided where the likelihood ends on the other side.
+    """
     h = _HESSIAN_STEP * scale
     moves = np.concatenate([np.diag(h), -np.diag(h)])
     gradients = marginal.gradients(psi + moves, slopes.start(moves))
-    hessian = (gradients[: psi.size] - gradients[psi.size :]) / (2.0 * h[:, None])
+    lost = np.isnan(gradients[:, 0])
+    gradients[lost] = slopes.gradient[0]
+    apart = h * (2.0 - lost[: psi.size] - lost[psi.size :])
+    with np.errstate(all="ignore"):
+        hessian = (gradients[: psi.size] - gradients[psi.size :]) / apart[:, None]
     hessian = 0.5 * (hessian + hessian.T)
     return np.where(np.isfinite(hessian), hessian, 0.0)
 

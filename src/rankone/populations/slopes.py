@@ -44,13 +44,18 @@ class Slopes:
 
 
 def slopes_of(search: EmpiricalBayes, psi: Array, individuals: Individuals) -> Slopes:
-    """The derivatives at psi (K, P), where the random effects are at their modes."""
+    """The derivatives at psi (K, P), where the random effects are at their modes.
+
+    The gradient is NaN where the likelihood of a subject is zero.
+    """
     point = _Point(search, psi, individuals)
     data = _of_data(point)
     second = data.gradient[..., point.random]
     correction = 0.5 * (second + second.swapaxes(-1, -2)) - point.information
     effects = _effects(point, data, correction)
-    return Slopes(_gradient(point, data, effects), effects, individuals.eta, correction)
+    gradient = _gradient(point, data, effects)
+    gradient[~np.isfinite(individuals.at.cost).all(axis=-1)] = np.nan
+    return Slopes(gradient, effects, individuals.eta, correction)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,36 @@
+"""Each diagnosis is given where its cause is, and not where it is not."""
+
+import pytest
+
+from tests.benchmarks.diagnoses import outcome
+from tests.reference.diagnoses import diagnoses
+
+DIAGNOSES = {diagnosis.key: diagnosis for diagnosis in diagnoses()}
+CHEAP = (
+    *("event inside", "outlier", "misfit", "at an end", "growing", "too few values"),
+    *("minimize: solution", "solution", "covariate constant", "one subject"),
+)
+
+
+def check(key, seeds, capfd):
+    """Both cases of a diagnosis; numerical libraries write nothing on the screen."""
+    diagnosis = DIAGNOSES[key]
+    wrong = {}
+    for seed in seeds:
+        for cause, case in ((True, diagnosis.present), (False, diagnosis.absent)):
+            found, text = outcome(case, seed, diagnosis.pattern)
+            if found is not cause:
+                wrong[cause, seed] = text
+    assert not wrong
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("key", CHEAP)
+def test_a_pair_of_cases(key, capfd):
+    check(key, [5], capfd)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", DIAGNOSES)
+def test_ten_pairs_of_cases(key, capfd):
+    check(key, range(10), capfd)
