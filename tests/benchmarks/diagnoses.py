@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.diagnoses [--only KEY] [--seeds N] [--verbose]
 
-The cases are those of tests/reference/diagnoses.py: ten with the cause of each diagnosis, and ten
-without. Printed are the counts and the seeds that fail; an exception that is none of rankone's is
-a failure.
+The cases are those of tests/reference/diagnoses.py and further_diagnoses.py: ten with the cause of
+each diagnosis, and ten without. Printed are the counts and the seeds that fail; an exception that
+is none of rankone's is a failure.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 import warnings
 
 from tests.reference.diagnoses import diagnoses
+from tests.reference.further_diagnoses import further_diagnoses
 
 
 def outcome(case, seed, pattern):
@@ -35,7 +36,7 @@ def main() -> None:
     parser.add_argument("--verbose", action="store_true")
     chosen = parser.parse_args()
     right = wanted = 0
-    for diagnosis in diagnoses():
+    for diagnosis in [*diagnoses(), *further_diagnoses()]:
         if chosen.only not in diagnosis.key:
             continue
         begin, texts, parts = time.process_time(), [], []

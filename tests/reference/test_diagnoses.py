@@ -4,8 +4,9 @@ import pytest
 
 from tests.benchmarks.diagnoses import outcome
 from tests.reference.diagnoses import diagnoses
+from tests.reference.further_diagnoses import further_diagnoses
 
-DIAGNOSES = {diagnosis.key: diagnosis for diagnosis in diagnoses()}
+DIAGNOSES = {diagnosis.key: diagnosis for diagnosis in [*diagnoses(), *further_diagnoses()]}
 CHEAP = (
     *("event inside", "outlier", "misfit", "at an end", "growing", "too few values"),
     *("minimize: solution", "solution", "covariate constant", "one subject"),
