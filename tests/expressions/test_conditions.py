@@ -6,6 +6,7 @@ import pytest
 import sympy as sp
 
 from rankone.expressions.conditions import with_plain_conditions
+from rankone.ir.forms import Coordinate
 
 t, a, k = sp.symbols("t a k", real=True)
 x, v = sp.symbols("x v", real=True)
@@ -63,3 +64,22 @@ def test_the_spellings_of_a_pulse_are_one():
         for plain in map(with_plain_conditions, pulses)
     ]
     assert all(each == heights[0] for each in heights)
+
+
+@pytest.mark.parametrize(
+    ("written", "wanted"),
+    [
+        (sp.Piecewise((-12, x < -12), (12, x > 12), (x, True)), sp.Max(-12, sp.Min(12, x))),
+        (
+            sp.Piecewise((x - k, x > k), (x + k, x < -k), (0, True)),
+            sp.Max(x - k, sp.Min(x + k, 0)),
+        ),
+        (sp.Piecewise((k * (x - v), x >= v), (0, True)), None),
+        (sp.Piecewise((1, x > 0), (0, True)), None),
+        (sp.Piecewise((x + 1, x > 0), (0, True)), None),
+        (sp.Piecewise((0, x < 0), (2 * x, True)), sp.Max(0, 2 * x)),
+    ],
+)
+def test_branches_that_meet_where_they_change_are_extremes(written, wanted):
+    plain = with_plain_conditions(written, (Coordinate("k", k, 0.5, 2.0),))
+    assert plain == (written if wanted is None else wanted)

@@ -325,3 +325,128 @@ def test_a_refusal_where_trajectories_graze_names_a_box_that_works(name):
     assert found
     part = {parameter: (float(lower), float(upper)) for parameter, lower, upper in found}
     assert compiled.solve(1e-3, parameters=part, effort=0.4).success
+
+
+def filled(k, since):
+    """What an inflow of 1, lost at the rate k, adds up to after a time."""
+    return -np.expm1(-k * np.maximum(since, 0)) / k
+
+
+@pytest.mark.parametrize(
+    "inflow",
+    [
+        "Heaviside(t - 3) - Heaviside(t - a)",
+        pytest.param(
+            "Piecewise((1, t > 3), (0, True)) - Piecewise((1, t >= a), (0, True))",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("(sign(t - 3) - sign(t - a))/2", marks=pytest.mark.slow),
+    ],
+)
+def test_on_and_off_at_times_whose_order_changes(inflow):
+    box = {"a": (2, 4), "k": (0.5, 1)}
+    solution = ro.solve(problem({"x": f"{inflow} - k*x"}, {"x": 0}, box, 6), RTOL)
+    assert solution.success
+    times = np.linspace(0, 6, 41)
+    for a, k in points(box, 6):
+        exact = filled(k, times - 3) - filled(k, times - a)
+        np.testing.assert_allclose(solution["x"](t=times, a=a, k=k), exact, atol=2 * RTOL)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "Abs(t - a) < 1",
+        "(t - a)**2 < 1",
+        pytest.param("(t > a - 1) & (t < a + 1)", marks=pytest.mark.slow),
+        pytest.param("(t - a + 1)*(a + 1 - t) > 0", marks=pytest.mark.slow),
+    ],
+)
+def test_a_pulse_around_a_time_has_one_fate_in_every_spelling(condition):
+    box = {"a": (2, 4), "k": (0.5, 1)}
+    rate = f"Piecewise((1, {condition}), (0, True)) - k*x"
+    solution = ro.solve(problem({"x": rate}, {"x": 0}, box, 8), RTOL)
+    assert solution.success
+    assert solution.timeline.stretches == 3
+    times = np.linspace(0, 8, 41)
+    for a, k in points(box):
+        exact = filled(k, times - a + 1) - filled(k, times - a - 1)
+        np.testing.assert_allclose(solution["x"](t=times, a=a, k=k), exact, atol=2 * RTOL)
+
+
+@pytest.mark.slow
+def test_infusions_of_unknown_lag_and_length_overlap_in_a_part_of_the_box():
+    parts = (
+        f"Piecewise((100/D, (t > {at} + lag) & (t < {at} + lag + D)), (0, True))" for at in (0, 2)
+    )
+    rates = {"x": f"{' + '.join(parts)} - (ke + kp)*x + y/2", "y": "kp*x - y/2"}
+    box = {"ke": (0.2, 0.4), "kp": (0.3, 0.6), "lag": (0.2, 1), "D": (1, 3)}
+    infused = problem(rates, {"x": 0, "y": 0}, box, 10)
+    solution = ro.solve(infused, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) > 1
+    times = np.linspace(0, 10, 31)
+    for values in points(box):
+        at = dict(zip(box, values, strict=True))
+        exact = infused.trajectory(times, rtol=1e-9, **at).values
+        size = np.abs(exact).max(axis=1, keepdims=True)
+        assert (np.abs(solution(t=times, **at) - exact) <= 5 * RTOL * size).all()
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "Piecewise((0, t < 1), (2, True))",
+        pytest.param("2*Heaviside(t - 1)", marks=pytest.mark.slow),
+    ],
+)
+def test_a_stepwise_set_point_within_a_limit(goal):
+    """After the step it is full speed to where k*(2 - x) is 1, at once where it is less."""
+    box = {"k": (0.5, 2), "x0": (0, 0.5)}
+    limited = problem({"x": f"Min(1, k*({goal} - x))"}, {"x": "x0"}, box, 5)
+    solution = ro.solve(limited, RTOL)
+    assert solution.success
+    times = np.linspace(0, 5, 41)
+    for k, start in points(box, 8):
+        stepped = start * np.exp(-k)
+        slow = np.maximum(2 - 1 / k, stepped)
+        reach = 1 + slow - stepped
+        late = 2 - (2 - slow) * np.exp(-k * (times - reach))
+        exact = np.where(times < reach, stepped + times - 1, late)
+        exact = np.where(times < 1, start * np.exp(-k * times), exact)
+        np.testing.assert_allclose(solution["x"](t=times, k=k, x0=start), exact, atol=4 * RTOL)
+
+
+@pytest.mark.parametrize(
+    "limited",
+    [
+        "Max(-12, Min(12, {v}))",
+        pytest.param("Min(12, Max(-12, {v}))", marks=pytest.mark.slow),
+        "Piecewise((-12, {v} < -12), (12, {v} > 12), ({v}, True))",
+    ],
+)
+def test_an_integrator_that_is_wound_back_begins_in_saturation(limited):
+    argument = "(Kp*(r - w) + q)"
+    u = limited.format(v=argument)
+    rates = {"w": f"{u} - w", "q": f"r - w + ({u} - {argument})/Kp"}
+    box = {"Kp": (3, 5), "r": (8, 9)}
+    wound = problem(rates, {"w": 0, "q": 0}, box, 6)
+    solution = ro.solve(wound, RTOL)
+    assert solution.success
+    times = np.linspace(0, 6, 31)
+    for gain, goal in points(box):
+        exact = wound.trajectory(times, rtol=1e-9, Kp=gain, r=goal).values
+        np.testing.assert_allclose(solution(t=times, Kp=gain, r=goal), exact, atol=20 * RTOL)
+
+
+def test_a_guard_against_a_division_by_zero_at_rest():
+    """Until the dose, D and q/D are 0 and 0/0: the guard decides."""
+    dose = {"when": "t - 1", "direction": "rising", "then": {"D": "1"}, "name": "dose"}
+    rates = {"D": "-k*D", "q": "Piecewise((exp(-q/D)*D, D > 0), (0, True))"}
+    box = {"k": (0.5, 2)}
+    guarded = problem(rates, {"D": 0, "q": 0}, box, 3, events=[dose])
+    solution = ro.solve(guarded, RTOL)
+    assert solution.success
+    np.testing.assert_array_equal(solution["q"](t=[0, 0.5, 0.99], k=1.0), 0)
+    exact = guarded.trajectory([2, 3], k=1.0, rtol=1e-9).values
+    np.testing.assert_allclose(solution(t=[2, 3], k=1.0), exact, atol=3 * RTOL)

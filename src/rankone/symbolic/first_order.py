@@ -262,7 +262,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in problem.initial]
     states_of_time = list(functions.values())
     rhs, impulses = without_impulses(rates, states_of_time, origins, problem.time)
-    rhs = tuple(map(with_plain_conditions, rhs))
+    rhs = tuple(with_plain_conditions(rate, problem.coordinates[1:]) for rate in rhs)
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
     initial, reset = tuple(problem.initial.values()), None
     if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right

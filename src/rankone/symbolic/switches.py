@@ -34,9 +34,10 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import Boolean
 
+from rankone.expressions.conditions import definite_sign
 from rankone.expressions.derivatives import Differentiator, slope
 from rankone.ir.events import FALLING
-from rankone.ir.forms import Coordinate, EventForm, Jump, State
+from rankone.ir.forms import EventForm, Jump, State
 from rankone.ir.metadata import Role
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.rests import Sides, only_kinks, zero_where
@@ -229,7 +230,7 @@ class _Replacement:
             if one[1] not in self._extremes:
                 continue
             inner = [(part, other) for part in self._extremes[one[1]]]
-            known = [_definite_sign(a[0] - b[0], self._system.coordinates) for a, b in inner]
+            known = [definite_sign(a[0] - b[0], self._system.coordinates[1:]) for a, b in inner]
             largest = isinstance(one[1], sp.Max)
             decides = sp.Integer(1 if largest else -1)
             if decides in known:
@@ -279,19 +280,6 @@ class _Replacement:
         name = next(n for k in itertools.count() if (n := f"{stem}_{k}") not in self._names)
         self._names.add(name)
         return name
-
-
-def _definite_sign(expression: sp.Expr, coordinates: Sequence[Coordinate]) -> sp.Expr | None:
-    """The sign of an expression if it is a number, or linear in each parameter and never zero."""
-    parameters = [c for c in coordinates[1:] if c.symbol in expression.free_symbols]
-    symbols = [c.symbol for c in parameters]
-    if expression.has(AppliedUndef) or not expression.free_symbols <= {*symbols}:
-        return None
-    if any(sp.diff(expression, symbol, 2) != 0 for symbol in symbols):
-        return None
-    corners = itertools.product(*((c.lower, c.upper) for c in parameters))
-    signs = {sp.sign(expression.subs(dict(zip(symbols, at, strict=True)))) for at in corners}
-    return signs.pop() if len(signs) == 1 and signs < {sp.S.One, sp.S.NegativeOne} else None
 
 
 def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:

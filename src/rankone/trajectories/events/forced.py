@@ -279,7 +279,9 @@ class _Follower:
             begins = guard_heights(self.clock.system, first, None, times, states, self._parameters)
             by = self.points[:, column] ** 2 - begins
             return self._to_root(i, times, states, expected, np.zeros_like(at_root), by)
-        if not before:  # at points that begin at the very event, it is the one expected
+        if (
+            first not in before[:1]
+        ):  # at points that begin at the very event, it is the one expected
             at_root = np.abs(expected) > margin
         return self._to_root(
             i, times, states, expected, at_root, moved.get((first, self.clock.order.sides[i]), 0.0)
