@@ -147,6 +147,16 @@ def test_an_occurrence_that_is_not_reached_everywhere(ball):
         ball.output({"q": ro.event_time("bounce", count - 1)})
 
 
+def test_negative_occurrences_count_from_the_last_before_the_end(ball):
+    """In this part of the box the third bounce comes after the end."""
+    part = ball.restrict(h=(1.0, 1.2), e=(0.85, 0.9))
+    assert np.isnan(part.event_times("bounce", h=1.0, e=0.85)[-1])
+    made = part.output({"q": ro.event_time("bounce", -1)})
+    assert made["q"](h=1.1, e=0.87) == pytest.approx((1 + 2 * 0.87) * np.sqrt(1.1), rel=1e-4)
+    with pytest.raises(ro.OptionError, match="those before the end are from 0 to 1"):
+        part.output({"q": ro.event_time("bounce", 2)})
+
+
 def test_a_solution_without_events():
     problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
     solution = ro.solve(problem, 1e-4)

@@ -17,7 +17,12 @@ from rankone.interface.forms import OtherForms
 from rankone.ir.outcome import Piece, SlabRecord
 from rankone.ir.timeline import Timeline
 from rankone.outputs.quantities import Quantities
-from rankone.outputs.quantity_solutions import OutputRequest, samples_of, with_outputs
+from rankone.outputs.quantity_solutions import (
+    OutputRequest,
+    met_before_end,
+    samples_of,
+    with_outputs,
+)
 from rankone.outputs.states import at_instant, derivative, over_clock_time
 from rankone.populations import PopulationsFromData
 from rankone.solution.core import SolutionCore
@@ -315,7 +320,8 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
         def of_branch(part: SolutionCore, timeline: Timeline | None) -> Quantities:
             times, p, states = samples_of(part)  # a branch may have coordinates behind p
             samples = times, p[: len(metadata.parameters)], states
-            asked = quantities, metadata, horizon, samples, timeline
+            met = timeline and met_before_end(part, timeline)
+            asked = quantities, metadata, horizon, samples, met
             formulas = expressions.output_formulas(*asked, with_sums=timeline is None)
             return cast(Quantities, formulas.over(metadata.box, horizon))
 

@@ -101,6 +101,13 @@ class Timeline:
         )
         return tuple(dict.fromkeys(moving))
 
+    def up_to(self, count: int) -> Timeline:
+        """The timeline of trajectories that meet at most so many of the instants before the end."""
+        if count >= len(self.met):
+            return self
+        kept = self.instants[: count + 1], self.resets[: count + 1]
+        return replace(self, instants=kept[0], resets=kept[1], ending=Ending.EVENT, terminal=False)
+
     @property
     def affine_borders(self) -> dict[int, tuple[float, ...]]:
         """The constant and slopes of borders at affine times and at the ends of the horizon."""

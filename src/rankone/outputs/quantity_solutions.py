@@ -22,6 +22,8 @@ from rankone.support.errors import OptionError
 from rankone.support.executors import Pool
 from rankone.support.options import checked_number
 from rankone.support.wording import did_you_mean, quote
+from rankone.tensors.timeline import TimelineEvaluator
+from rankone.verification.points import check_points
 
 LEAST_RTOL, MOST_RTOL = 1e-13, 0.999
 """Tolerances of outputs."""
@@ -42,6 +44,16 @@ def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
     at_times = np.array(states)
     runs = ~np.isnan(at_times).any(axis=0) if solution.outcome.timeline else slice(None)
     return t[runs], p[:, runs], at_times[:, runs]
+
+
+def met_before_end(solution: SolutionCore, timeline: Timeline) -> Timeline:
+    """The timeline up to the last instant that comes before the end at a point of the box."""
+    evaluator = solution._evaluator
+    assert isinstance(evaluator, TimelineEvaluator)
+    box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
+    points = check_points(box, _SAMPLE_COUNT, every_corner=True)
+    inside = evaluator.borders(points.T)[1 : len(timeline.met) + 1] <= timeline.horizon[1]
+    return timeline.up_to(int(inside.any(axis=1).sum()))
 
 
 @dataclass(frozen=True)
