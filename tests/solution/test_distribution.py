@@ -223,6 +223,7 @@ def test_probabilities_of_the_decay():
     exact = np.clip((5.0 - 2 / TIMES) / 4.5, 0, 1)
     assert found.value.shape == found.error.shape == (3,)
     assert (np.abs(found.value - exact) <= np.maximum(4 * found.error, 1e-4)).all()
+    assert (np.abs(found.value - exact) <= found.half_width).all()
     above = solution.probability(1.0, unknown="u", above=np.exp(-2))
     assert above.value == pytest.approx(1 - exact[1], abs=1e-3)
     between = solution.probability(1.0, above=np.exp(-3), below=np.exp(-2))

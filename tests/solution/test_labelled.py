@@ -58,7 +58,8 @@ def test_a_table_of_sobol_indices():
     rows = sobol.to_dataframe()
     assert rows.index.names == ["unknown", "parameter", "time"]
     assert rows.loc[("u", "k", 1.0), "first"] == sobol.first[0, 0, 1]
-    assert list(rows.columns) == ["first", "total"]
+    widths = ["first_half_width", "total_half_width"]
+    assert list(rows.columns) == ["first", "total", *widths]
 
 
 def test_effects_and_probabilities_as_tables():

@@ -43,6 +43,7 @@ from rankone.support.errors import (
     optional_module,
 )
 from rankone.support.executors import ExecutorLike, checked_executor, open_pool
+from rankone.support.progress import Report, resolve_progress
 from rankone.support.threads import one_thread
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
@@ -249,6 +250,7 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
         max_seconds: float | None = None,
         units: Mapping[str, str] | None = None,
         executor: ExecutorLike | None = None,
+        progress: bool | Report = False,
     ) -> Solution:
         """Quantities of interest as a solution of their own.
 
@@ -278,6 +280,10 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
             Who evaluates them at many points, with the same bits: a number of processes, which are
             started and end with the call, an executor or a client of dask, which are left running,
             or the address of a scheduler of dask. By default this process.
+        progress : bool or callable
+            True shows a bar on standard error. A function is called with a
+            :class:`~rankone.support.progress.ProgressEvent` at each step of an attempt over the
+            parameters; an exception it raises stops.
 
         Returns
         -------
@@ -299,8 +305,9 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
             If SymPy is not installed.
         """
         wanted = None if executor is None else checked_executor("executor", executor)
-        with nullcontext() if wanted is None else open_pool(wanted) as pool, one_thread():
-            request = OutputRequest(rtol, effort, max_seconds, units, pool)
+        own_pool = nullcontext() if wanted is None else open_pool(wanted)
+        with resolve_progress(progress) as report, own_pool as pool, one_thread():
+            request = OutputRequest(rtol, effort, max_seconds, units, pool, report)
             return self._output(quantities, request)
 
     def _output(

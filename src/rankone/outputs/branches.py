@@ -21,6 +21,7 @@ from rankone.solvers.branches import one_after_the_other
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.executors import Pool
+from rankone.support.progress import Report, quiet
 from rankone.support.wording import listing, quote
 from rankone.tensors.branches import BranchEvaluator, ContinuedBranch
 from rankone.tensors.slab import SlabTrain
@@ -79,6 +80,7 @@ def over_branches(
     asked: Asked,
     sizes: Sequence[float] = (),
     pool: Pool | None = None,
+    report: Report = quiet,
 ) -> tuple[Outcome, float, Quantities]:
     """Quantities as an outcome in branches, the tolerance, and those of the first branch.
 
@@ -94,7 +96,9 @@ def over_branches(
         require_states(quantities)
         further = len(part.parameters) - len(solution.parameters)
         guarded = _with_guards(quantities, len(solution.states), timeline.guards[k], further)
-        interpolation = OutputInterpolation(part, guarded, least_sizes=tuple(sizes), pool=pool)
+        interpolation = OutputInterpolation(
+            part, guarded, least_sizes=tuple(sizes), pool=pool, report=report
+        )
         outcome, tolerance = interpolation.solve(asked.share(len(parts)))
         outcomes.append(outcome)
         tolerances.append(tolerance)

@@ -32,6 +32,7 @@ _MAX_BREAKS = 32  # Most breaks of a parameter, and most points on a surface, th
 _BREAK_DISTANCE = 1e-6  # Distance of points beside a break, in widths of the interval
 _HALVINGS = 60  # Bisections of a segment across a surface: to the last digit
 _SPREAD_SEED = 20145  # Seed of evenly spread points
+_FURTHER_SEED = 20147  # Seed of further ones
 _CORNER_SEED = 20146  # Seed of the choice of corners
 
 
@@ -136,7 +137,8 @@ class CheckPoints:
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
         at_corners = _corners(domain)
         special = [_beside(domain, quantities.cuts[1:]), _on_surfaces(domain, quantities)]
-        halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)
+        count = _INTERIOR_POINTS if domain.box else 1
+        halves = (spread_over(domain, count, seed) for seed in (_SPREAD_SEED, _FURTHER_SEED))
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
 
@@ -149,9 +151,9 @@ class CheckPoints:
         return CheckPoints(corners, self.aimed[at_aimed], self.further[at_further])
 
 
-def spread_over(domain: Domain, count: int) -> Array:
+def spread_over(domain: Domain, count: int, seed: int = _SPREAD_SEED) -> Array:
     """Points of the box, evenly spread, the centre first: (count, d)."""
-    shares = spread(count, len(domain.box), np.random.default_rng(_SPREAD_SEED))
+    shares = spread(count, len(domain.box), np.random.default_rng(seed))
     shares = np.concatenate([np.full((1, len(domain.box)), 0.5), shares[1:]])
     return Coverage.of_domain(domain).points(shares)
 

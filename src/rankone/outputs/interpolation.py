@@ -43,6 +43,7 @@ from rankone.support.budget import (
 )
 from rankone.support.errors import ConvergenceError
 from rankone.support.executors import Pool
+from rankone.support.progress import ProgressEvent, Report, quiet
 from rankone.tensors.adaptive import (
     FIRST_LEFT_POINTS,
     AdaptiveInterpolation,
@@ -114,6 +115,7 @@ class OutputInterpolation:
     Those of a solution with events that depend on time are over its stretches, or else over
     ``clock_time``. Errors are relative to the largest values, or to the ``least_sizes`` of the
     first quantities. Workers of a ``pool`` take parts of the points at which they are sampled.
+    ``report`` is called as the sweeps of an attempt over the parameters go on.
     """
 
     solution: SolutionCore
@@ -121,6 +123,7 @@ class OutputInterpolation:
     clock_time: bool = False
     least_sizes: tuple[float, ...] = ()
     pool: Pool | None = None
+    report: Report = quiet
     options: CrossOptions = field(default_factory=CrossOptions)
 
     @property
@@ -308,9 +311,15 @@ class OutputInterpolation:
         adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING, scales)
         known_elements = [KnownElements(borders) for borders in self.quantities.cuts[1:]]
         best: tuple[float, tuple[SlabTrain, ...]] | None = None
-        for _ in range(_MAX_ATTEMPTS):
+        for attempt in range(_MAX_ATTEMPTS):
+
+            def begun(done: int, total: int, rank: int, attempt: int = attempt) -> None:
+                grid = columns.grid
+                event = ProgressEvent(grid.breaks[0], done / total, attempt, grid.slabs, rank)
+                self.report(event)
+
             try:
-                train, _ = adaptive.interpolate(columns, lambda _: known_elements)
+                train, _ = adaptive.interpolate(columns, lambda _: known_elements, begun)
             except OutOfBudgetError:
                 if best is None:
                     raise

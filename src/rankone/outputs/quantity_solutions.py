@@ -21,6 +21,7 @@ from rankone.support.budget import operations_for
 from rankone.support.errors import OptionError
 from rankone.support.executors import Pool
 from rankone.support.options import checked_number
+from rankone.support.progress import Report, quiet
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.timeline import TimelineEvaluator
 from rankone.verification.points import check_points
@@ -58,7 +59,8 @@ def met_before_end(solution: SolutionCore, timeline: Timeline) -> Timeline:
 
 @dataclass(frozen=True)
 class OutputRequest:
-    """Arguments of :meth:`rankone.Solution.output`, and the pool whose workers take part.
+    """Arguments of :meth:`rankone.Solution.output`, the pool whose workers take part, and who is
+    told of progress.
 
     Without ``units`` quantities have those of the definitions of their names.
     """
@@ -68,6 +70,7 @@ class OutputRequest:
     max_seconds: float | None
     units: Mapping[str, str] | None
     pool: Pool | None
+    report: Report = quiet
 
 
 def with_outputs(
@@ -88,10 +91,12 @@ def with_outputs(
         return quantities
 
     if isinstance(timeline, BranchedTimeline):
-        outcome, rtol, quantities = over_branches(solution, checked, asked, pool=pool)
+        outcome, rtol, quantities = over_branches(
+            solution, checked, asked, pool=pool, report=request.report
+        )
     else:
         quantities = checked(solution, timeline)
-        interpolation = OutputInterpolation(solution, quantities, pool=pool)
+        interpolation = OutputInterpolation(solution, quantities, pool=pool, report=request.report)
         outcome, rtol = interpolation.solve(asked)
     if units is None:
         units = {name: unit for name, unit in metadata.units if name in quantities.names}

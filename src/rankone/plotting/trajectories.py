@@ -268,7 +268,7 @@ def plot_bands(
     statistics = solution._statistics(under, correlation)
     mean = statistics.mean(times)[rows]
     if sigmas is None:
-        lower, upper = statistics.quantiles(times, np.array(ends), _BAND_POINTS)[:, rows]
+        lower, upper = statistics.quantiles(times, np.array(ends), _BAND_POINTS)[0][:, rows]
         meaning = f"{100 * ends[0]:.3g} to {100 * ends[1]:.3g} %"
     else:
         spread = sigmas * np.sqrt(statistics.variance(times)[rows])

@@ -5,7 +5,8 @@
 ``joint_distribution``   all parameters together, joined by a Gaussian copula
 ``moments``              means, variances and sensitivities of one train
 ``higher_moments``       third and fourth moments of one train
-``densities``            densities and probabilities, from evenly spread points
+``replicates``           points in sets whose spread is the error of what they say
+``densities``            densities and probabilities, from such points
 ``solution_statistics``  statistics of states at given times, and how certain they are
 ``over_box``             the methods of a solution
 ``timeline_statistics``  those of solutions with events, which jump over the parameters

@@ -45,8 +45,6 @@ class Accuracy:
 
 MOMENTS = Accuracy(1e-4, 1e-3, 512)
 """Of means, relative to the standard deviation, and of variances, relative to themselves."""
-SENSITIVITIES = Accuracy(2e-3, 2e-2, 64)
-"""Of parts of the variance, relative to all of it."""
 EFFECTS = Accuracy(1e-3, 1e-2, 4 * FIRST_LINES)
 """Of means given one parameter, relative to the standard deviation."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,17 +21,21 @@ from rankone.statistics.joint_distribution import (
     measures_of,
 )
 from rankone.statistics.piece_statistics import PieceStatistics
+from rankone.statistics.replicates import SETS
 from rankone.statistics.solution_statistics import (
     ROUNDING_ERROR,
     MainEffects,
+    Report,
     Sobol,
     Statistics,
+    changed_shares,
     doubtful_shares,
 )
 from rankone.statistics.timeline_statistics import TimelineStatistics
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
+from rankone.support.progress import counting_bar
 from rankone.support.wording import shown
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import TrainEvaluator
@@ -39,6 +44,8 @@ from rankone.tensors.timeline import TimelineEvaluator
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""
+Progress = bool | Report
+"""A bar or none, or what is called with the numbers of finished and of all steps."""
 
 _SIZE_TIMES = 25  # Times at which the size of an unknown is measured: a size need not be exact
 # Truncation of a train for higher moments, in shares of the tolerance of the solution
@@ -54,6 +61,40 @@ def checked_probabilities(q: ArrayLike) -> Array:
     if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
         raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
     return probabilities
+
+
+def _quiet(done: int, total: int) -> None:
+    """Ignore progress."""
+
+
+class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
+    """Quantiles as an array, with half-widths of 95 % of their probabilities.
+
+    What is computed of it, or taken from it, is a plain array.
+
+    Attributes
+    ----------
+    half_width : ndarray
+        Of the same shape.
+    """
+
+    half_width: Array
+
+    def __new__(cls, values: Array, half_width: Array) -> Quantiles:
+        """Quantiles of an array."""
+        quantiles = np.asarray(values, dtype=float).view(cls)
+        quantiles.half_width = half_width
+        return quantiles
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        plain = np.asarray(array)
+        return plain[()] if return_scalar else plain
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Quantiles, (np.asarray(self), self.half_width)
 
 
 class StatisticsOverBox(SolutionCore):
@@ -190,19 +231,40 @@ class StatisticsOverBox(SolutionCore):
         return np.asarray(self._higher(t, self._statistics(under, correlation), True)[2] - 3.0)
 
     def sobol(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self,
+        t: Times = None,
+        *,
+        under: Distributions = None,
+        correlation: Correlations = None,
+        count: int | None = None,
+        progress: Progress = False,
     ) -> Sobol:
         """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
 
-        Arguments as for :meth:`mean`; times are one-dimensional. The indices are NaN where an
-        unknown varies by less than its measured error. A warning says so, except at the start of
-        the horizon, where initial values are usually numbers. The warning also names indices that
-        the error may change visibly: there the spread is less than five times the error. Over
-        solutions with events the indices are good to about 1e-2.
+        They come with half-widths of 95 %. The indices are NaN where an unknown varies by less than
+        its measured error. A warning says so, except at the start of the horizon, where initial
+        values are usually numbers. The warning also names indices that the error may change
+        visibly: there the spread is less than five times the error.
         Correlations are refused: the shares of correlated parameters overlap, and depend on the
         order in which they are counted.
+
+        Parameters
+        ----------
+        t, under, correlation
+            As for :meth:`mean`; times are one-dimensional.
+        count : int, optional
+            Points over solutions with events, where the solution is evaluated 2 d + 2 times for
+            each, with d parameters; without events nothing is sampled. By default at most 2^14,
+            fewer at many times. The half-widths show what they are good for.
+        progress : bool or callable
+            True shows a bar, where points are taken; a function is called with the numbers of
+            finished and of all sets of points.
         """
-        indices, doubts = self._indices(t, self._statistics(under, correlation))
+        if count is not None:
+            count = checked_count("count", count, SETS, self._numbers_each())
+        statistics = self._statistics(under, correlation)
+        with counting_bar(progress, SETS, "Sobol indices", "set") as report:
+            indices, doubts = self._indices(t, statistics, count, report)
         if doubts:
             warn("; ".join(doubts), remedy="solve with a smaller rtol if it should vary there")
         return indices
@@ -214,6 +276,7 @@ class StatisticsOverBox(SolutionCore):
         count: int = 101,
         under: Distributions = None,
         correlation: Correlations = None,
+        progress: Progress = False,
     ) -> MainEffects:
         """Means of the unknowns as functions of each parameter, over all others.
 
@@ -227,8 +290,14 @@ class StatisticsOverBox(SolutionCore):
         count : int
             Number of values of each parameter, from one end of its interval to the other, evenly
             spaced on its scale.
+        progress : bool or callable
+            True shows a bar; a function is called with the numbers of finished and of all
+            parameters.
         """
-        return self._main_effects(t, count, self._statistics(under, correlation))
+        statistics = self._statistics(under, correlation)
+        total = len(self.metadata.parameters)
+        with counting_bar(progress, total, "main effects", "parameter") as report:
+            return self._main_effects(t, count, statistics, report)
 
     def sample(
         self,
@@ -257,12 +326,12 @@ class StatisticsOverBox(SolutionCore):
         *,
         under: Distributions = None,
         correlation: Correlations = None,
-        count: int = 2**14,
-    ) -> Array:
+        count: int = 2**15,
+    ) -> Quantiles:
         """Quantiles of the unknowns over the box at times.
 
-        Computed from evenly spread values of the parameters (an additive recurrence), the same in
-        every call. With the default ``count`` the probabilities are good to about 1e-3.
+        Computed from scrambled Sobol points in 16 sets, the same in every call. How much the sets
+        differ tells the error of the probabilities: with the default ``count`` 1e-2 or less.
 
         Parameters
         ----------
@@ -275,7 +344,10 @@ class StatisticsOverBox(SolutionCore):
 
         Returns
         -------
-        ndarray (*shape of q, unknowns, *shape of t)
+        Quantiles (*shape of q, unknowns, *shape of t)
+            An array, whose ``.half_width``, of the same shape, has half-widths of 95 % of the
+            probabilities: the quantile at 0.25 may be the one at 0.25 plus or minus that. The
+            error of the solution is beside them.
 
         Raises
         ------
@@ -287,8 +359,9 @@ class StatisticsOverBox(SolutionCore):
         statistics = self._statistics(under, correlation)
 
         flat = probabilities.ravel()
-        table = self._at(t, lambda times: statistics.quantiles(times, flat, count))
-        return table.reshape(*probabilities.shape, *table.shape[1:])
+        both = self._at(t, lambda times: np.stack(statistics.quantiles(times, flat, count)))
+        table, half_width = both.reshape(2, *probabilities.shape, *both.shape[2:])
+        return Quantiles(table, half_width)
 
     # --- for one joint distribution of the parameters ------------------------------------------
 
@@ -308,7 +381,9 @@ class StatisticsOverBox(SolutionCore):
         tolerance = _TRUNCATION_SHARE * self.rtol
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
-    def _indices(self, t: Times, statistics: Statistics) -> tuple[Sobol, list[str]]:
+    def _indices(
+        self, t: Times, statistics: Statistics, count: int | None = None, report: Report = _quiet
+    ) -> tuple[Sobol, list[str]]:
         """Sobol indices, and sentences on those that are not certain."""
         statistics.parameters.require_independent(
             "Sobol indices are not defined for correlated parameters: their shares of the variance "
@@ -317,54 +392,76 @@ class StatisticsOverBox(SolutionCore):
             "the standard deviations with one parameter fixed at a time; main_effects takes "
             "correlations",
         )
-        checked = np.atleast_1d(self._times(t))
+        checked = self._times(t)
         if checked.ndim > 1:
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
-        times = None if t is None else checked
-        clock = np.empty(0) if times is None else times
-        variance = self._at(times, statistics.variance)
-        share, spread, sizes, errors = self._shares_of_variance(variance, statistics)
-        first, total = self._at(times, statistics.first), self._at(times, statistics.total)
-        second = self._at(times, statistics.second) * share[:, None, None]
-        indices = first * share[:, None], total * share[:, None], second
-        later = np.ones(1, dtype=bool) if times is None else clock > self.time[0]
-        when = np.full(1, np.nan) if times is None else clock[later]
-        doubts = list(doubtful_shares(self.unknowns, when, spread[:, later], sizes, errors))
-        return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), doubts
+        times = np.atleast_1d(checked)
+        found = statistics.variance_parts(times, count, report)
+        share, spread, sizes, errors = self._shares_of_variance(found.variance, statistics)
+        ratio = (errors[:, None] * np.sqrt(share))[:, None]
+        arrays = list[Array]()
+        for part, width in zip(found.parts, found.half_widths, strict=True):
+            own = (slice(None), *(None,) * (part.ndim - 2))
+            index = part * share[own]
+            arrays.append(index)
+            changed = changed_shares(index, ratio if part.ndim == 3 else ratio[:, None])
+            arrays.append(width * share[own] + changed)
+        second = arrays[4:]
+        i = np.arange(len(self.metadata.parameters))
+        second[1][:, i, i] = 0.0  # a parameter and itself
+        if t is None:
+            arrays = [array[..., 0] for array in arrays]
+        first, first_width, total, total_width, pairs, pairs_width = arrays
+        clock = np.empty(0) if t is None else times
+        later = np.ones(1, dtype=bool) if t is None else clock > self.time[0]
+        when = np.full(1, np.nan) if t is None else clock[later]
+        doubts = [
+            *found.doubts,
+            *doubtful_shares(self.unknowns, when, spread[:, later], sizes, errors),
+        ]
+        indices = Sobol(
+            self.metadata.parameters,
+            self.unknowns,
+            clock,
+            first,
+            total,
+            pairs,
+            first_half_width=first_width,
+            total_half_width=total_width,
+            second_half_width=pairs_width,
+        )
+        return indices, doubts
 
     def _first_and_total(self, times: Array, statistics: Statistics) -> tuple[Array, Array]:
-        """Sobol indices of first order and total ones, (unknowns, parameters, times) each.
-
-        To two digits with events.
-        """
-        if isinstance(statistics, TimelineStatistics):
-            variance, first, total = statistics.shares_at_points(times)
-        else:
-            variance = self._at(times, statistics.variance)
-            first, total = statistics.first(times), statistics.total(times)
-        share = self._shares_of_variance(variance, statistics)[0][:, None]
-        return first * share, total * share
+        """Sobol indices of first order and total ones, (unknowns, parameters, times) each."""
+        indices, _ = self._indices(times, statistics)
+        return indices.first, indices.total
 
     def _shares_of_variance(
         self, variance: Array, statistics: Statistics
     ) -> tuple[Array, Array, Array, Array]:
-        """One over the variance, NaN where it is below the error of the solution.
+        """One over the variance (unknowns, times), NaN where it is below the error of the solution.
 
         After it the standard deviations (unknowns, times), and sizes and errors of the unknowns.
         """
+        sizes, errors = self._sizes_and_errors(statistics)
+        spread = np.sqrt(variance)
+        with np.errstate(all="ignore"):
+            share = np.where(spread > errors[:, None], 1.0 / variance, np.nan)
+        return share, spread, sizes, errors
+
+    def _sizes_and_errors(self, statistics: Statistics) -> tuple[Array, Array]:
+        """Sizes of the unknowns, and the errors of the solution in them."""
         ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
         squares = self._at(ends, statistics.root_mean_squares)
         largest = squares.reshape(len(squares), -1)
         sizes = np.asarray(np.fmax.reduce(largest, axis=1))  # all may have ended at the last times
         errors = np.nan_to_num([self.errors[name] for name in self.unknowns], posinf=0.0)
-        errors = sizes * np.maximum(errors, ROUNDING_ERROR)
-        spread = np.sqrt(variance).reshape(len(errors), -1)
-        defined = (spread > errors[:, None]).reshape(variance.shape)
-        with np.errstate(all="ignore"):
-            share = np.where(defined, 1.0 / variance, np.nan)
-        return share, spread, sizes, errors
+        return sizes, sizes * np.maximum(errors, ROUNDING_ERROR)
 
-    def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
+    def _main_effects(
+        self, t: Times, count: int, statistics: Statistics, report: Report = _quiet
+    ) -> MainEffects:
         count = checked_count("count", count, 2, self._numbers_each())
         ranges = {
             name: evenly_on_scale(self._scale(name), ends, count)
@@ -374,7 +471,10 @@ class StatisticsOverBox(SolutionCore):
         def mean_given(j: int, points: Array) -> Array:
             return self._at(t, lambda times: statistics.main_effect(times, j, points))
 
-        means = {name: mean_given(j, ranges[name]) for j, name in enumerate(ranges)}
+        means = dict[str, Array]()
+        for j, name in enumerate(ranges):
+            means[name] = mean_given(j, ranges[name])
+            report(j + 1, len(ranges))
         times = np.asarray([] if t is None else t, dtype=float)
         return MainEffects(tuple(ranges), self.unknowns, times, ranges, means)
 

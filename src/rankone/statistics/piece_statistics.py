@@ -106,6 +106,8 @@ class PieceStatistics(TimelineStatistics):
         divisor = np.where(still, np.nan, size)
         return np.stack([size, cube / divisor**3, fourth / divisor**4])
 
+    variance_parts = Statistics.variance_parts
+
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""
         line = self._tiling.edges[j]

@@ -12,12 +12,15 @@ import numpy as np
 from rankone.statistics.higher_moments import HigherMoments
 from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.moments import ConditionalMoments, TrainMoments
+from rankone.statistics.replicates import SETS, share_of
 from rankone.support.arrays import Array
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
 _Moments = TypeVar("_Moments")
+Report = Callable[[int, int], object]
+"""Called with the numbers of finished and of all steps."""
 
 _POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
 _SLABS_REMEMBERED = 4  # Latest slabs whose moments may serve a later slab that shares their cores
@@ -45,6 +48,9 @@ class Sobol(Labelled):
     second : ndarray (unknowns, parameters, parameters, times)
         Share of the interaction of two parameters, beyond what they explain alone; symmetric, with
         zeros for a parameter and itself.
+    first_half_width, total_half_width, second_half_width : ndarray
+        Half-widths of 95 % of each index: what the measured error of the solution may change it by,
+        and with events the error of the points.
     """
 
     parameters: tuple[str, ...]
@@ -53,6 +59,9 @@ class Sobol(Labelled):
     first: Array
     total: Array
     second: Array
+    first_half_width: Array
+    total_half_width: Array
+    second_half_width: Array
 
     def _table(self) -> Table:
         """Shares at the times, or at the first, the middle and the last of many."""
@@ -68,7 +77,12 @@ class Sobol(Labelled):
                 cells = [f"{share:.3f}" for k in chosen for share in shares[:, k]]
                 rows.append([unknown, parameter, *cells])
         many = "" if len(chosen) == count else f" at {count} times"
-        return Table(f"Sobol indices of {', '.join(self.unknowns)}{many}", header, rows, labels=2)
+        widest = max(
+            float(np.nanmax(width, initial=0.0))
+            for width in (self.first_half_width, self.total_half_width)
+        )
+        title = f"Sobol indices of {', '.join(self.unknowns)}{many}"
+        return Table(title, header, rows, [f"each to {widest:.1g} or better, at 95 %"], labels=2)
 
     def _variables(self) -> Variables:
         axes = ("unknown", "parameter", "time")[: self.first.ndim]
@@ -76,8 +90,15 @@ class Sobol(Labelled):
         labels = {"unknown": list(self.unknowns), "parameter": list(self.parameters)}
         labels["other"] = list(self.parameters)
         clock = {"time": self.times} if "time" in axes else {}
-        arrays = {"first": (axes, self.first), "total": (axes, self.total)}
-        return Variables({**arrays, "second": (pairs, self.second)}, {**labels, **clock})
+        arrays = {
+            "first": (axes, self.first),
+            "total": (axes, self.total),
+            "second": (pairs, self.second),
+            "first_half_width": (axes, self.first_half_width),
+            "total_half_width": (axes, self.total_half_width),
+            "second_half_width": (pairs, self.second_half_width),
+        }
+        return Variables(arrays, {**labels, **clock})
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,6 +164,20 @@ class MainEffects(Labelled):
         spread = (slice(None), None, slice(None), None)[: means.ndim]
         every = np.broadcast_to(values[spread], means.shape)
         return Variables({"mean": (axes, means), "value": (axes, every)}, labels)
+
+
+@dataclass(frozen=True)
+class VarianceParts:
+    """The variances (states, times) of states, and their parts of first order, total and second.
+
+    ``parts`` are (states, parameters, times), the last (states, parameters, parameters, times), and
+    ``half_widths`` those of 95 % of their shares, times the variance. ``doubts`` are sentences.
+    """
+
+    variance: Array
+    parts: tuple[Array, Array, Array]
+    half_widths: tuple[Array, Array, Array]
+    doubts: tuple[str, ...] = ()
 
 
 class Statistics:
@@ -212,6 +247,12 @@ class Statistics:
         variances[:, i, j] = variances[:, j, i] = pairs
         return variances
 
+    def variance_parts(self, times: Array, count: int | None, report: Report) -> VarianceParts:
+        """The variance and its parts; ``count`` is of points where any are taken."""
+        parts = self.first(times), self.total(times), self.second(times)
+        nothing = tuple(np.zeros_like(part) for part in parts)
+        return VarianceParts(self.variance(times), parts, (nothing[0], nothing[1], nothing[2]))
+
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""
 
@@ -240,13 +281,17 @@ class Statistics:
         table[1:, still] = np.nan
         return table
 
-    def quantiles(self, times: Array, probabilities: Array, count: int) -> Array:
-        """Quantiles of values at evenly spread points, (probabilities, states, times)."""
-        points = self.parameters.even_points(count)
-        return self.over_points(times, points, lambda s: np.quantile(s, probabilities, axis=1))
+    def quantiles(self, times: Array, probabilities: Array, count: int) -> tuple[Array, Array]:
+        """Quantiles of values at evenly spread points, (probabilities, states, times).
+
+        After them the half-widths of 95 % of their probabilities, of the same shape.
+        """
+        points = self.parameters.sets_of_points(count)
+        both = self.over_points(times, points, lambda states: _quantiles(states, probabilities))
+        return both[0], both[1]
 
     def at_points(self, time: float, points: Array, row: int) -> Array:
-        """One state at one time and points (d, N), as far as they have a value there."""
+        """One state at one time and points (d, N), NaN where it has ended."""
         return self.over_points(np.array([time]), points, lambda states: states[0], [row])[:, 0]
 
     def over_points(
@@ -258,7 +303,8 @@ class Statistics:
     ) -> Array:
         """A function of values (states, points) of arrays of numbers, (..., times).
 
-        ``rows`` selects other states than the statistics have.
+        The values are NaN at points that have ended. ``rows`` selects other states than the
+        statistics have.
         """
         rows = self.rows if rows is None else list(rows)
         owner = np.searchsorted(self._starts, times, side="right")
@@ -304,6 +350,33 @@ class Statistics:
         return table
 
 
+def _quantiles(states: Array, probabilities: Array) -> Array:
+    """Quantiles of states (rows, N), and half-widths of their probabilities, (2, P, rows)."""
+    sets = np.sort(states.reshape(len(states), SETS, -1), axis=2)  # NaN come last
+    runs = np.isfinite(states[0])
+    values = np.quantile(states[:, runs], probabilities, axis=1)
+    below = np.array(
+        [
+            [np.searchsorted(own, column, side="right") for own in of_sets]
+            for of_sets, column in zip(sets, values.T, strict=True)
+        ],
+        dtype=float,
+    )
+    running = runs.reshape(SETS, -1).sum(axis=1)
+    *_, half_widths = share_of(below.transpose(2, 0, 1), running)
+    return np.stack([values, half_widths])
+
+
+def changed_shares(shares: Array, ratio: Array) -> Array:
+    """By how much an error changes shares of the variance at most.
+
+    ``ratio`` is the error over the standard deviation. By the triangle inequality the root of a
+    part and that of the variance change by the error at most.
+    """
+    largest = (np.sqrt(np.maximum(shares, 0.0)) + ratio) / (1.0 - ratio)
+    return np.asarray(np.minimum(largest**2, 1.0) - np.minimum(shares, 1.0))
+
+
 def doubtful_shares(
     unknowns: Sequence[str], times: Array, spread: Array, sizes: Array, errors: Array
 ) -> Iterator[str]:
@@ -319,19 +392,19 @@ def doubtful_shares(
         vague = varies & (row > error) & (row < _CLEAR_RATIO * error)
         if hidden.any():
             yield (
-                f"the Sobol indices of {quote(name)} are NaN{_when(times[hidden])}: its spread "
+                f"the Sobol indices of {quote(name)} are NaN{when(times[hidden])}: its spread "
                 f"over the box, {row[hidden].max():.2g}, is below the error of the solution, "
                 f"{error:.2g}"
             )
         if vague.any():
             yield (
-                f"the Sobol indices of {quote(name)} are uncertain{_when(times[vague])}: its "
+                f"the Sobol indices of {quote(name)} are uncertain{when(times[vague])}: its "
                 f"spread over the box is {row[vague].min():.2g}, and the error of the solution "
                 f"{error:.2g}"
             )
 
 
-def _when(times: Array) -> str:
+def when(times: Array) -> str:
     """Some times, by their ends."""
     if np.isnan(times).any():
         return ""

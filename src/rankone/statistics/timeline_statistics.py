@@ -11,32 +11,23 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-import scipy
 
 from rankone.statistics.joint_distribution import JointDistribution
-from rankone.statistics.line_averages import (
-    EFFECTS,
-    LASTING,
-    MOMENTS,
-    SENSITIVITIES,
-    LineAverages,
-    Weighted,
-    relative_change,
-    warn_of_changes,
-)
-from rankone.statistics.solution_statistics import Statistics
+from rankone.statistics.line_averages import EFFECTS, MOMENTS, LineAverages, Weighted
+from rankone.statistics.replicates import SETS, even_shares, half_width
+from rankone.statistics.solution_statistics import Report, Statistics, VarianceParts, when
 from rankone.support.arrays import Array
-from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
-_PAIRS = 13  # Power of two of the pairs of points that tell parts of the variance to two digits
-_MOST_PAIRS = 17  # The same where they tell them as well as they can
-_HELD = 2**25  # Numbers of states at pairs of points that are held together
-_MOST_DIMENSIONS = 4  # Of pairs of points on lines: in more, few lines miss how surfaces meet
+# Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time
+_EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**22, 10
+_FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
+_HELD = 2**22  # Numbers of states that are held together for them
+_SEED = 20145  # Of these points
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
 
@@ -47,8 +38,6 @@ class TimelineStatistics(Statistics):
     A warning gives their share where trajectories have ended, and the accuracy of statistics that
     do not settle.
     """
-
-    _latest: tuple[Array, tuple[Array, Array]] | None = None  # variances, and their times
 
     def __init__(
         self,
@@ -87,25 +76,52 @@ class TimelineStatistics(Statistics):
     def root_mean_squares(self, times: Array) -> Array:
         """Sizes of the states, (states, times), from few points: to two digits."""
         points = self.parameters.even_points(_SIZE_POINTS)
-        return self.over_points(times, points, lambda x: np.sqrt(np.mean(x**2, axis=1)))
+        table = np.full((len(self.rows), times.size), np.nan)
+        for k, states in self._at_all(times, points, self.rows):
+            runs = np.isfinite(states).all(axis=0)
+            if runs.any():
+                table[:, k] = np.sqrt(np.mean(states[:, runs] ** 2, axis=1))
+        return table
 
-    def first(self, times: Array) -> Array:
-        """Variances of the means given one parameter, (states, parameters, times)."""
-        return self._sensitivities(times)[0]
+    def variance_parts(self, times: Array, count: int | None, report: Report) -> VarianceParts:
+        """The variance and its parts, from points in pairs that share some parameters.
 
-    def total(self, times: Array) -> Array:
-        """Means of the variance over one parameter, (states, parameters, times)."""
-        return self._sensitivities(times)[1]
+        NaN where some trajectory has ended: the parameters of the others are not independent.
+        Without a ``count`` there are as many points as about 2^22 evaluations allow.
+        """
+        d, n = len(self.parameters.measures), len(self.rows)
+        if count is None:
+            each = _EVALUATIONS // (SETS * (2 * d + 2) * (times.size + _EVALUATIONS_TO_BEGIN))
+            each = 2 ** int(np.clip(each, _FEWEST_EACH, _MOST_EACH)).bit_length() // 2
+        else:
+            each = -(-count // SETS)
+        of_sets = np.empty((SETS, n, 1 + d * (d + 2), times.size))
+        at_once = max(_HELD // (n * (2 * d + 2) * each), 1)
+        for k in range(SETS):
+            shares = _sharing_pairs(even_shares(each, 2 * d, (_SEED, k)))
+            for begin in range(0, times.size, at_once):
+                block = slice(begin, begin + at_once)
+                states = self._at_even(times[block], shares)
+                of_sets[k, ..., block] = _parts(states.reshape(*states.shape[:2], -1, each))
+            report(k + 1, SETS)
+        mean = of_sets.mean(axis=0)
+        with np.errstate(all="ignore"):
+            ratios = np.nan_to_num(mean / mean[:, :1])
+        widths = half_width(of_sets - ratios * of_sets[:, :, :1])
 
-    def second(self, times: Array) -> Array:
-        """Variances of interactions, (states, parameters, parameters, times)."""
-        count = len(self.parameters.measures)
-        first = self.first(times)
-        variances = np.zeros((len(self.rows), count, count, times.size))
-        for i, j in combinations(range(count), 2):
-            both = self._variance_given([i, j], times) - first[:, i] - first[:, j]
-            variances[:, i, j] = variances[:, j, i] = np.maximum(both, 0.0)
-        return variances
+        def split(table: Array) -> tuple[Array, Array, Array]:
+            first, total = table[:, 1 : d + 1], table[:, d + 1 : 2 * d + 1]
+            return first, total, table[:, 2 * d + 1 :].reshape(n, d, d, -1)
+
+        first, total, second = split(mean)
+        parts = np.maximum(first, 0.0), total, np.maximum(second, 0.0)
+        ended = times[np.isnan(mean[:, 0]).any(axis=0)]
+        doubts = (
+            [f"there are no Sobol indices{when(ended)}, where some trajectories have ended"]
+            if ended.size
+            else []
+        )
+        return VarianceParts(mean[:, 0], parts, split(widths), tuple(doubts))
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""
@@ -142,13 +158,6 @@ class TimelineStatistics(Statistics):
 
         return self._over_box(times, moments)
 
-    def at_points(self, time: float, points: Array, row: int) -> Array:
-        """One state at one time and points (d, N), where they are still running."""
-        [(_, (states,))] = self._at_all(np.array([time]), points, [row])
-        runs = np.isfinite(states)
-        _warn_of_ends(runs.mean(keepdims=True))
-        return np.asarray(states[runs])
-
     def over_points(
         self,
         times: Array,
@@ -158,7 +167,7 @@ class TimelineStatistics(Statistics):
     ) -> Array:
         """A function of values (states, points) of arrays of numbers, (..., times).
 
-        It gets the points that are still running; where there are none it is NaN.
+        Values are NaN at points that have ended; where all have it is not called, but NaN.
         """
         rows = self.rows if rows is None else list(rows)
         shape = of(np.zeros((len(rows), points.shape[1]))).shape
@@ -167,7 +176,7 @@ class TimelineStatistics(Statistics):
             runs = np.isfinite(states).all(axis=0)
             share[k] = runs.mean()
             if runs.any():
-                table[..., k] = of(states[:, runs])
+                table[..., k] = of(np.where(runs, states, np.nan))
         _warn_of_ends(share)
         return table
 
@@ -197,124 +206,52 @@ class TimelineStatistics(Statistics):
         _warn_of_ends(share)
         return table
 
-    def _sensitivities(self, times: Array) -> tuple[Array, Array]:
-        """Variances of first order and total ones, (states, parameters, times) each.
-
-        They are kept for the next call.
-        """
-        latest = self._latest
-        if latest is not None and np.array_equal(latest[0], times):
-            return latest[1]
-        count = len(self.parameters.measures)
-        shape = len(self.rows), count, times.size
-        first, total = np.empty(shape), np.empty(shape)
-        for i in range(count):
-            first[:, i] = self._variance_given([i], times)
-            others = [j for j in range(count) if j != i]
-            total[:, i] = self._of_pairs(others, times, _half_mean_square)
-        self._latest = times.copy(), (np.maximum(first, 0.0), total)
-        return self._latest[1]
-
-    def shares_at_points(self, times: Array) -> tuple[Array, Array, Array]:
-        """Variances, and those of first order and total ones, from few points.
-
-        Shares of the variance were off by up to 0.02 in what was measured.
-
-        (states, times), and (states, parameters, times) each, as :meth:`first` and :meth:`total`.
-        NaN where some trajectory has ended.
-        """
-        count = len(self.parameters.measures)
-        sequence = scipy.stats.qmc.Sobol(2 * count, scramble=False).random_base2(_PAIRS)
-        shares = (sequence.T + np.random.default_rng(20145).random((2 * count, 1))) % 1.0
-        here, there = (self._at_even(times, half) for half in np.split(shares, 2))
-        first, total = np.empty((2, len(self.rows), count, times.size))
-        for i in range(count):
-            mixed = shares[:count].copy()
-            mixed[i] = shares[count + i]
-            between = self._at_even(times, mixed)
-            first[:, i] = 0.5 * np.square(there - between).mean(axis=2)
-            total[:, i] = 0.5 * np.square(here - between).mean(axis=2)
-        variance = 0.5 * (here.var(axis=2) + there.var(axis=2))
-        return variance, np.maximum(variance[:, None] - first, 0.0), total
-
     def _at_even(self, times: Array, shares: Array) -> Array:
         """States (rows, times, M) at points of the unit cube (d, M)."""
         points = self.parameters.points(shares)
         return np.stack([states for _, states in self._at_all(times, points, self.rows)], axis=1)
 
-    def _variance_given(self, fixed: Sequence[int], times: Array) -> Array:
-        """Variances of the means given some parameters, (states, times)."""
-        return self._of_pairs(fixed, times, _covariance)
 
-    def _of_pairs(
-        self, same: Sequence[int], times: Array, of: Callable[[Array, Array, Array], Array]
-    ) -> Array:
-        """A part of the variance of each state, by pairs of points that share some parameters.
+def _sharing_pairs(shares: Array) -> Array:
+    """Points (d, (2 d + 2) M) from shares (2 d, M): A, B, A with each row of B, B with those of A.
 
-        Estimators of Jansen, "Analysis of variance designs for model output", Computer Physics
-        Communications 117, 1999, and of Saltelli et al., the same 181, 2010. (states, times), NaN
-        where some trajectory has ended: the parameters of the others are not independent.
-        """
-        count, rows = len(self.parameters.measures), len(self.rows)
-        other = [j for j in range(count) if j not in same]
-
-        def halves(shares: Array) -> list[Array]:
-            second = shares[:count].copy()
-            second[other] = shares[count:]
-            return [shares[:count], second]
-
-        def pairs(shares: Array) -> list[Array]:
-            return [self.parameters.points(half) for half in halves(shares)]
-
-        def of_pairs(states: Array, weights: Array) -> tuple[Array, Array]:
-            x, y = states[:rows], states[rows:]
-            return of(x, y, weights), _spread(x, weights) ** 2
-
-        dimensions = count + len(other)
-        if dimensions > _MOST_DIMENSIONS:
-            return self._of_even_pairs(times, dimensions, halves, of)
-        table, share = self._averages(times, dimensions, pairs, of_pairs, SENSITIVITIES)
-        table[:, share < 1.0] = np.nan
-        return table
-
-    def _of_even_pairs(
-        self,
-        times: Array,
-        dimensions: int,
-        halves: Callable[[Array], Sequence[Array]],
-        of: Callable[[Array, Array, Array], Array],
-    ) -> Array:
-        """The same at evenly spread pairs of points, twice as many of them until it settles."""
-        table = np.full((len(self.rows), times.size), np.inf)
-        latest, expected = np.full((2, times.size), np.inf)  # changes
-        at_once = max(_HELD // (len(self.rows) << _MOST_PAIRS + 1), 1)
-        for begin in range(0, times.size, at_once):
-            left = np.arange(begin, min(begin + at_once, times.size))
-            states = np.empty((2, len(self.rows), left.size, 0))
-            for points in _even_points(dimensions):
-                check_time()
-                further = [self._at_even(times[left], half) for half in halves(points)]
-                states = np.concatenate([states, further], axis=3)
-                weights = np.full(states.shape[3], 1.0 / states.shape[3])
-                for k, (x, y) in zip(left, states.transpose(2, 0, 1, 3), strict=True):
-                    parts, variances = of(x, y, weights), _spread(x, weights) ** 2
-                    expected[k] = LASTING * latest[k]
-                    latest[k] = relative_change(parts, table[:, k], variances)
-                    table[:, k] = parts
-                going = np.maximum(latest, expected)[left] > SENSITIVITIES.settled
-                left, states = left[going], states[:, :, going]
-                if not left.size:
-                    break
-        warn_of_changes(float(latest.max(initial=0.0)), SENSITIVITIES.warned)
-        return table
+    Saltelli, "Making best use of model evaluations to compute sensitivity indices", Computer
+    Physics Communications 145, 2002.
+    """
+    a, b = np.split(shares, 2)
+    blocks = [a, b]
+    for one, other in ((a, b), (b, a)):
+        for i in range(len(a)):
+            mixed = one.copy()
+            mixed[i] = other[i]
+            blocks.append(mixed)
+    return np.hstack(blocks)
 
 
-def _even_points(dimensions: int) -> Iterator[Array]:
-    """Points (D, M) of the unit cube, as many as before each time, evenly spread with these."""
-    sequence = scipy.stats.qmc.Sobol(dimensions, scramble=False)
-    shift = np.random.default_rng(20145).random((dimensions, 1))
-    for power in (_PAIRS - 1, *range(_PAIRS - 1, _MOST_PAIRS)):
-        yield (sequence.random(2**power).T + shift) % 1.0
+def _parts(states: Array) -> Array:
+    """The variance and its parts of first order, total and second, (rows, 1 + d (d + 2), times).
+
+    States (rows, times, 2 d + 2, M) are at the points of :func:`_sharing_pairs`. The variance less
+    half the mean square of a difference is the covariance (Jansen, "Analysis of variance designs
+    for model output", Computer Physics Communications 117, 1999).
+    """
+    d = states.shape[2] // 2 - 1
+    a, b = states[:, :, :1], states[:, :, 1:2]
+    from_b, from_a = states[:, :, 2 : 2 + d], states[:, :, 2 + d :]
+
+    def apart(x: Array, y: Array) -> Array:
+        return np.asarray(0.5 * np.mean((x - y) ** 2, axis=-1))
+
+    variance = states[:, :, :2].reshape(*states.shape[:2], -1).var(axis=2)[..., None]
+    first = variance - 0.5 * (apart(b, from_b) + apart(a, from_a))
+    total = 0.5 * (apart(a, from_b) + apart(b, from_a))
+    second = np.zeros((*states.shape[:2], d, d))
+    for i, j in combinations(range(d), 2):
+        pairs = (from_a[:, :, i], from_b[:, :, j]), (from_a[:, :, j], from_b[:, :, i])
+        both = variance[..., 0] - 0.5 * sum(apart(x, y) for x, y in pairs)
+        second[:, :, i, j] = second[:, :, j, i] = both - first[:, :, i] - first[:, :, j]
+    every = [variance, first, total, second.reshape(*states.shape[:2], -1)]
+    return np.concatenate(every, axis=2).swapaxes(1, 2)
 
 
 def _warn_of_ends(share: Array) -> None:
@@ -336,13 +273,3 @@ def _apart(states: Array, weights: Array) -> Array:
 def _spread(states: Array, weights: Array) -> Array:
     """Standard deviations (rows,) of states (rows, M)."""
     return np.asarray(np.sqrt(_apart(states, weights) ** 2 @ weights))
-
-
-def _covariance(x: Array, y: Array, weights: Array) -> Array:
-    """Covariances (rows,) of states (rows, M) at two sets of points with the same distribution."""
-    middle = (0.5 * ((x + y) @ weights))[:, None]
-    return np.asarray(((x - middle) * (y - middle)) @ weights)
-
-
-def _half_mean_square(x: Array, y: Array, weights: Array) -> Array:
-    return np.asarray(0.5 * ((x - y) ** 2 @ weights))

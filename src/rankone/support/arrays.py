@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,27 +12,35 @@ Array = NDArray[np.float64]
 """Real numbers."""
 
 _ITERATIONS = 40  # Fixed-point iterations for the root of φ^(d + 1) = φ + 1
+_MOST_OF_SEQUENCE = 2  # Coordinates up to which a sequence is even in every direction
 
 
-def spread(count: int, d: int, generator: np.random.Generator) -> Array:
-    """Points (count, d) of the unit cube, more even than random ones.
+def sequence(count: int, d: int, generator: np.random.Generator) -> Array:
+    """Points (count, d) of the unit cube of which the first few are even as well.
 
     Shifted multiples of powers of 1/φ, the real root of φ^(d + 1) = φ + 1 (additive recurrence;
-    M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). A box of 6 % of
-    the cube has one of 24 points in it with 99, 89 and 80 % for d = 1, 2, 3; of random points with
-    77, 72 and 65 %.
+    M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). In more than two
+    coordinates they are on few hyperplanes in some direction.
     """
-    steps = _phi(d) ** -np.arange(1.0, d + 1.0)
-    return np.asarray((generator.random(d) + np.outer(np.arange(1, count + 1), steps)) % 1.0)
-
-
-@lru_cache(64)
-def _phi(d: int) -> float:
-    """The real root of φ^(d + 1) = φ + 1."""
     phi = 2.0
     for _ in range(_ITERATIONS):
         phi = (1.0 + phi) ** (1.0 / (d + 1))
-    return phi
+    steps = phi ** -np.arange(1.0, d + 1.0)
+    return np.asarray((generator.random(d) + np.outer(np.arange(1, count + 1), steps)) % 1.0)
+
+
+def spread(count: int, d: int, generator: np.random.Generator) -> Array:
+    """Points (count, d) of the unit cube, more even than random ones in every direction.
+
+    Those of :func:`sequence` in one and two coordinates, where no direction is bad; else a Latin
+    hypercube: each coordinate has one point in each of ``count`` intervals, in an order of its own
+    (McKay, Beckman & Conover, "A comparison of three methods for selecting values of input
+    variables", Technometrics 21, 1979). ``docs/decisions/check-points.md`` has figures.
+    """
+    if d <= _MOST_OF_SEQUENCE:
+        return sequence(count, d, generator)
+    order = np.tile(np.arange(count, dtype=float), (d, 1))
+    return np.asarray((generator.permuted(order, axis=1).T + generator.random((count, d))) / count)
 
 
 def corners(d: int, most: int, generator: np.random.Generator) -> Array:

@@ -88,8 +88,10 @@ def _tqdm() -> Any:
 
 
 @contextmanager
-def counting_bar(progress: object, total: int) -> Iterator[Callable[[int, int], object]]:
-    """What is called with the numbers of finished and of all solves.
+def counting_bar(
+    progress: object, total: int, what: str = "solving", unit: str = "box"
+) -> Iterator[Callable[[int, int], object]]:
+    """What is called with the numbers of finished and of all solves, or other units of work.
 
     True is a bar on standard error, False nothing; a callable is called; or an OptionError.
     """
@@ -98,14 +100,15 @@ def counting_bar(progress: object, total: int) -> Iterator[Callable[[int, int], 
             raise OptionError(
                 f"progress is {progress!r}",
                 term=progress,
-                remedy="use True, False or a function of the numbers of finished and of all boxes",
+                remedy="use True, False or a function of two numbers: how many are finished, and "
+                "how many there are",
             )
         yield progress
         return
     if progress is False:
         yield lambda done, total: None
         return
-    with _tqdm()(total=total, leave=False, desc="solving", unit="box") as bar:
+    with _tqdm()(total=total, leave=False, desc=what, unit=unit) as bar:
 
         def show(done: int, total: int) -> None:
             bar.update(done - bar.n)

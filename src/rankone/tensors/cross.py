@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from rankone.discretization import Basis1D
-from rankone.support.arrays import Array, spread
+from rankone.support.arrays import Array, sequence
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import CALL, product, qr
 from rankone.tensors.skeleton import Skeleton, skeleton_of
@@ -80,12 +80,12 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     for b in range(1, len(sizes)):
         total = math.prod(sizes[:b])
         if full or total <= count:
-            order = np.argsort(np.argsort(spread(total, 1, generator)[:, 0]))
+            order = np.argsort(np.argsort(sequence(total, 1, generator)[:, 0]))
             points.append(np.stack(np.unravel_index(order, tuple(sizes[:b])), axis=1))
             continue
         grid = np.array(sizes[:b])
         at_corners = (grid - 1) * _corners(b, round(_CORNER_SHARE * count), generator)
-        inside = (grid * spread(count - len(at_corners), b, generator)).astype(np.int64)
+        inside = (grid * sequence(count - len(at_corners), b, generator)).astype(np.int64)
         shares = (_CORNER_SHARE, at_corners), (1.0 - _CORNER_SHARE, inside)
         places = [np.arange(0.5, len(each)) / share for share, each in shares]
         order = np.argsort(np.concatenate(places), kind="stable")
