@@ -32,7 +32,9 @@ def test_the_density_of_a_decay(decay):
         return 5.0 * np.maximum(1 / low - 1 / np.maximum(high, low), 0.0)
 
     density = decay.density(2.0)
-    np.testing.assert_allclose(density.density, exact(density.values), atol=0.03 * density.density.max())
+    np.testing.assert_allclose(
+        density.density, exact(density.values), atol=0.03 * density.density.max()
+    )
     assert l1_error(density, exact) < 0.01
     within = np.abs(density.density - exact(density.values)) <= density.half_width
     assert within.mean() > 0.93
