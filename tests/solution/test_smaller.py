@@ -1,6 +1,7 @@
 """Derivatives and smaller solutions: exact operations on the trains."""
 
 import functools
+import runpy
 from dataclasses import replace
 
 import numpy as np
@@ -276,3 +277,49 @@ def test_what_was_fixed_is_said(tmp_path):
         assert "x0 = 9.5" in text
         assert "t = 2.0" in text
     assert whole.metadata.fixed == ()
+
+
+def test_some_unknowns_are_a_part_of_the_solution(tmp_path):
+    """Rows of the trains: nothing is interpolated, and errors are those of these unknowns."""
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x", "y": "x - y", "z": "y - k*z"}, {"x": 1, "y": 0, "z": 0}, {"k": (1, 2)}, (0, 1)
+    )
+    whole = ro.solve(problem, 1e-5)
+    part = whole.output(["z", "x"])
+    at = {"t": np.linspace(0, 1, 5), "k": np.linspace(1, 2, 5)}
+    assert part.states == ("z", "x")
+    np.testing.assert_allclose(part(**at), whole(**at)[[2, 0]], atol=1e-13)
+    assert dict(part.errors) == {name: whole.errors[name] for name in ("z", "x")}
+    assert part.success
+    whole.export(tmp_path / "part.py", states=["z"])
+    module = runpy.run_path(str(tmp_path / "part.py"))
+    assert module["UNKNOWNS"] == ("z",)
+    with pytest.raises(ro.OptionError, match="no unknown `zz`"):
+        whole.export(tmp_path / "other.py", states=["zz"])
+
+
+def test_some_unknowns_may_be_accurate_enough_where_others_are_not():
+    whole = solved("lotka_volterra", 1e-4)
+    measured = replace(whole.outcome.measured, interior=(1e-6, 1.0))
+    failed = replace(whole.outcome, status=ro.Status.TOLERANCE, measured=measured)
+    failed = ro.Solution(failed, whole.metadata)
+    good, bad = (failed.output([name]) for name in failed.states)
+    assert good.success
+    assert "1.0e-06" in good.message
+    assert bad.status is ro.Status.TOLERANCE
+
+
+def test_some_unknowns_of_a_solution_with_events():
+    ball = ro.Problem.from_strings(
+        {"y": "v", "v": "-2"},
+        {"y": "h", "v": 0},
+        {"h": (0.8, 1.2)},
+        (0, 2),
+        events=[{"when": "y", "direction": "falling", "then": {"v": "-v/2"}, "name": "bounce"}],
+    )
+    whole = ro.solve(ball, 1e-5)
+    part = whole.output(("v",))
+    at = {"t": np.linspace(0, 2, 5), "h": np.linspace(0.8, 1.2, 5)}
+    np.testing.assert_allclose(part(**at), whole(**at)[1:], atol=1e-13)
+    met = [each.event_times("bounce", h=1) for each in (part, whole)]
+    np.testing.assert_allclose(*met, rtol=1e-13)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from rankone.solution.presentation import dataset
-from rankone.solution.smaller import merged
+from rankone.solution.smaller import merged, state_rows, with_states
 from rankone.statistics.densities import DistributionOverBox
 from rankone.support.errors import OptionError, optional_module
 from rankone.support.wording import shown
@@ -102,7 +102,7 @@ class OtherForms(DistributionOverBox):
         self,
         path: str | PathLike[str],
         *,
-        states: Literal["unknowns", "all"] = "unknowns",
+        states: Literal["unknowns", "all"] | Sequence[str] = "unknowns",
         rtol: float | None = None,
         overwrite: bool = False,
         allow_failed: bool = False,
@@ -118,9 +118,9 @@ class OtherForms(DistributionOverBox):
             ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
             ``.html`` writes a page, as :meth:`explore` does; ``.fmu`` writes an FMU for
             co-simulation, with a binary if there is a C compiler.
-        states : {"unknowns", "all"}
+        states : {"unknowns", "all"} or sequence of str
             Whether the model evaluates the unknowns alone or derivatives that are states as well,
-            as a page always does.
+            as a page always does; or the names of those that it has, ``["x"]``.
         rtol : float, optional
             By how much the model may differ from the solution, relative to the size of each
             unknown, to be smaller and faster; 1e-12 to 0.1. The difference is measured at 4200
@@ -155,7 +155,12 @@ class OtherForms(DistributionOverBox):
         from rankone.export import export_model
 
         options = {"overwrite": overwrite, "allow_failed": allow_failed}
-        return export_model(self, path, states=states, rtol=rtol, fmi=fmi, **options)
+        exported, group = self, states
+        if not isinstance(group, str):
+            rows = state_rows(self.states, group)
+            exported, group = type(self)(*with_states(self.outcome, self.metadata, rows)), "all"
+        choice = cast('Literal["unknowns", "all"]', group)
+        return export_model(exported, path, states=choice, rtol=rtol, fmi=fmi, **options)
 
     def plot(self, values: Mapping[Any, Any] | None = None, /, **options: Any) -> Any:
         """Draw the solution: curves at values of the parameters, or bands over the box without any.

@@ -28,7 +28,15 @@ from rankone.populations import PopulationsFromData
 from rankone.solution.core import SolutionCore
 from rankone.solution.joining import joined
 from rankone.solution.presentation import summary_html, summary_text
-from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
+from rankone.solution.smaller import (
+    at_time,
+    derived,
+    merged,
+    state_rows,
+    with_fixed,
+    with_restricted,
+    with_states,
+)
 from rankone.solution.timeline import EventTimes
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.distributions import from_text
@@ -259,7 +267,8 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
         quantities : mapping of str to Expr or str, or definitions by name
             For each name an expression of unknowns, their time derivatives, parameters, time, and
             of the problem's constants and definitions. ``"F"``, or a list of names, asks for
-            definitions of the problem as they are.
+            definitions of the problem as they are. A list of unknowns alone, ``["x", "y"]``, is
+            the part of this solution that has these, with their errors; nothing is interpolated.
             ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
             one; :func:`rankone.maximum`, :func:`rankone.minimum`, :func:`rankone.duration` and
             :func:`rankone.first_crossing` are functions of a whole function of time, and
@@ -315,6 +324,9 @@ class Solution(OtherForms, EstimationFromData, PopulationsFromData, EventTimes):
     ) -> Solution:
         """Quantities of interest of a solution, or of each of its pieces."""
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        if isinstance(quantities, list | tuple) and quantities and {*quantities} <= {*self.states}:
+            rows = state_rows(self.states, quantities)
+            return Solution(*with_states(self.outcome, self.metadata, rows))
         if self.outcome.pieces:
             return self._in_pieces(lambda piece: piece._output(quantities, request))
         expressions = optional_module(

@@ -25,8 +25,9 @@ from rankone.solution.branches import branch_evaluator
 from rankone.solution.joining import joined
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
-from rankone.tensors.slab import at_one_time, differentiated, restricted
+from rankone.tensors.slab import SlabTrain, at_one_time, differentiated, restricted
 from rankone.tensors.tiling import Tiling
+from rankone.tensors.train import Train
 from rankone.verification.branches import MOST_UNDECIDED, undecided_share
 from rankone.verification.coverage import Coverage
 
@@ -34,6 +35,7 @@ from rankone.verification.coverage import Coverage
 _LEAST_SHARE = 1e-6
 
 _Pair = tuple[Outcome, SolutionMetadata]
+_MEASURED = (Status.CONVERGED, Status.TOLERANCE)  # What the measured error alone decides
 
 
 def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) -> _Pair:
@@ -104,6 +106,65 @@ def with_restricted(
         outcome = replace(outcome, slabs=restricted(outcome.slabs, j, ends))
         metadata = replace(metadata, box=tuple(box))
     return _decided(_part(outcome, metadata.rtol), metadata), metadata
+
+
+def state_rows(states: Sequence[str], chosen: Sequence[object]) -> list[int]:
+    """The rows of the states chosen by name, each once, or an OptionError."""
+    names = dict.fromkeys(map(name_of, chosen))
+    for name in names:
+        if name not in states:
+            raise OptionError(
+                f"no unknown {quote(name)}{did_you_mean(name, states)}",
+                term=name,
+                remedy=f"choose from {listing(states)}",
+            )
+    if not names:
+        raise OptionError("no unknown is chosen", remedy=f"choose from {listing(states)}")
+    return [states.index(name) for name in names]
+
+
+def with_states(outcome: Outcome, metadata: SolutionMetadata, rows: Sequence[int]) -> _Pair:
+    """An outcome and its metadata with some of the states alone; nothing is sampled."""
+    n, names = len(metadata.states), tuple(metadata.states[row] for row in rows)
+    smaller = metadata.keeping(names)
+    smaller = replace(smaller, roles=tuple(metadata.roles[row] for row in rows))
+    if outcome.pieces:
+        pieces = (with_states(p.outcome, p.metadata, rows) for p in outcome.pieces)
+        return joined([Piece(*piece) for piece in pieces])
+
+    def own(numbers: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(numbers[row] for row in rows if row < len(numbers))
+
+    def kept(slab: SlabTrain) -> SlabTrain:
+        first, *others = slab.cores
+        beside = range(n, len(first))  # clock, lengths and guards
+        return replace(slab, train=Train((first[[*rows, *beside]], *others)))
+
+    timeline, measured = outcome.timeline, outcome.measured
+    if isinstance(timeline, BranchedTimeline):
+        timeline = replace(timeline, tolerances=own(timeline.tolerances))
+    part = replace(
+        outcome,
+        slabs=tuple(map(kept, outcome.slabs)),
+        timeline=timeline,
+        history=(),
+        switching=None,
+    )
+    if measured is None:
+        return part, smaller
+    counted = [rows.index(row) for row in measured.counted or () if row in rows]
+    interior, corners = own(measured.interior), own(measured.corners)
+    measured = replace(
+        measured, interior=interior, corners=corners, counted=tuple(counted) or None, quantile=None
+    )
+    part = replace(part, measured=measured)
+    within = measured.error <= metadata.rtol
+    if within is (outcome.status is Status.CONVERGED) or outcome.status not in _MEASURED:
+        return part, smaller
+    worst = names[measured.worst_first[0]] if len(names) > 1 else None
+    note = MeasuredError(measured.error, metadata.rtol, worst, None)
+    status = Status.CONVERGED if within else Status.TOLERANCE
+    return replace(part, status=status, cause=None, notes=(note,)), smaller
 
 
 def _part_of(whole: tuple[float, float], interval: Any, name: str) -> tuple[float, float]:
