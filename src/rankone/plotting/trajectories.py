@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _BAND_TIMES = 201  # Times of a band, which is smoother than a curve
 _BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities at the ends of a band: 95 %
-_BAND_POINTS = 2**14  # Points over the box for quantiles
+_BAND_POINTS = 2**15  # Points over the box for quantiles
 # Strokes of the unknowns of a family of curves
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 

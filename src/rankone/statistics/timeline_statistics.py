@@ -24,7 +24,7 @@ from rankone.tensors.timeline import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 # Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time
-_EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**22, 10
+_EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 10
 _FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
 _HELD = 2**22  # Numbers of states that are held together for them
 _SEED = 20145  # Of these points
@@ -87,7 +87,7 @@ class TimelineStatistics(Statistics):
         """The variance and its parts, from points in pairs that share some parameters.
 
         NaN where some trajectory has ended: the parameters of the others are not independent.
-        Without a ``count`` there are as many points as about 2^22 evaluations allow.
+        Without a ``count`` there are as many points as about 2^23 evaluations allow.
         """
         d, n = len(self.parameters.measures), len(self.rows)
         if count is None:
