@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
@@ -18,6 +18,7 @@ import scipy.linalg
 from rankone.calibration.descent import Expansion, bounded_step
 from rankone.calibration.of_experiments import OfExperiments
 from rankone.calibration.result import Box
+from rankone.calibration.uncertainty import Reach
 from rankone.estimation.experiments import Experiment
 from rankone.estimation.fit import Fit
 from rankone.estimation.search import fit_experiments
@@ -37,9 +38,12 @@ _TIGHTENING = 0.1  # Factor on the tolerance where they differ by more
 _LEAST_TOLERANCE = 1e-8
 _MOST_BOXES = 30
 _MOST_END_BOXES = 6  # Boxes around an optimum that are tried
-_SETTLED = 0.02  # Decrease of -2 log L that all parameters promise below which a search has arrived
+SETTLED = 0.02
+"""Decrease of -2 log L that all parameters promise below which a search has arrived."""
 _INSENSITIVE = 1e-4  # Share of the largest sensitivity below which a parameter is not in a box
-_STANDARD_DEVIATIONS = 4.0  # Half the width of a box around the optimum
+# From the optimum to the sides of the box around it, in lengths to the ends of the interval, where
+# these are short or long
+_FAR, _NEAR = 2.0, 1.25
 _LEAST_END, _MOST_END = 0.05, 0.7  # Factors on the first widths between which such boxes are
 _SIDE = 1e-6  # Distance from a side, in widths of the box, that counts as at the side
 _MARGIN = 1e-3  # Half the width of a condition that all experiments share, relative
@@ -63,30 +67,38 @@ class BoxSearch:
         """Go from box to box; whether nothing promises a better likelihood in the end."""
         factor = 1.0
         while len(self.boxes) < _MOST_BOXES and factor > _LEAST_FACTOR:
-            if self.boxes and bounded_step(self.at, 1.0)[1] <= _SETTLED:
+            if self.boxes and bounded_step(self.at, 1.0)[1] <= SETTLED:
                 return True
             chosen = self._chosen(most_parameters, factor)
-            box = self._taken({name: factor * self._unit(name) for name in chosen})
+            half = {name: 0.5 * factor * self._unit(name) for name in chosen}
+            box = self._taken({name: (each, each) for name, each in half.items()})
             grows = box.solved and not box.inside
             factor = min(factor * (_GROWING if grows else _SHRINKING), _MOST_FACTOR)
         return False
 
-    def around(self, deviations: Mapping[str, float]) -> None:
-        """A box around the optimum, some standard deviations (in z) to each side.
+    def around(self, of: Mapping[str, Reach]) -> None:
+        """A box around the optimum that holds the intervals ``of`` some parameters.
 
         It shrinks until it is solved, and moves where the fit ends at one of its sides.
         """
         factor = 1.0
         for _ in range(_MOST_END_BOXES):
-            widths = {}
-            for name, deviation in deviations.items():
-                unit = self._unit(name)
-                width = 2.0 * _STANDARD_DEVIATIONS * deviation / unit
-                widths[name] = factor * unit * float(np.clip(width, _LEAST_END, _MOST_END))
-            box = self._taken(widths)
+            box = self._taken({n: self._end_sides(n, each, factor) for n, each in of.items()})
             if box.solved and box.inside:
-                return
+                break
             factor *= 1.0 if box.solved else _SHRINKING
+        if self.fit is not None:
+            held = [name for name in self.likelihood.dynamic if name not in of]
+            at = self.likelihood.named(self.at.z)
+            self.fit = replace(self.fit, held={name: at[name] for name in held})
+
+    def _end_sides(self, name: str, reach: Reach, factor: float) -> tuple[float, float]:
+        """How far the box goes from the optimum to either side, in z."""
+        z, unit = self.at.z[self.likelihood.names.index(name)], self._unit(name)
+        lengths = np.maximum([z - reach.lower, reach.upper - z], 0.0)
+        sides = np.minimum(_FAR * lengths, np.maximum(_NEAR * lengths, 0.5 * _MOST_END * unit))
+        low, high = factor * np.maximum(sides, 0.5 * _LEAST_END * unit)
+        return float(low), float(high)
 
     def _unit(self, name: str) -> float:
         """The width of a parameter in the first box, in z."""
@@ -115,9 +127,9 @@ class BoxSearch:
         sensitive = max(int(np.sum(sizes > _INSENSITIVE * sizes[0])), 1)
         return [dynamic[j] for j in sorted(order[:sensitive])]
 
-    def _taken(self, widths: Mapping[str, float]) -> Box:
-        """Solve on the box of these widths in z around the best point, and fit in it."""
-        intervals = self._intervals(widths)
+    def _taken(self, sides: Mapping[str, tuple[float, float]]) -> Box:
+        """Solve on the box that goes so far in z from the best point, and fit in it."""
+        intervals = self._intervals(sides)
         solution = self._solved(intervals)
         box = Box(intervals, solution is not None, self.rtol)
         if solution is not None:
@@ -125,12 +137,14 @@ class BoxSearch:
         self.boxes.append(box)
         return box
 
-    def _intervals(self, widths: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    def _intervals(
+        self, sides: Mapping[str, tuple[float, float]]
+    ) -> dict[str, tuple[float, float]]:
         """The intervals of a box, moved inside the bounds."""
         free, at, intervals = self.likelihood.likelihood.free, self.at.z, {}
-        for name, width in widths.items():
-            j = free.names.index(name)
-            low = float(np.clip(at[j] - 0.5 * width, 0.0, max(1.0 - width, 0.0)))
+        for name, (below, above) in sides.items():
+            j, width = free.names.index(name), below + above
+            low = float(np.clip(at[j] - below, 0.0, max(1.0 - width, 0.0)))
             ends = np.repeat(at[None], 2, axis=0)
             ends[:, j] = low, min(low + width, 1.0)
             lower, upper = free.values(ends)[:, j].tolist()

@@ -12,7 +12,7 @@ from rankone.calibration.of_files import OfFiles
 from rankone.calibration.records import Records
 from rankone.calibration.result import Calibration
 from rankone.calibration.starts import MOST_STARTS, descents
-from rankone.calibration.uncertainty import covariance_at, spread_of
+from rankone.calibration.uncertainty import covariance_at, linear_reaches, spread_of
 from rankone.support.executors import checked_executor
 from rankone.support.options import checked_number
 
@@ -27,7 +27,9 @@ def calibrated(
     wanted = None if executor is None else checked_executor("executor", executor)
     ways = descents(likelihood, starts, seed, _SCREENED, wanted)
     comparisons = comparisons_of(records, likelihood, ways[0].at)
-    return Calibration.of(likelihood, ways, comparisons=comparisons)
+    at = ways[0].at
+    of = linear_reaches(likelihood.names, at, 1.0) if np.isfinite(at.cost) else {}
+    return Calibration.of(likelihood, ways, of, comparisons=comparisons)
 
 
 def comparisons_of(records: Records, likelihood: OfFiles, at: Expansion) -> tuple[Comparison, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,7 @@ from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Experiment, trials_of
 from rankone.estimation.free_parameters import Bounds
 from rankone.estimation.integrated import IntegratedSolution
+from rankone.estimation.intervals import quantile_of
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.ranges import with_linear_ranges
 from rankone.estimation.search import Options, problem_of
@@ -25,6 +27,7 @@ from rankone.support.arrays import Array, spread
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
+_LEVEL = 0.95  # Of intervals
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
 
@@ -78,10 +81,15 @@ class OfExperiments:
         """Those that trajectories depend on; the others belong to observables and noise."""
         return tuple(name for name in self.names if name in self.integrated.parameters)
 
-    def expanded(self, z: Array) -> Expansion:
-        """At z (n,); see :class:`~rankone.calibration.descent.Expandable`."""
+    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
+        """At z (n,); see :class:`~rankone.calibration.descent.Expandable`.
+
+        Coordinates that are ``held`` (n,) do not move to their best values.
+        """
+        kept = None if held is None else held[None]
         with np.errstate(all="ignore"):
-            z, cost, residuals, jacobian = (each[0] for each in self.likelihood.linearised(z[None]))
+            every = self.likelihood.linearised(z[None], kept)
+        z, cost, residuals, jacobian = (each[0] for each in every)
         finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
         return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
 
@@ -129,4 +137,21 @@ class OfExperiments:
 
     def variance(self, at: Expansion) -> float:
         """The variance of the residuals; one where standard deviations are known or estimated."""
-        return 1.0 if self.likelihood.unit_known else at.cost / self.likelihood.size
+        return 1.0 if self.likelihood.unit_known else at.cost / self._freedom
+
+    @property
+    def _freedom(self) -> int:
+        """Data less parameters, levels of noise left out."""
+        return max(self.likelihood.size - len(self.names) + len(self.likelihood.levels), 1)
+
+    @cached_property
+    def quantile(self) -> float:
+        """Half the length of an interval in standard deviations, with 95 %."""
+        noise_given = self.likelihood.unit_known and not self.likelihood.levels
+        return quantile_of(_LEVEL, noise_given, self._freedom)
+
+    def rise(self, at: Expansion) -> float:
+        """By how much the cost is larger at the ends of intervals; see :meth:`.Intervals.rise`."""
+        if self.likelihood.levels:
+            return self.likelihood.size * math.log1p(self.quantile**2 / self._freedom)
+        return self.quantile**2 * self.variance(at)

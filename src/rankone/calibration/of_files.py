@@ -93,7 +93,3 @@ class OfFiles:
             return -self.evaluator.evaluated(simulated, values, ()).objective
         except RankoneError:
             return -np.inf
-
-    def variance(self, at: Expansion) -> float:
-        """One: the noise of the data is given or estimated."""
-        return 1.0

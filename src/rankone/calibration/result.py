@@ -12,7 +12,8 @@ import numpy as np
 
 from rankone.calibration.comparison import Comparison
 from rankone.calibration.descent import Descent, Expandable, Expansion
-from rankone.calibration.uncertainty import deviations_at, unidentified
+from rankone.calibration.uncertainty import Reach
+from rankone.estimation.findings import one_sided
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import ends_at_bounds
 from rankone.interface.solution import Solution
@@ -21,7 +22,6 @@ from rankone.support.errors import with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import count, listing, quote
 
-_NORMAL_95 = 1.959963985  # Standard deviations to either side of a mean that hold 95 %
 _SAME = 0.1  # Difference of log-likelihoods below which starts ended at the same optimum
 
 
@@ -81,9 +81,6 @@ class Calibrated(Expandable, Protocol):
     def log_likelihood(self, at: Expansion) -> float:
         """With all constants, by trajectories; minus infinity without any."""
 
-    def variance(self, at: Expansion) -> float:
-        """The variance of the residuals; one where deviations are known or estimated."""
-
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Labelled):
@@ -100,8 +97,9 @@ class Calibration(Labelled):
     boxes : tuple of Box
         The boxes that were solved, in order.
     intervals : dict of str to (float, float)
-        Where each identified parameter is with 95 %, by linearisation in the coordinates of the
-        search.
+        Where each identified parameter is with 95 %, whatever the others are within their bounds.
+    limited : dict of str to str
+        Which ends of these are bounds, not set by the data: ``"lower"`` or ``"upper"``.
     not_identified : tuple of str
         Parameters that the data leave free over a good part of their bounds.
     at_bounds : dict of str to str
@@ -121,6 +119,7 @@ class Calibration(Labelled):
     starts: tuple[Start, ...]
     boxes: tuple[Box, ...] = ()
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    limited: Mapping[str, str] = field(default_factory=dict)
     not_identified: tuple[str, ...] = ()
     at_bounds: Mapping[str, str] = field(default_factory=dict)
     fit: Fit | None = None
@@ -129,8 +128,17 @@ class Calibration(Labelled):
     remark: str = ""
 
     @classmethod
-    def of(cls, problem: Calibrated, ways: Sequence[Descent], **further: Any) -> Calibration:
-        """The result of descents, the best of them first; see the attributes for the others."""
+    def of(
+        cls,
+        problem: Calibrated,
+        ways: Sequence[Descent],
+        of: Mapping[str, Reach],
+        **further: Any,
+    ) -> Calibration:
+        """The result of descents, the best of them first.
+
+        ``of`` is how far each parameter can go; see the attributes for the others.
+        """
         starts = tuple(
             Start(
                 problem.named(way.start),
@@ -141,17 +149,14 @@ class Calibration(Labelled):
             )
             for way in ways
         )
-        at, free, intervals = ways[0].at, tuple[str, ...](), {}
-        if np.isfinite(at.cost):
-            deviations = deviations_at(at, problem.variance(at))
-            free = unidentified(problem.names, deviations)
-            intervals = _intervals(problem, at.z, deviations)
+        at = ways[0].at
         return cls(
             starts[0].x,
             starts[0].log_likelihood,
             starts,
-            intervals={name: ends for name, ends in intervals.items() if name not in free},
-            not_identified=free,
+            intervals={n: _interval(problem, at.z, n, of[n]) for n in of if not of[n].free},
+            limited={n: each.limited for n, each in of.items() if each.limited and not each.free},
+            not_identified=tuple(name for name, each in of.items() if each.free),
             at_bounds=ends_at_bounds(problem.names, at.z),
             **further,
         )
@@ -196,6 +201,11 @@ class Calibration(Labelled):
         free = [name for name in self.at_bounds if name not in self.not_identified]
         for name in free:
             sentences.append(f"{quote(name)} is at the {self.at_bounds[name]} end of its bounds")
+        for name, side in self.limited.items():
+            if name not in free:
+                sentences.append(one_sided(name, side))
+        if self.fit is not None and not self.fit.success and not sentences:
+            sentences.append(f"the fit around the optimum is no success: {self.fit.message}")
         return tuple(sentences)
 
     @property
@@ -212,19 +222,22 @@ class Calibration(Labelled):
 
     def _table(self) -> Table:
         """The estimates, a line each."""
-        intervals = {**self.intervals, **(self.fit.interval() if self.fit is not None else {})}
         rows = []
         for name, x in self.x.items():
             cell = "not identified" if name in self.not_identified else ""
-            if not cell and name in intervals:
-                low, high = intervals[name]
+            if name in self.intervals:
+                low, high = self.intervals[name]
                 cell = f"[{low:.6g}, {high:.6g}]"
-            rows.append([name, f"{x:.6g}", cell])
+            side = self.limited.get(name)
+            rows.append([name, f"{x:.6g}", cell, f"{side} bound" if side else ""])
+        header = ["parameter", "estimate", "95 % interval", "limited by"]
+        if not self.limited:
+            header, rows = header[:-1], [row[:-1] for row in rows]
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {_SAME:g}"
         return Table(
             f"Calibration: log-likelihood {self.log_likelihood:.6g}, {starts}",
-            ["parameter", "estimate", "95 % interval"],
+            header,
             rows,
             [verdict, *([f"note: {self.remark}"] if self.remark else [])],
         )
@@ -232,24 +245,25 @@ class Calibration(Labelled):
     def _variables(self) -> Variables:
         """Estimates, and the log-likelihoods of the starts."""
         names = list(self.x)
+        ends = [self.intervals.get(name, (np.nan, np.nan)) for name in names]
         columns = {
             "estimate": np.array([self.x[name] for name in names]),
+            "lower": np.array([low for low, _ in ends]),
+            "upper": np.array([high for _, high in ends]),
             "identified": np.array([name not in self.not_identified for name in names]),
+            "limited": np.array([self.limited.get(name, "") for name in names], dtype=object),
         }
         arrays = {name: (("parameter",), column) for name, column in columns.items()}
-        ends = np.array([start.log_likelihood for start in self.starts])
+        likelihoods = np.array([start.log_likelihood for start in self.starts])
         return Variables(
-            {**arrays, "log_likelihood": (("start",), ends)},
+            {**arrays, "log_likelihood": (("start",), likelihoods)},
             {"parameter": names, "start": list(range(len(self.starts)))},
         )
 
 
-def _intervals(problem: Calibrated, z: Array, deviations: Array) -> dict[str, tuple[float, float]]:
-    """Intervals of 95 % around z (n,) within the bounds, one parameter after the other."""
-    intervals = {}
-    for j, name in enumerate(problem.names):
-        ends = np.repeat(z[None], 2, axis=0)
-        ends[:, j] = np.clip(z[j] + _NORMAL_95 * np.array([-1.0, 1.0]) * deviations[j], 0.0, 1.0)
-        low, high = (problem.named(end)[name] for end in ends)
-        intervals[name] = low, high
-    return intervals
+def _interval(problem: Calibrated, z: Array, name: str, reach: Reach) -> tuple[float, float]:
+    """The interval of a parameter by its ends in z (n,)."""
+    ends = np.repeat(z[None], 2, axis=0)
+    ends[:, problem.names.index(name)] = reach.lower, reach.upper
+    low, high = (problem.named(end)[name] for end in ends)
+    return low, high

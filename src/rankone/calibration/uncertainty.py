@@ -3,14 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from rankone.calibration.descent import Expansion
 from rankone.support.arrays import Array
 
+_NORMAL_95 = 1.959963985  # Standard deviations to either side of a mean that hold 95 %
 _UNIFORM_VARIANCE = 1.0 / 12.0  # Of a parameter that may be anywhere between its bounds
 _NOT_REDUCED = 0.5  # Share of that standard deviation above which the data say too little
+
+
+class Reach(NamedTuple):
+    """The interval of a parameter in z, and what ends it.
+
+    ``limited`` are the ends that are its bounds, ``""``, ``"lower"``, ``"upper"`` or ``"both"``;
+    a ``free`` one is not identified.
+    """
+
+    lower: float
+    upper: float
+    limited: str = ""
+    free: bool = False
+
+
+def limited_by(lower: bool, upper: bool) -> str:
+    """Which ends of an interval are bounds, in a word."""
+    return "both" if lower and upper else "lower" * lower + "upper" * upper
+
+
+def linear_reaches(names: Sequence[str], at: Expansion, variance: float) -> dict[str, Reach]:
+    """That of each parameter with 95 %, by linearisation, within the bounds."""
+    deviations = deviations_at(at, variance)
+    free = unidentified(names, deviations)
+    reaches = {}
+    for name, z, half in zip(names, at.z, _NORMAL_95 * deviations, strict=True):
+        ends = float(z - half), float(z + half)
+        limited = limited_by(ends[0] <= 0.0, ends[1] >= 1.0)
+        free_one = name in free or limited == "both"
+        reaches[name] = Reach(max(ends[0], 0.0), min(ends[1], 1.0), limited, free_one)
+    return reaches
 
 
 def covariance_at(at: Expansion, variance: float = 1.0) -> Array:

@@ -11,7 +11,7 @@ from rankone.estimation.fit import Fit
 from rankone.estimation.identification import Best, degrees_of_freedom, identify
 from rankone.estimation.intervals import quantile_of
 from rankone.estimation.jumps import jumps_within
-from rankone.estimation.least_squares import Minima, squares_of
+from rankone.estimation.least_squares import Minima, minima, squares_of
 from rankone.estimation.levels import level_uncertainty
 from rankone.estimation.likelihood import Likelihood
 from rankone.support.arrays import Array
@@ -43,18 +43,18 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
     unit = 1.0 if problem.unit_known else math.sqrt(cost / least)
     q = quantile_of(level, noise_given, least)
     reported, freedom = _corrected(problem, z, jacobian)
+    centre = Best(z, cost, np.zeros((z.size, 0)))
     if problem.levels:
         jacobian = problem.linearised(reported[None], settle=False).jacobian[0]
-    identification, levels = identify(problem, z, cost, jacobian, q, unit), None
+        centre = _at_levels(problem, reported)
+    identification, levels = identify(problem, centre, jacobian, q, unit), None
+    centre = replace(centre, root=identification.root)
     if problem.levels:
-        levels = level_uncertainty(problem, jacobian, identification.root, freedom)
+        levels = level_uncertainty(problem, jacobian, identification.alone, freedom)
         identification = replace(identification, root=levels.enlarged(identification.root))
     limit = problem.size * math.log1p(q**2 / least) if problem.levels else (q * unit) ** 2
     distinct = () if identification.flat else _others(problem, ends, k, limit)
-    deviations = np.minimum(identification.spread * unit, 1.0)
-    jumps = jumps_within(
-        problem, reported, q * unit * identification.root, jacobian / (unit or 1.0)
-    )
+    jumps = jumps_within(problem, reported, q * identification.root, jacobian / (unit or 1.0))
     return Fit(
         level=level,
         converged=bool(ends.converged[k]),
@@ -62,7 +62,8 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
         kinked=bool(ends.kinked[k]),
         dof=dof,
         _problem=problem,
-        _best=Best(z, cost, deviations),
+        _best=Best(z, cost, identification.root),
+        _centre=centre,
         _z=reported,
         _identification=identification,
         _freedom=freedom,
@@ -71,6 +72,14 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
         jumps=jumps,
         sizes=_sizes(problem, points),
     )
+
+
+def _at_levels(problem: Likelihood, reported: Array) -> Best:
+    """The best point with the levels of noise that are reported, from which profiles go."""
+    held = np.zeros((1, reported.size), dtype=bool)
+    held[:, list(problem.levels)] = True
+    ends = minima(problem, reported[None], held)
+    return Best(ends.z[0], float(ends.cost[0]), np.zeros((reported.size, 0)))
 
 
 def _corrected(problem: Likelihood, z: Array, jacobian: Array) -> tuple[Array, dict[int, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -34,6 +35,7 @@ class Estimates:
     dof: float
     _problem: Likelihood
     _best: Best
+    _centre: Best
     _z: Array
     _identification: Identification
     _freedom: dict[int, float] = field(default_factory=dict)
@@ -41,6 +43,7 @@ class Estimates:
     others: tuple[dict[str, float], ...] = ()
     jumps: tuple[Jump, ...] = ()
     sizes: tuple[dict[str, float], ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
 
     # --- what was fitted -----------------------------------------------------------------------
 

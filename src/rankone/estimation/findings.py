@@ -43,6 +43,15 @@ def findings_of(fit: Intervals) -> Iterator[str]:
     for name, end in fit.at_bounds.items():
         if fit.identifiable[name]:
             yield _at_bound(fit, name, end)
+    for name, side in fit.limited.items():
+        if fit.identifiable[name] and side and name not in fit.at_bounds:
+            yield one_sided(name, side)
+    if fit.held:
+        yield with_remedy(
+            f"the solution holds {listing(fit.held)}, which the data do not determine: intervals "
+            "are conditional on it",
+            "take those of the calibration",
+        )
     for minimum in fit.others:
         where = ", ".join(f"{name} = {x:.6g}" for name, x in minimum.items())
         yield with_remedy(f"other values fit as well: {where}", "set bounds, or measure more")
@@ -82,9 +91,18 @@ def _at_bound(fit: Intervals, name: str, end: str) -> str:
             'fix it, give sigma as a number, or share a level: sigma="s"',
         )
     return with_remedy(
-        f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
-        "are not valid there",
+        f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds, which ends its "
+        "interval",
         "widen the bounds, or solve on a wider box",
+    )
+
+
+def one_sided(name: str, side: str) -> str:
+    """That the data bound a parameter from one side alone."""
+    other = "lower" if side == "upper" else "upper"
+    return with_remedy(
+        f"the data give {quote(name)} no {side} bound, only a {other} one",
+        "measure more, or widen its interval if that is no limit of nature",
     )
 
 

@@ -37,6 +37,9 @@ class Fit(Intervals, Labelled):
         Parameters in whose intervals an event passes a time of the data, and that time.
     sizes : tuple of dict of str to float
         For each experiment the largest values of the observed states over the box.
+    held : dict of str to float
+        Parameters that the data do not determine and that the solution holds at a value, as around
+        the optimum of a calibration: all intervals are conditional on them.
     """
 
     @cached_property
@@ -88,17 +91,18 @@ class Fit(Intervals, Labelled):
             of += f" in {len(self.trials)} experiments"
         rows = []
         for name, (low, high) in self.interval().items():
-            identified = [f"{self.x[name]:.6g}", f"[{low:.6g}, {high:.6g}]"]
-            rows.append(
-                [name, *(identified if self.identifiable[name] else ["not identified", ""])]
-            )
+            cells = [f"{self.x[name]:.6g}", f"[{low:.6g}, {high:.6g}]", self.limits[name]]
+            rows.append([name, *(cells if self.identifiable[name] else ["not identified", "", ""])])
         for name in self.combinations:
             low, high = self.interval_of(name)
-            rows.append([name, f"{self.value_of(name):.6g}", f"[{low:.6g}, {high:.6g}]"])
+            rows.append([name, f"{self.value_of(name):.6g}", f"[{low:.6g}, {high:.6g}]", ""])
+        header = ["parameter", "estimate", f"{100 * self.level:g} % interval", "limited by"]
+        if not any(row[-1] for row in rows):
+            header, rows = header[:-1], [row[:-1] for row in rows]
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         return Table(
             f"Fit to {of}: {noise}, {self.dof:.4g} degrees of freedom",
-            ["parameter", "estimate", f"{100 * self.level:g} % interval"],
+            header,
             rows,
             [verdict, *(f"note: {check}" for check in self.checks)],
         )
@@ -112,6 +116,7 @@ class Fit(Intervals, Labelled):
             "lower": low,
             "upper": high,
             "identified": np.array(list(self.identifiable.values())),
+            "limited": np.array(list(self.limits.values()), dtype=object),
         }
         arrays = {name: (("parameter",), column) for name, column in columns.items()}
         names = list(self.parameters)

@@ -41,7 +41,8 @@ class FreeParameters:
 
     ``positions`` are their places among all parameters, whose names are ``order``. ``lower`` and
     ``upper`` (n,) have the unit of each parameter; the start of a search is in z. The coordinate
-    of a ``logarithmic`` parameter is its logarithm.
+    of a ``logarithmic`` parameter is its logarithm. ``endless`` are the positions of parameters
+    that have no bounds of their own: theirs are those of the search.
     """
 
     names: tuple[str, ...]
@@ -52,6 +53,7 @@ class FreeParameters:
     order: tuple[str, ...]
     start: Array | None
     logarithmic: tuple[bool, ...]
+    endless: tuple[int, ...] = ()
 
     @property
     def width(self) -> Array:

@@ -1,18 +1,19 @@
 """Which parameters, and which combinations of them, the data identify, by profile likelihoods.
 
 A profile shows how the least cost grows as one parameter is held away from its best value (Venzon &
-Moolgavkar, "A method for computing profile-likelihood-based confidence intervals", 1988). Flat
-directions of the least squares are found by the singular values of the Jacobian, and checked by
-going along them: a parameter whose profile interval ends only at the box is not identified (Raue et
-al., "Structural and practical identifiability analysis", 2009). Identified combinations of such
-parameters get names: the row space of the Jacobian with respect to their logarithms holds the
-powers of an identified product, such as (1, -1) for C_D/m.
+Moolgavkar, "A method for computing profile-likelihood-based confidence intervals", 1988). The box
+counts as what is known beforehand: in the covariance each parameter has the variance 1/12 of a
+uniform one before the data add theirs. A parameter whose variance the box decides, and whose
+profile interval ends only at the box, is not identified (Raue et al., "Structural and practical
+identifiability analysis", 2009). Identified combinations of such parameters get names: the row
+space of the Jacobian with respect to their logarithms holds the powers of an identified product,
+such as (1, -1) for C_D/m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from fractions import Fraction
 
@@ -30,11 +31,12 @@ _PATH_DEVIATIONS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
 # Most refinements of an end: a bound on the work where the rise is not smooth
 _MOST_REFINEMENTS = 12
 _END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its root: four digits
-_ROUGH_END_TOLERANCE = 0.05  # The same where only the length of an interval is compared with others
-# Half a linear interval, in widths of the box, above which the profile is computed
+# Length in widths of the box above which an interval that the box ends says nothing, and half of one
+# by the data alone, linearised, above which its profile is looked at
 _SUSPICIOUS_WIDTH = 0.25
-_FLAT_WIDTH = 0.1  # Least length of a flat interval, in widths of the box
-_FLAT_RATIO = 3.0  # Least ratio of a flat interval to what it would be without the flat directions
+_ROUNDING = 1e-13  # Share of the largest singular value that is rounding
+_UNIFORM_PRECISION = 12.0  # Of a parameter that may be anywhere in the unit cube
+_BOX_SHARE = 0.5  # Share of a variance from the box above which the data do not determine it
 # How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
 _FRACTION_TOLERANCE = 0.04
 _LARGEST_DENOMINATOR = 4  # Largest denominator of a simple fraction
@@ -67,11 +69,11 @@ class End:
 
 @dataclass(frozen=True)
 class Best:
-    """The best point: z (n,), its cost, and standard deviations (n,) to start with."""
+    """The best point z (n,), its cost, and a root (n, r) of its covariance to start with."""
 
     z: Array
     cost: float
-    spread: Array
+    root: Array
 
 
 @dataclass(frozen=True)
@@ -90,46 +92,50 @@ class Profile:
     upper: End
 
     @property
+    def limited(self) -> str:
+        """Which ends are bounds of the parameter: ``""``, ``"lower"``, ``"upper"``, ``"both"``."""
+        ends = {"lower": self.lower, "upper": self.upper}
+        sides = [side for side, end in ends.items() if end.stop is Stop.BOUND]
+        return "both" if len(sides) == 2 else "".join(sides)
+
+    @property
     def width(self) -> float:
         """Length of the interval in z."""
         return self.upper.z - self.lower.z
 
     @property
-    def bounded_by_box(self) -> bool:
+    def boxed(self) -> bool:
         """Whether the data stop neither end."""
         return Stop.DATA not in (self.lower.stop, self.upper.stop)
 
 
 def profiles(
-    problem: Likelihood,
-    best: Best,
-    limit: float,
-    indices: Sequence[int],
-    close: float = _END_TOLERANCE,
-) -> list[Profile]:
-    """The profiles of some parameters up to a rise of the cost by ``limit``.
+    problem: Likelihood, best: Best, limits: Mapping[int, float], held: Sequence[int] = ()
+) -> dict[int, Profile]:
+    """The profiles of some parameters, by position, each up to a rise of the cost by its limit.
 
-    ``close`` is the share by which the root of the rise at an end may be off.
+    Parameters that are ``held`` stay where they are at the best point.
     """
-    if not indices:
-        return []
-    directions = [(index, sign) for index in indices for sign in (-1.0, 1.0)]
-    held = [_places(best, index, sign) for index, sign in directions]
-    rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(held)])
+    if not limits:
+        return {}
+    directions = [(index, sign) for index in limits for sign in (-1.0, 1.0)]
+    places = [_places(best, index, sign) for index, sign in directions]
+    rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(places)])
     columns = np.array([directions[k][0] for k in rows])
-    points, costs = _along(problem, best, columns, np.concatenate(held))
+    starts = _line(best, columns, np.concatenate(places), held)
+    points, costs = _along(problem, columns, starts, held)
     branches = []
     for k, (index, _) in enumerate(directions):
         here = rows == k
         path = np.vstack([best.z, points[here]])
         rise = np.concatenate([[0.0], np.maximum(costs[here] - best.cost, 0.0)])
-        branches.append(_Branch(index, path, rise))
-    _refine(problem, best, limit, branches, close)
-    curves = []
+        branches.append(_Branch(index, limits[index], path, rise))
+    _refine(problem, best, branches, held)
+    curves = {}
     for low, high in zip(branches[::2], branches[1::2], strict=True):
         path = np.vstack([low.path[:0:-1], high.path])
         rise = np.concatenate([low.rise[:0:-1], high.rise])
-        curves.append(Profile(low.index, path, rise, low.end(limit), high.end(limit)))
+        curves[low.index] = Profile(low.index, path, rise, low.end(), high.end())
     return curves
 
 
@@ -138,81 +144,93 @@ class _Branch:
     """A profile from the best point in one direction: points (k, n) in order, and rises (k,)."""
 
     index: int
+    limit: float
     path: Array
     rise: Array
 
-    def above(self, limit: float) -> int:
+    def above(self) -> int:
         """Index of the first point above the limit; the number of points if all are below."""
-        higher = np.flatnonzero(self.rise > limit)
+        higher = np.flatnonzero(self.rise > self.limit)
         return int(higher[0]) if higher.size else len(self.rise)
 
     def insert(self, at: int, point: Array, rise: float) -> None:
         self.path = np.insert(self.path, at, point, axis=0)
         self.rise = np.insert(self.rise, at, rise)
 
-    def settled(self, limit: float, close: float) -> bool:
-        k = self.above(limit)
+    def settled(self) -> bool:
+        k = self.above()
         if k == len(self.rise):
             return True
-        near = abs(np.sqrt(self.rise[[k - 1, k]] / limit) - 1.0).min() <= close
+        near = abs(np.sqrt(self.rise[[k - 1, k]] / self.limit) - 1.0).min() <= _END_TOLERANCE
         z = self.path[[k - 1, k], self.index]
         return bool(near or abs(z[1] - z[0]) <= 1e-12)
 
-    def between(self, limit: float, turn: int) -> float:
+    def between(self, turn: int) -> float:
         """A place between the points below and above: by the secant of the root, or halfway."""
-        k = self.above(limit)
+        k = self.above()
         (a, b), (f, g) = self.path[[k - 1, k], self.index], np.sqrt(self.rise[[k - 1, k]])
-        share = (np.sqrt(limit) - f) / (g - f) if g > f else 0.5
+        share = (np.sqrt(self.limit) - f) / (g - f) if g > f else 0.5
         share = 0.5 if turn % 4 == 3 else min(max(share, 0.02), 0.98)
         return float(a + share * (b - a))
 
-    def end(self, limit: float) -> End:
-        k = self.above(limit)
+    def end(self) -> End:
+        k = self.above()
         if k == len(self.rise):
             return End(float(self.path[-1, self.index]), Stop.BOUND)
         pair = np.sqrt(self.rise[[k - 1, k]])
-        share = float((np.sqrt(limit) - pair[0]) / (pair[1] - pair[0]))
+        share = float((np.sqrt(self.limit) - pair[0]) / (pair[1] - pair[0]))
         z = self.path[k - 1] + share * (self.path[k] - self.path[k - 1])
         free = np.delete(self.path[k], self.index)
         at_bound = (free <= BOUND_TOLERANCE) | (free >= 1.0 - BOUND_TOLERANCE)
         return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
 
 
-def _refine(
-    problem: Likelihood, best: Best, limit: float, branches: list[_Branch], close: float
-) -> None:
+def _refine(problem: Likelihood, best: Best, branches: list[_Branch], held: Sequence[int]) -> None:
     """Refine where the rise reaches the limit, on all branches at once."""
     for turn in range(_MOST_REFINEMENTS):
-        waiting = [branch for branch in branches if not branch.settled(limit, close)]
+        waiting = [branch for branch in branches if not branch.settled()]
         if not waiting:
             return
-        places = np.array([branch.between(limit, turn) for branch in waiting])
+        places = np.array([branch.between(turn) for branch in waiting])
         columns = np.array([branch.index for branch in waiting])
-        near = np.array([branch.path[branch.above(limit) - 1] for branch in waiting])
-        points, costs = _along(problem, best, columns, places, near)
+        starts = np.array([branch.path[branch.above() - 1] for branch in waiting])
+        starts[np.arange(len(waiting)), columns] = places
+        points, costs = _along(problem, columns, starts, held)
         for branch, point, cost in zip(waiting, points, costs, strict=True):
-            branch.insert(branch.above(limit), point, max(float(cost) - best.cost, 0.0))
+            branch.insert(branch.above(), point, max(float(cost) - best.cost, 0.0))
 
 
 def _places(best: Best, index: int, sign: float) -> Array:
     """Places at which a parameter is held, from the best one outwards to its bound."""
     z = best.z[index]
     way = z if sign < 0.0 else 1.0 - z
-    steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * best.spread[index]])
+    deviation = np.linalg.norm(best.root[index])
+    steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * deviation])
     steps = np.unique(steps[(steps > 1e-12) & (steps <= way)])
     return np.asarray(np.clip(z + sign * steps, 0.0, 1.0))
 
 
+def _line(best: Best, columns: Array, places: Array, held: Sequence[int]) -> Array:
+    """Points (K, n) with one coordinate of each at a place, the others where a linear model leads.
+
+    Parameters that are ``held`` do not move.
+    """
+    covariance = best.root @ best.root.T
+    ways = covariance[columns] / np.maximum(np.diag(covariance)[columns], 1e-300)[:, None]
+    ways[:, list(held)] = 0.0
+    points = np.clip(best.z + (places - best.z[columns])[:, None] * ways, 0.0, 1.0)
+    points[np.arange(len(places)), columns] = places
+    return np.asarray(points)
+
+
 def _along(
-    problem: Likelihood, best: Best, columns: Array, places: Array, near: Array | None = None
+    problem: Likelihood, columns: Array, starts: Array, held: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Best points (K, n) and costs (K,) with one coordinate of each held at a place."""
-    starts = np.tile(best.z, (len(places), 1)) if near is None else near.copy()
-    rows = np.arange(len(places))
-    starts[rows, columns] = places
-    held = np.zeros(starts.shape, dtype=bool)
-    held[rows, columns] = True
-    ends = minima(problem, starts, held)
+    """Best points (K, n) and costs (K,) with one more coordinate of each start (K, n) held."""
+    kept = np.zeros(starts.shape, dtype=bool)
+    kept[np.arange(len(starts)), columns] = True
+    kept[:, list(held)] = True
+    ends = minima(problem, starts, kept)
     return ends.z, ends.cost
 
 
@@ -221,25 +239,34 @@ def _along(
 
 @dataclass(frozen=True)
 class Identification:
-    """What the data identify of n parameters; q directions are lost.
+    """What the data identify of n parameters.
 
-    ``flat`` are the positions of parameters that are not identified. ``root`` (n, n - q) is a root
-    of the covariance in z over the identified directions, for unit sigma; ``null`` (n, q) are
-    orthonormal directions that are not identified. ``combinations`` of the flat parameters are
-    identified.
+    ``flat`` are the positions of parameters that are not identified. ``root`` (n, n) is a root of
+    the covariance in z that the data have together with the box, which has the precision ``box``
+    (n,), and ``alone`` one of the data without it. ``combinations`` of the flat parameters are
+    identified. ``profiles`` are those that were computed to find this out.
     """
 
     flat: tuple[int, ...]
     root: Array
-    null: Array
-    combinations: tuple[str, ...]
+    box: Array
+    alone: Array
+    combinations: tuple[str, ...] = ()
+    profiles: Mapping[int, Profile] = field(default_factory=dict)
 
     @property
     def spread(self) -> Array:
-        """Standard deviations in z for unit sigma; infinite where not identified."""
-        deviations = np.sqrt(np.sum(self.root**2, axis=1))
-        deviations[list(self.flat)] = np.inf
-        return np.asarray(deviations)
+        """Standard deviations (n,) in z."""
+        return np.asarray(np.linalg.norm(self.root, axis=1))
+
+    def boxed(self, slope: Array) -> bool:
+        """Whether the box decides how sure a quantity with derivatives (n,) is.
+
+        Its variance is g'Cg, and the precision P of the box has the share g'CPCg / g'Cg in it.
+        """
+        along = self.root.T @ slope
+        by_box = float(self.box @ (self.root @ along) ** 2)
+        return by_box > _BOX_SHARE * float(along @ along)
 
 
 def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> float:
@@ -262,37 +289,42 @@ def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> flo
 
 
 def identify(
-    problem: Likelihood, z: Array, cost: float, jacobian: Array, quantile: float, sigma: float
+    problem: Likelihood, best: Best, jacobian: Array, quantile: float, sigma: float
 ) -> Identification:
-    """What is identified at the best point z (n,), with the Jacobian (m, n) there.
+    """What is identified at the best point for levels of noise, with the Jacobian (m, n) there.
 
     ``quantile`` is half the length of intervals in standard deviations, ``sigma`` the standard
     deviation of the scaled residuals.
     """
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-    floor = 1e-13 * singular[0] if singular[0] > 0.0 else 1.0
-    root = right.T / np.maximum(singular, floor)
-    half = quantile * sigma * np.sqrt(np.sum(root**2, axis=1))
-    uncertain = np.flatnonzero(half > _SUSPICIOUS_WIDTH)
-    all_identified = Identification((), root, np.zeros((z.size, 0)), ())
-    best = Best(z, cost, np.minimum(half / quantile, 1.0))
-    limit = max((quantile * sigma) ** 2, 1e-12 * cost)
-    curves = profiles(problem, best, limit, uncertain.tolist(), _ROUGH_END_TOLERANCE)
-    boxed = [p for p in curves if p.bounded_by_box and p.width > _FLAT_WIDTH]
+    floor = _ROUNDING * max(float(singular.max(initial=0.0)), 1e-300)
+    sigma = max(sigma, floor)
+    alone = sigma * right.T / np.maximum(singular, floor)
+    half = quantile * np.linalg.norm(alone, axis=1)
+    free, box = problem.free, np.full(best.z.size, _UNIFORM_PRECISION)
+    box[list(free.endless)] = 0.0
+    rows = jacobian[len(jacobian) - len(problem.priors) :]
+    for measure, row in zip(problem.priors, rows, strict=True):
+        j = free.names.index(measure.name)
+        box[j] = max(_UNIFORM_PRECISION - row[j] ** 2, 0.0)
+    rows = np.concatenate([jacobian / sigma, np.diag(np.sqrt(box))])
+    _, singular, right = np.linalg.svd(rows, full_matrices=False)
+    root = right.T / np.maximum(singular, floor / sigma)
+    limit = max((quantile * sigma) ** 2, 1e-12 * best.cost)
+    uncertain = [j for j in np.flatnonzero(half > _SUSPICIOUS_WIDTH) if j not in problem.levels]
+    curves = profiles(
+        problem, replace(best, root=root), dict.fromkeys(uncertain, limit), problem.levels
+    )
+    plain = Identification((), root, box, alone, (), curves)
+    long = [p for p in curves.values() if p.width > _SUSPICIOUS_WIDTH or p.index in free.endless]
+    boxed = [p for p in long if p.boxed and plain.boxed(np.eye(best.z.size)[p.index])]
     if not boxed:
-        return all_identified
-    order = np.argsort(singular)
-    for q in range(1, z.size + 1):
-        kept = np.sort(order[q:])
-        left = quantile * sigma * np.sqrt(np.sum(root[:, kept] ** 2, axis=1))
-        if all(2.0 * left[p.index] * _FLAT_RATIO < p.width for p in boxed) or q == z.size:
-            break
-    wide = (p for p in boxed if p.width > _FLAT_RATIO * 2.0 * left[p.index] or q == z.size)
-    flat = tuple(p.index for p in wide)
-    if not flat:
-        return all_identified
-    names = _combinations(problem, z, jacobian, flat, q, boxed, limit)
-    return Identification(flat, root[:, kept], right[order[:q]].T, names)
+        return plain
+    flat = tuple(p.index for p in boxed)
+    lost = np.linalg.eigvalsh(root.T @ (box[:, None] * root)) > _BOX_SHARE
+    q = max(int(np.count_nonzero(lost)), 1)
+    names = _combinations(problem, best.z, jacobian, flat, q, boxed, limit)
+    return replace(plain, flat=flat, combinations=names)
 
 
 def _combinations(

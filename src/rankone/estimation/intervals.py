@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,10 +18,7 @@ from rankone.estimation.identification import Profile, Stop, profiles
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import quote
-
-# Share of a gradient along flat directions above which a quantity is not identified
-_FLAT_SHARE = 1e-3
+from rankone.support.wording import listing, quote
 
 Interval = tuple[float, float]
 
@@ -35,15 +33,12 @@ class Intervals(Estimates):
     def covariance(self) -> Array:
         """Covariance of the estimates (n, n), by linearisation at the estimate.
 
-        Infinite variances and NaN for parameters that the data do not identify.
+        It is marginal: the inverse of the information of the data plus that of what was known
+        before. An interval of the box counts as a uniform distribution with the variance
+        width^2/12, so that the variance of a parameter that the data do not identify is near that.
         """
-        slopes = self._problem.free.slopes(self._z)
-        root = self._identification.root * slopes[:, None] * self._unit
-        covariance = np.asarray(root @ root.T)
-        flat = list(self._identification.flat)
-        covariance[flat], covariance[:, flat] = np.nan, np.nan
-        covariance[flat, flat] = np.inf
-        return covariance
+        root = self._identification.root * self._problem.free.slopes(self._z)[:, None]
+        return np.asarray(root @ root.T)
 
     @property
     def information(self) -> Array:
@@ -59,7 +54,7 @@ class Intervals(Estimates):
         return dict(zip(self.parameters, map(float, roots), strict=True))
 
     def interval(
-        self, level: float | None = None, *, method: str = "linear"
+        self, level: float | None = None, *, method: str = "profile"
     ) -> dict[str, Interval]:
         """An interval for each parameter.
 
@@ -67,46 +62,67 @@ class Intervals(Estimates):
         ----------
         level : float, optional
             Probability that an interval contains the true value; by default the level of the fit.
-        method : {"linear", "profile"}
-            "linear" linearises at the estimate, with quantiles of the normal distribution if sigma
-            was given, else of Student's; its intervals may reach beyond the box. Those of
-            parameters over decades are linear in the logarithm, those of levels of noise by the
-            distribution of a variance. "profile" takes the values for which the other parameters
-            can be fitted almost as well, see :meth:`profile`; an end is NaN where the box ends the
-            interval, not the data.
+        method : {"profile", "linear"}
+            "profile" takes the values for which the other parameters can be fitted almost as well,
+            see :meth:`profile`. Where the box ends an interval, not the data, the end is that of
+            the box, and :attr:`limited` says so. "linear" linearises at the estimate, with
+            quantiles of the normal distribution if sigma was given, else of Student's: it is
+            faster, may reach beyond the box, and is infinite for what is not identified. Intervals
+            of estimated levels of noise are by the distribution of a variance.
 
         Raises
         ------
         OptionError
             If the level is not between 0 and 1, or the method unknown.
         """
-        if method == "profile":
-            return {name: self._profile_interval(name, level) for name in self.parameters}
-        if method != "linear":
+        if method not in ("profile", "linear"):
             raise OptionError(
-                f"method={method!r} is unknown", remedy='choose "linear" or "profile"'
+                f"method={method!r} is unknown", remedy='choose "profile" or "linear"'
             )
-        free = self._problem.free
-        quantiles = [self._quantile(level, slope) for slope in np.eye(len(free.names))]
-        half = np.array(quantiles) * self._identification.spread * self._unit
-        flat = ~np.isfinite(half)
-        half = np.where(flat, 0.0, half)
-        low, high = free.unclipped(self._z - half), free.unclipped(self._z + half)
-        low, high = np.where(flat, -np.inf, low), np.where(flat, np.inf, high)
-        for j, share in self._freedom.items():
-            if not flat[j]:
-                low[j], high[j] = self._level_interval(j, share, level)
-        pairs = zip(map(float, low), map(float, high), strict=True)
-        return dict(zip(self.parameters, pairs, strict=True))
+        level = self.level if level is None else checked_level(level)
+        by_profile: Mapping[int, Profile] = {}
+        if method == "profile":
+            by_profile = self._profiles if level == self.level else self._profiles_at(level)
+        intervals = {}
+        for j, name in enumerate(self.parameters):
+            if j in self._freedom:
+                intervals[name] = self._level_interval(j, self._freedom[j], level)
+            elif by_profile:
+                intervals[name] = self._profile_interval(by_profile[j])
+            else:
+                intervals[name] = self._linear_interval(j, level)
+        return intervals
 
-    def _level_interval(self, j: int, share: float, level: float | None) -> Interval:
+    def _linear_interval(self, j: int, level: float) -> Interval:
+        """By linearisation, in the logarithm for parameters over decades."""
+        if j in self._identification.flat:
+            return -math.inf, math.inf
+        free, along = self._problem.free, np.eye(len(self.parameters))[j]
+        half = self._quantile(level, along) * self._identification.spread[j] * along
+        ends = free.unclipped(np.stack([self._z - half, self._z + half]))[:, j]
+        return float(ends[0]), float(ends[1])
+
+    def _profile_interval(self, profile: Profile) -> Interval:
+        """The ends of a profile, where the data or the box end it."""
+        free, j = self._problem.free, profile.index
+        z = np.tile(self._z, (2, 1))
+        z[:, j] = profile.lower.z, profile.upper.z
+        low, high = free.values(z)[:, j]
+        if profile.lower.stop is Stop.BOUND:
+            low = -math.inf if j in free.endless else free.lower[j]
+        if profile.upper.stop is Stop.BOUND:
+            high = math.inf if j in free.endless else free.upper[j]
+        return float(low), float(high)
+
+    def _level_interval(self, j: int, share: float, level: float) -> Interval:
         """The interval of a level of noise by the distribution chi^2 of its square.
 
         Its degrees of freedom are those that the variance of its logarithm has: 1/(2 variance). Of
         the data, a ``share`` is left after the other parameters are fitted.
         """
-        level = self.level if level is None else checked_level(level)
-        variance = (self._identification.spread[j] * self._problem.free.logarithms[j]) ** 2
+        variance = (
+            np.sum(self._identification.alone[j] ** 2) * self._problem.free.logarithms[j] ** 2
+        )
         dof = 0.5 * share / variance
         tails = scipy.stats.chi2.ppf([0.5 + 0.5 * level, 0.5 - 0.5 * level], dof)
         ends = self._problem.free.values(self._z)[j] * np.sqrt(dof / np.maximum(tails, 1e-300))
@@ -125,7 +141,7 @@ class Intervals(Estimates):
         Returns
         -------
         (float, float)
-            Infinite where the data do not identify the quantity.
+            Infinite where the box decides how sure the quantity is, and not the data.
 
         Raises
         ------
@@ -164,26 +180,55 @@ class Intervals(Estimates):
             In coordinates from 0 to 1 between the bounds; each end says what stops it.
         """
         index = self._problem.free.index(parameter)
-        return profiles(self._problem, self._best, self.rise(parameter, level), [index])[0]
+        if level is None and index in self._profiles:
+            return self._profiles[index]
+        return self._profiles_of({index: self.rise(parameter, level)})[index]
+
+    @cached_property
+    def _profiles(self) -> dict[int, Profile]:
+        """Those of all parameters but levels of noise, at the level of the fit."""
+        ready = {} if self._problem.levels else self._identification.profiles
+        return {**ready, **self._profiles_at(self.level, ready)}
+
+    def _profiles_at(self, level: float, ready: Collection[int] = ()) -> dict[int, Profile]:
+        """Profiles at a level, but those that are ready."""
+        done = {*self._freedom, *ready}
+        names = {j: name for j, name in enumerate(self.parameters) if j not in done}
+        return self._profiles_of({j: self.rise(name, level) for j, name in names.items()})
+
+    def _profiles_of(self, limits: Mapping[int, float]) -> dict[int, Profile]:
+        """Profiles up to limits; those of levels of noise move all levels, the others none."""
+        levels = self._problem.levels
+        of_levels = {j: limit for j, limit in limits.items() if j in levels}
+        others = {j: limit for j, limit in limits.items() if j not in levels}
+        return {
+            **profiles(self._problem, self._best, of_levels),
+            **profiles(self._problem, self._centre, others, levels),
+        }
 
     def rise(self, parameter: object, level: float | None = None) -> float:
         """By how much -2 log L is larger at the ends of profile intervals; squares without sigma.
 
-        For levels of noise that are estimated it is n log(1 + q^2/dof), with Student's quantile q,
-        which is exact for one level and a linear model.
+        It is the square of the quantile, so that the intervals of a linear model are those by
+        linearisation. Estimated levels of noise are held, and make it larger by what they add to
+        the variance. For a level itself it is n log(1 + q^2/dof), with Student's quantile q, which
+        is exact for one level and a linear model.
         """
         j = self._problem.free.index(parameter)
         q = self._quantile(level, np.eye(len(self.parameters))[j])
-        if self._problem.levels:
+        if j in self._problem.levels:
             return self.size * math.log1p(q**2 / max(self.dof, 1))
-        return (q * self._unit) ** 2
+        if self._levels is not None:
+            alone = self._identification.alone
+            q *= float(np.linalg.norm(self._levels.enlarged(alone)[j]) / np.linalg.norm(alone[j]))
+        return float((q * self._unit) ** 2)
 
     def _quantile(self, level: float | None, slope: Array) -> float:
         """Half the length of an interval in standard deviations, of a quantity with derivatives."""
         level = self.level if level is None else checked_level(level)
         dof = self.dof
         if self._levels is not None:
-            dof = min(dof, self._levels.dof(self._identification.root, slope))
+            dof = min(dof, self._levels.dof(self._identification.alone, slope))
         return quantile_of(level, self.noise_given, dof)
 
     def _quantity(self, given: object) -> tuple[float, Array]:
@@ -203,24 +248,11 @@ class Intervals(Estimates):
     def deviation(self, slope: Array) -> float:
         """The standard deviation of a quantity by its derivatives (n,) with respect to z.
 
-        Infinite where the data do not identify it.
+        Infinite where the box decides about it, and not the data.
         """
-        along = float(np.linalg.norm(slope @ self._identification.null))
-        if along > _FLAT_SHARE * float(np.linalg.norm(slope)):
+        if self._identification.boxed(slope):
             return math.inf
-        return float(np.linalg.norm(slope @ self._identification.root)) * self._unit
-
-    def _profile_interval(self, name: str, level: float | None) -> Interval:
-        """The profile interval; NaN for an end that the box makes."""
-        profile, free = self.profile(name, level), self._problem.free
-        j = self.parameters.index(name)
-
-        def end(z: float) -> float:
-            return float(free.values(np.where(np.arange(len(free.names)) == j, z, self._z))[j])
-
-        ends = (profile.lower, profile.upper)
-        low, high = (end(e.z) if e.stop is Stop.DATA else math.nan for e in ends)
-        return low, high
+        return float(np.linalg.norm(slope @ self._identification.root))
 
     # --- what is identified -------------------------------------------------------------------
 
@@ -230,7 +262,40 @@ class Intervals(Estimates):
 
         They do not if the others can make up for any value of it within the box.
         """
-        return {name: i not in self._identification.flat for i, name in enumerate(self.parameters)}
+        flat = self._identification.flat
+        return {
+            name: j not in flat and self.limited[name] != "both"
+            for j, name in enumerate(self.parameters)
+        }
+
+    @cached_property
+    def limited(self) -> dict[str, str]:
+        """Which ends of its profile interval the box makes, by parameter.
+
+        ``"lower"``, ``"upper"``, ``"both"``, or ``""`` where the data end the interval.
+        """
+        names = enumerate(self.parameters)
+        return {n: "" if j in self._freedom else self._profiles[j].limited for j, n in names}
+
+    @cached_property
+    def limits(self) -> dict[str, str]:
+        """What but the data an interval depends on, in words, by parameter.
+
+        Its own bounds, where they end the interval, or those of parameters that the data do not
+        identify, if without them it would be much longer; and parameters that are :attr:`held`.
+        """
+        flat = [self.parameters[j] for j in self._identification.flat]
+        words = {}
+        for slope, (name, side) in zip(
+            np.eye(len(self.parameters)), self.limited.items(), strict=True
+        ):
+            own = {"": "", "both": "both bounds"}.get(side, f"{side} bound")
+            others = [other for other in flat if other != name]
+            boxed = self._identification.boxed(slope) and others
+            more = [f"bounds of {listing(others)}"] if boxed and not own else []
+            given = [f"{listing(self.held)} held"] if self.held else []
+            words[name] = ", ".join([*([own] if own else more), *given])
+        return words
 
     @property
     def combinations(self) -> tuple[str, ...]:

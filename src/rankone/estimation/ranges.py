@@ -84,7 +84,8 @@ def with_linear_ranges(problem: Likelihood, points: Array) -> Likelihood:
         margin = _MARGIN * (high - low) + max(abs(low), abs(high))
         margin = margin if np.isfinite(margin) and margin > 0.0 else 1.0
         lower[j], upper[j] = low - margin, high + margin
-    return replace(problem, free=replace(free, lower=lower, upper=upper))
+    free = replace(free, lower=lower, upper=upper, endless=tuple(endless.tolist()))
+    return replace(problem, free=free)
 
 
 def _level_range(name: str, trials: Sequence[Trial]) -> Range:

@@ -1,0 +1,108 @@
+"""How far each parameter can go from an optimum within the bounds, by trajectories.
+
+Profile likelihoods: a parameter is held away from the optimum, and the others go down from where
+they would be if the model were linear. So nothing is held that the data do not determine, and no
+box around the optimum is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rankone.calibration.descent import Expansion, bounded_step
+from rankone.calibration.of_experiments import OfExperiments
+from rankone.calibration.uncertainty import (
+    Reach,
+    covariance_at,
+    limited_by,
+    linear_reaches,
+    unidentified,
+)
+from rankone.estimation.free_parameters import ends_at_bounds
+from rankone.support.arrays import Array
+
+_CLOSE = 1e-2  # How close an end comes to the limit, in shares of half the interval: two digits
+_MOST_POINTS = 12  # Most places of a parameter at which the others go down, for one end
+_MOST_STEPS = 12  # Most steps of each way down
+_RADIUS = 0.1  # Half the width of the first box of trust
+_LEAST_RADIUS = 1e-6
+_MOST_GROWTH = 3.0  # Most growth of a distance in one step outwards
+
+
+class _End(NamedTuple):
+    """Where an interval ends in z: at a bound, or with another parameter at one."""
+
+    z: float
+    bound: bool
+    other: bool
+
+
+def reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
+    """How far each parameter can go from an optimum with 95 %; levels of noise by linearisation.
+
+    Not identified are those whose variance the data hardly reduce and that only bounds stop.
+    """
+    variance = problem.variance(at)
+    covariance = covariance_at(at, variance)
+    wide = unidentified(problem.names, np.sqrt(np.diag(covariance)))
+    each = linear_reaches(problem.names, at, variance)
+    for j, name in enumerate(problem.names):
+        if j not in problem.likelihood.levels:
+            low, high = (_end(problem, at, covariance, j, sign) for sign in (-1.0, 1.0))
+            limited = limited_by(low.bound, high.bound)
+            boxed = (low.bound or low.other) and (high.bound or high.other)
+            free = limited == "both" or (name in wide and boxed)
+            each[name] = Reach(low.z, high.z, limited, free)
+    return each
+
+
+def _end(problem: OfExperiments, best: Expansion, covariance: Array, j: int, sign: float) -> _End:
+    """Where the rise of the cost reaches the limit in one direction, or the bound."""
+    limit = problem.rise(best)
+    way = sign * covariance[j] / covariance[j, j]
+    room = float(best.z[j]) if sign < 0.0 else 1.0 - float(best.z[j])
+    inner, outer, point = (0.0, 0.0), (math.inf, math.inf), best
+    at_bound = set(ends_at_bounds(problem.names, best.z))
+    last, distance = best, min(problem.quantile * math.sqrt(covariance[j, j]), room)
+    for _ in range(_MOST_POINTS):
+        start = np.clip(point.z + (distance - inner[0]) * way, 0.0, 1.0)
+        start[j] = np.clip(best.z[j] + sign * distance, 0.0, 1.0)
+        last = _settled(problem, start, j, _CLOSE * limit)
+        root = math.sqrt(max(last.cost - best.cost, 0.0) / limit)
+        if root <= 1.0:
+            inner, point = (distance, root), last
+            if distance >= room:
+                return _End(0.0 if sign < 0.0 else 1.0, True, False)
+        else:
+            outer = distance, root
+        if abs(root - 1.0) <= _CLOSE:
+            break
+        if math.isinf(outer[0]):
+            growth = min(max(1.0 / max(root, 0.1), 1.1), _MOST_GROWTH)
+            distance = min(max(growth * distance, 1e-6), room)
+        else:
+            rise = outer[1] - inner[1]
+            share = (1.0 - inner[1]) / rise if math.isfinite(rise) else 0.5
+            distance = inner[0] + min(max(share, 0.05), 0.95) * (outer[0] - inner[0])
+    names = set(ends_at_bounds(problem.names, last.z)) - at_bound - {problem.names[j]}
+    return _End(float(last.z[j]), False, bool(names))
+
+
+def _settled(problem: OfExperiments, z: Array, j: int, enough: float) -> Expansion:
+    """The best point with one coordinate held, from z (n,)."""
+    held = np.arange(z.size) == j
+    at, radius = problem.expanded(z, held), _RADIUS
+    for _ in range(_MOST_STEPS):
+        if not np.isfinite(at.cost):
+            break
+        step, promised = bounded_step(at, np.where(held, 0.0, radius))
+        if promised <= enough or radius <= _LEAST_RADIUS:
+            break
+        trial = problem.expanded(np.clip(at.z + np.where(held, 0.0, step), 0.0, 1.0), held)
+        better = trial.cost < at.cost
+        radius = min(2.0 * radius, 1.0) if better else 0.25 * float(np.abs(step[~held]).max())
+        at = trial if better else at
+    return at
