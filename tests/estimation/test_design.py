@@ -85,7 +85,9 @@ def test_after_a_fit_its_information_counts():
     design = oral().design(2, after=fit)
     for name in AT:
         assert design.std[name] < fit.std[name]
-    np.testing.assert_allclose(np.linalg.inv(fit.information), fit.covariance, rtol=1e-6)
+    box = np.diag([12 / np.ptp(oral().parameters[name]) ** 2 for name in AT])
+    marginal = np.linalg.inv(fit.information + box)
+    np.testing.assert_allclose(marginal, fit.covariance, rtol=1e-6)
     assert design.efficiency([0.25, 20]) < 1.0
     assert design.efficiency(design.times) == pytest.approx(1.0)
 

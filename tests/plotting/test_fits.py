@@ -111,12 +111,12 @@ def test_bands_of_given_sigma():
     np.testing.assert_allclose(0.5 * (high - low), half, atol=1e-6)
 
 
-def test_bands_are_those_of_the_covariance():
+def test_bands_are_those_of_the_information():
     fit, _ = both()
     upper, _ = plotting.plot_fit(fit)
     at, low, high = band(upper, 0)
     slopes = populations().gradient(at, fit.values)[0]
-    spread = np.sqrt(np.einsum("it,ij,jt->t", slopes, fit.covariance, slopes))
+    spread = np.sqrt(np.einsum("it,ij,jt->t", slopes, np.linalg.inv(fit.information), slopes))
     np.testing.assert_allclose(0.5 * (high - low), scipy.stats.norm.ppf(0.975) * spread, rtol=1e-6)
 
 

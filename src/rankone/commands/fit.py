@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -82,7 +81,6 @@ def register(commands: Commands) -> None:
         help="what was known before, as in scipy.stats: k='norm(1, 0.1)'",
     )
     add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
-    add("--profile", action="store_true", help="intervals by profile likelihood")
     add("--posterior", action="store_true", help="the distribution of the parameters as well")
     add_solve_arguments(parser)
     add("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP)
@@ -109,11 +107,9 @@ def _fit(arguments: argparse.Namespace) -> int:
     )
     posterior = posterior_of(fit) if arguments.posterior else None
     if arguments.json:
-        print(json.dumps(_plain(fit, posterior, arguments.profile), indent=2, allow_nan=False))
+        print(json.dumps(_plain(fit, posterior), indent=2, allow_nan=False))
     else:
         print(fit)
-        if arguments.profile:
-            print(_profiles(fit))
         if posterior is not None:
             print(posterior)
     return SUCCESS if fit.success else FAILURE
@@ -162,15 +158,6 @@ def _number_or_text(text: str) -> float | str:
         return text
 
 
-def _profiles(fit: Fit) -> str:
-    """Intervals by profile likelihood, a line each."""
-    lines = ["profile intervals:"]
-    for name, ends in fit.interval(method="profile").items():
-        low, high = ("open" if math.isnan(end) else f"{end:.6g}" for end in ends)
-        lines.append(f"  {name}  [{low}, {high}]")
-    return "\n".join(lines)
-
-
 def _read(file: Path) -> dict[str, list[str]]:
     """The columns of a table."""
     try:
@@ -200,11 +187,9 @@ def _ends(intervals: Mapping[str, tuple[float, float]]) -> dict[str, list[float 
     return {name: [*map(finite_or_none, ends)] for name, ends in intervals.items()}
 
 
-def _plain(fit: Fit, posterior: Posterior | None, profile: bool) -> dict[str, object]:
+def _plain(fit: Fit, posterior: Posterior | None) -> dict[str, object]:
     """The fit for JSON; numbers that are not finite are null."""
     more: dict[str, object] = {}
-    if profile:
-        more["profile"] = _ends(fit.interval(method="profile"))
     if posterior is not None:
         more["posterior"] = {
             "success": posterior.success,
@@ -221,6 +206,7 @@ def _plain(fit: Fit, posterior: Posterior | None, profile: bool) -> dict[str, ob
         "level": fit.level,
         "std": {name: finite_or_none(deviation) for name, deviation in fit.std.items()},
         "identifiable": fit.identifiable,
+        "limited": fit.limits,
         "combinations": {
             text: {
                 "value": fit.value_of(text),

@@ -50,8 +50,8 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
     identification, levels = identify(problem, centre, jacobian, q, unit), None
     centre = replace(centre, root=identification.root)
     if problem.levels:
-        levels = level_uncertainty(problem, jacobian, identification.alone, freedom)
-        identification = replace(identification, root=levels.enlarged(identification.root))
+        levels = level_uncertainty(problem, jacobian, identification.seen, freedom)
+        identification = identification.enlarged(levels)
     limit = problem.size * math.log1p(q**2 / least) if problem.levels else (q * unit) ** 2
     distinct = () if identification.flat else _others(problem, ends, k, limit)
     jumps = jumps_within(problem, reported, q * identification.root, jacobian / (unit or 1.0))

@@ -21,6 +21,7 @@ import numpy as np
 
 from rankone.estimation.free_parameters import BOUND_TOLERANCE
 from rankone.estimation.least_squares import minima
+from rankone.estimation.levels import LevelUncertainty
 from rankone.estimation.likelihood import Likelihood
 from rankone.support.arrays import Array
 
@@ -31,11 +32,12 @@ _PATH_DEVIATIONS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
 # Most refinements of an end: a bound on the work where the rise is not smooth
 _MOST_REFINEMENTS = 12
 _END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its root: four digits
-# Length in widths of the box above which an interval that the box ends says nothing, and half of one
-# by the data alone, linearised, above which its profile is looked at
+# Length in widths of the box above which an interval that the box ends says nothing, and half of
+# one by the data alone, linearised, above which its profile is looked at
 _SUSPICIOUS_WIDTH = 0.25
 _ROUNDING = 1e-13  # Share of the largest singular value that is rounding
 _UNIFORM_PRECISION = 12.0  # Of a parameter that may be anywhere in the unit cube
+_LOST = 1e-3  # Share of the data in a variance below which they say nothing of a direction
 _BOX_SHARE = 0.5  # Share of a variance from the box above which the data do not determine it
 # How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
 _FRACTION_TOLERANCE = 0.04
@@ -242,22 +244,28 @@ class Identification:
     """What the data identify of n parameters.
 
     ``flat`` are the positions of parameters that are not identified. ``root`` (n, n) is a root of
-    the covariance in z that the data have together with the box, which has the precision ``box``
-    (n,), and ``alone`` one of the data without it. ``combinations`` of the flat parameters are
+    the covariance in z that the data have together with the box, whose precision is ``box`` (n,).
+    ``seen`` (n, r) is one by the data alone, and ``lost`` (n, n - r) one with the box in the
+    directions of which the data say nothing. ``combinations`` of the flat parameters are
     identified. ``profiles`` are those that were computed to find this out.
     """
 
     flat: tuple[int, ...]
     root: Array
     box: Array
-    alone: Array
+    seen: Array
+    lost: Array
     combinations: tuple[str, ...] = ()
     profiles: Mapping[int, Profile] = field(default_factory=dict)
 
-    @property
-    def spread(self) -> Array:
-        """Standard deviations (n,) in z."""
-        return np.asarray(np.linalg.norm(self.root, axis=1))
+    def enlarged(self, levels: LevelUncertainty) -> Identification:
+        """The same with what estimated levels of noise add."""
+        return replace(self, root=levels.enlarged(self.root), seen=levels.enlarged(self.seen))
+
+    def deviation(self, slope: Array) -> float:
+        """The standard deviation of a quantity with derivatives (n,), by the data alone."""
+        seen, lost = (float(np.linalg.norm(slope @ root)) for root in (self.seen, self.lost))
+        return seen if lost <= seen else np.inf
 
     def boxed(self, slope: Array) -> bool:
         """Whether the box decides how sure a quantity with derivatives (n,) is.
@@ -296,33 +304,37 @@ def identify(
     ``quantile`` is half the length of intervals in standard deviations, ``sigma`` the standard
     deviation of the scaled residuals.
     """
-    _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-    floor = _ROUNDING * max(float(singular.max(initial=0.0)), 1e-300)
-    sigma = max(sigma, floor)
-    alone = sigma * right.T / np.maximum(singular, floor)
-    half = quantile * np.linalg.norm(alone, axis=1)
     free, box = problem.free, np.full(best.z.size, _UNIFORM_PRECISION)
     box[list(free.endless)] = 0.0
     rows = jacobian[len(jacobian) - len(problem.priors) :]
     for measure, row in zip(problem.priors, rows, strict=True):
         j = free.names.index(measure.name)
         box[j] = max(_UNIFORM_PRECISION - row[j] ** 2, 0.0)
+    rounding = _ROUNDING * max(float(np.linalg.norm(jacobian)), 1e-300)
+    sigma = max(sigma, rounding)
     rows = np.concatenate([jacobian / sigma, np.diag(np.sqrt(box))])
     _, singular, right = np.linalg.svd(rows, full_matrices=False)
-    root = right.T / np.maximum(singular, floor / sigma)
+    root = right.T / np.maximum(singular, rounding / sigma)
+    shares, turned = np.linalg.eigh(root.T @ (box[:, None] * root))
+    lost = shares > 1.0 - _LOST
+    seen = root @ turned[:, ~lost] / np.sqrt(1.0 - shares[~lost])
+    plain = Identification((), root, box, seen, root @ turned[:, lost])
+    unit = np.eye(best.z.size)
+    half = quantile * np.array([plain.deviation(slope) for slope in unit])
     limit = max((quantile * sigma) ** 2, 1e-12 * best.cost)
-    uncertain = [j for j in np.flatnonzero(half > _SUSPICIOUS_WIDTH) if j not in problem.levels]
+    uncertain = [
+        j for j in np.flatnonzero(half > _SUSPICIOUS_WIDTH).tolist() if j not in problem.levels
+    ]
     curves = profiles(
         problem, replace(best, root=root), dict.fromkeys(uncertain, limit), problem.levels
     )
-    plain = Identification((), root, box, alone, (), curves)
+    plain = replace(plain, profiles=curves)
     long = [p for p in curves.values() if p.width > _SUSPICIOUS_WIDTH or p.index in free.endless]
-    boxed = [p for p in long if p.boxed and plain.boxed(np.eye(best.z.size)[p.index])]
+    boxed = [p for p in long if p.boxed and plain.boxed(unit[p.index])]
     if not boxed:
         return plain
     flat = tuple(p.index for p in boxed)
-    lost = np.linalg.eigvalsh(root.T @ (box[:, None] * root)) > _BOX_SHARE
-    q = max(int(np.count_nonzero(lost)), 1)
+    q = max(int(np.count_nonzero(shares > _BOX_SHARE)), 1)
     names = _combinations(problem, best.z, jacobian, flat, q, boxed, limit)
     return replace(plain, flat=flat, combinations=names)
 

@@ -65,10 +65,10 @@ class Intervals(Estimates):
         method : {"profile", "linear"}
             "profile" takes the values for which the other parameters can be fitted almost as well,
             see :meth:`profile`. Where the box ends an interval, not the data, the end is that of
-            the box, and :attr:`limited` says so. "linear" linearises at the estimate, with
-            quantiles of the normal distribution if sigma was given, else of Student's: it is
-            faster, may reach beyond the box, and is infinite for what is not identified. Intervals
-            of estimated levels of noise are by the distribution of a variance.
+            the box, and :attr:`limited` says so. "linear" linearises at the estimate, by the data
+            alone within the box, with quantiles of the normal distribution if sigma was given, else
+            of Student's: that is faster. Intervals of estimated levels of noise are by the
+            distribution of a variance.
 
         Raises
         ------
@@ -95,24 +95,27 @@ class Intervals(Estimates):
 
     def _linear_interval(self, j: int, level: float) -> Interval:
         """By linearisation, in the logarithm for parameters over decades."""
-        if j in self._identification.flat:
-            return -math.inf, math.inf
-        free, along = self._problem.free, np.eye(len(self.parameters))[j]
-        half = self._quantile(level, along) * self._identification.spread[j] * along
-        ends = free.unclipped(np.stack([self._z - half, self._z + half]))[:, j]
-        return float(ends[0]), float(ends[1])
+        along = np.eye(len(self.parameters))[j]
+        half = self._quantile(level, along) * self.deviation(along)
+        return self._ends(j, self._z[j] - half, self._z[j] + half)
 
     def _profile_interval(self, profile: Profile) -> Interval:
         """The ends of a profile, where the data or the box end it."""
-        free, j = self._problem.free, profile.index
+        low = -math.inf if profile.lower.stop is Stop.BOUND else profile.lower.z
+        high = math.inf if profile.upper.stop is Stop.BOUND else profile.upper.z
+        return self._ends(profile.index, low, high)
+
+    def _ends(self, j: int, low: float, high: float) -> Interval:
+        """The values at two places of z_j: bounds outside of the cube, if there are any."""
+        free = self._problem.free
         z = np.tile(self._z, (2, 1))
-        z[:, j] = profile.lower.z, profile.upper.z
-        low, high = free.values(z)[:, j]
-        if profile.lower.stop is Stop.BOUND:
-            low = -math.inf if j in free.endless else free.lower[j]
-        if profile.upper.stop is Stop.BOUND:
-            high = math.inf if j in free.endless else free.upper[j]
-        return float(low), float(high)
+        z[:, j] = np.clip([low, high], 0.0, 1.0)
+        lower, upper = free.values(z)[:, j]
+        if low <= 0.0:
+            lower = -math.inf if j in free.endless else free.lower[j]
+        if high >= 1.0:
+            upper = math.inf if j in free.endless else free.upper[j]
+        return float(lower), float(upper)
 
     def _level_interval(self, j: int, share: float, level: float) -> Interval:
         """The interval of a level of noise by the distribution chi^2 of its square.
@@ -120,9 +123,7 @@ class Intervals(Estimates):
         Its degrees of freedom are those that the variance of its logarithm has: 1/(2 variance). Of
         the data, a ``share`` is left after the other parameters are fitted.
         """
-        variance = (
-            np.sum(self._identification.alone[j] ** 2) * self._problem.free.logarithms[j] ** 2
-        )
+        variance = np.sum(self._identification.seen[j] ** 2) * self._problem.free.logarithms[j] ** 2
         dof = 0.5 * share / variance
         tails = scipy.stats.chi2.ppf([0.5 + 0.5 * level, 0.5 - 0.5 * level], dof)
         ends = self._problem.free.values(self._z)[j] * np.sqrt(dof / np.maximum(tails, 1e-300))
@@ -141,7 +142,7 @@ class Intervals(Estimates):
         Returns
         -------
         (float, float)
-            Infinite where the box decides how sure the quantity is, and not the data.
+            By the data alone: it knows no box, and is infinite where they do not identify it.
 
         Raises
         ------
@@ -219,8 +220,8 @@ class Intervals(Estimates):
         if j in self._problem.levels:
             return self.size * math.log1p(q**2 / max(self.dof, 1))
         if self._levels is not None:
-            alone = self._identification.alone
-            q *= float(np.linalg.norm(self._levels.enlarged(alone)[j]) / np.linalg.norm(alone[j]))
+            plain = np.linalg.norm(self._levels.root[j])
+            q *= float(np.linalg.norm(self._identification.seen[j]) / plain)
         return float((q * self._unit) ** 2)
 
     def _quantile(self, level: float | None, slope: Array) -> float:
@@ -228,7 +229,7 @@ class Intervals(Estimates):
         level = self.level if level is None else checked_level(level)
         dof = self.dof
         if self._levels is not None:
-            dof = min(dof, self._levels.dof(self._identification.alone, slope))
+            dof = min(dof, self._levels.dof(slope))
         return quantile_of(level, self.noise_given, dof)
 
     def _quantity(self, given: object) -> tuple[float, Array]:
@@ -248,11 +249,9 @@ class Intervals(Estimates):
     def deviation(self, slope: Array) -> float:
         """The standard deviation of a quantity by its derivatives (n,) with respect to z.
 
-        Infinite where the box decides about it, and not the data.
+        It is by the data alone, and infinite where they say nothing of it.
         """
-        if self._identification.boxed(slope):
-            return math.inf
-        return float(np.linalg.norm(slope @ self._identification.root))
+        return self._identification.deviation(slope)
 
     # --- what is identified -------------------------------------------------------------------
 

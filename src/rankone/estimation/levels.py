@@ -24,12 +24,14 @@ class LevelUncertainty:
 
     ``information`` (k, n, n) is that of all data, times the derivative of the logarithm of their
     standard deviations with respect to each level; ``squares`` (k, k, n, n) times those with
-    respect to two. ``covariance`` (k, k) is that of the levels.
+    respect to two. ``covariance`` (k, k) is that of the levels, ``root`` (n, r) one of the
+    covariance of all parameters if the levels were known.
     """
 
     information: Array
     squares: Array
     covariance: Array
+    root: Array
 
     def enlarged(self, root: Array) -> Array:
         """A root (n, r) of the covariance of all parameters; the weights add theirs."""
@@ -40,9 +42,9 @@ class LevelUncertainty:
         values, vectors = np.linalg.eigh(0.5 * (growth + growth.T))
         return np.asarray(root @ (vectors * np.sqrt(1.0 + np.maximum(values, 0.0))))
 
-    def dof(self, root: Array, slope: Array) -> float:
+    def dof(self, slope: Array) -> float:
         """Degrees of freedom of the variance of a quantity with derivatives (n,)."""
-        along = root @ (root.T @ slope)
+        along = self.root @ (self.root.T @ slope)
         change = 2.0 * np.einsum("a,kab,b->k", along, self.information, along)
         variance = float(change @ self.covariance @ change)
         return 2.0 * float(slope @ along) ** 2 / variance if variance > 0.0 else math.inf
@@ -70,5 +72,8 @@ def level_uncertainty(
     left = np.sqrt([shares.get(j, 1.0) for j in levels])
     covariance = (root @ root.T)[np.ix_(levels, levels)] / np.outer(left, left)
     return LevelUncertainty(
-        np.einsum("mk,ma,mb->kab", d, x, x), np.einsum("mk,ml,ma,mb->klab", d, d, x, x), covariance
+        np.einsum("mk,ma,mb->kab", d, x, x),
+        np.einsum("mk,ml,ma,mb->klab", d, d, x, x),
+        covariance,
+        root,
     )
