@@ -136,7 +136,7 @@ def test_it_prints_as_a_table():
     assert [line.split()[0] for line in lines[2:10]] == list(fit().interval())
     assert "success: the fit converged" in lines[-1]
     frame = fit().to_dataframe()
-    assert list(frame.columns) == ["estimate", "std", "lower", "upper"]
+    assert list(frame.columns) == ["estimate", "std", "lower", "upper", "identified"]
     assert frame.loc["V", "estimate"] == fit().x["V"]
 
 

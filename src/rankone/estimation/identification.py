@@ -37,6 +37,7 @@ _END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its r
 _SUSPICIOUS_WIDTH = 0.25
 _ROUNDING = 1e-13  # Share of the largest singular value that is rounding
 _UNIFORM_PRECISION = 12.0  # Of a parameter that may be anywhere in the unit cube
+_ENDLESS_PRECISION = 1e-9  # Of one without bounds: far below what any data say
 _LOST = 1e-3  # Share of the data in a variance below which they say nothing of a direction
 _BOX_SHARE = 0.5  # Share of a variance from the box above which the data do not determine it
 # How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
@@ -265,7 +266,7 @@ class Identification:
     def deviation(self, slope: Array) -> float:
         """The standard deviation of a quantity with derivatives (n,), by the data alone."""
         seen, lost = (float(np.linalg.norm(slope @ root)) for root in (self.seen, self.lost))
-        return seen if lost <= seen else np.inf
+        return np.inf if lost**2 > _LOST * seen**2 else seen
 
     def boxed(self, slope: Array) -> bool:
         """Whether the box decides how sure a quantity with derivatives (n,) is.
@@ -305,7 +306,7 @@ def identify(
     deviation of the scaled residuals.
     """
     free, box = problem.free, np.full(best.z.size, _UNIFORM_PRECISION)
-    box[list(free.endless)] = 0.0
+    box[list(free.endless)] = _ENDLESS_PRECISION
     rows = jacobian[len(jacobian) - len(problem.priors) :]
     for measure, row in zip(problem.priors, rows, strict=True):
         j = free.names.index(measure.name)

@@ -101,9 +101,12 @@ class Intervals(Estimates):
 
     def _profile_interval(self, profile: Profile) -> Interval:
         """The ends of a profile, where the data or the box end it."""
-        low = -math.inf if profile.lower.stop is Stop.BOUND else profile.lower.z
-        high = math.inf if profile.upper.stop is Stop.BOUND else profile.upper.z
-        return self._ends(profile.index, low, high)
+        j, ends = profile.index, (profile.lower, profile.upper)
+        free = j in self._identification.flat and j in self._problem.free.endless
+        ended = [free or end.stop is Stop.BOUND for end in ends]
+        low = -math.inf if ended[0] else profile.lower.z
+        high = math.inf if ended[1] else profile.upper.z
+        return self._ends(j, low, high)
 
     def _ends(self, j: int, low: float, high: float) -> Interval:
         """The values at two places of z_j: bounds outside of the cube, if there are any."""

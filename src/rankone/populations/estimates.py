@@ -27,6 +27,8 @@ from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
 _STEP = 1e-5  # Displacement for derivatives of spreads with respect to their coordinates
+# Share of the largest component of a flat direction from which a parameter moves along it
+_FLAT_SHARE = 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -148,6 +150,16 @@ class PopulationEstimates:
         return uncertainty_of(self._marginal, self._optimum)
 
     @cached_property
+    def identifiable(self) -> dict[str, bool]:
+        """Whether the data identify each parameter of the population."""
+        layout, flat = self._layout, self.uncertainty.flat
+        effects = (effect.name for effect in layout.effects)
+        names = [*layout.names, *effects, *self._spread_names, *layout.levels]
+        shares = np.abs(flat) / np.abs(flat).max(axis=0)
+        unseen = (shares > _FLAT_SHARE).any(axis=1)
+        return dict(zip(names, (~unseen).tolist(), strict=True)) | dict.fromkeys(self.idle, True)
+
+    @cached_property
     def std(self) -> dict[str, float]:
         """Standard errors of :attr:`x`, by linearisation."""
         layout = self._layout
@@ -168,7 +180,7 @@ class PopulationEstimates:
         Those of means are Student's, in the coordinates in which subjects are normal; those of
         standard deviations are chi-squared ones, with a correction for the means that were fitted
         to the same subjects; those of correlations are normal in Fisher's coordinate. They are NaN
-        for what is zero.
+        for what is zero, and infinite for what the data do not identify.
         """
         level = self.level if level is None else checked_level(level)
         layout, psi = self._layout, self._psi
@@ -187,6 +199,8 @@ class PopulationEstimates:
                 intervals[name] = self.uncertainty.interval_of_logarithm(
                     shift, variance, self.x[name], level
                 )
+        unseen = [name for name, identified in self.identifiable.items() if not identified]
+        intervals |= dict.fromkeys(unseen, (-math.inf, math.inf))
         return {**intervals, **dict.fromkeys(self.idle, (math.nan, math.nan))}
 
     def _spread_coordinates(self) -> Iterator[tuple[str, float, float]]:

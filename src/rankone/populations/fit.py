@@ -98,16 +98,9 @@ class PopulationFit(PopulationEstimates, Labelled):
         return min(float(low), box[0]), max(float(high), box[1])
 
     def _not_identified(self) -> Iterator[str]:
-        flat = self.uncertainty.flat
-        if not flat.shape[1]:
+        unseen = [name for name, identified in self.identifiable.items() if not identified]
+        if not unseen:
             return
-        layout = self._layout
-        names = [*layout.names, *(effect.name for effect in layout.effects)]
-        diagonal = [i == j for i, j in layout.entries]
-        names += [*self._spread_names[: sum(diagonal)]]
-        names += ["a correlation"] * (len(diagonal) - sum(diagonal)) + [*layout.levels]
-        shares = np.abs(flat) / np.abs(flat).max(axis=0)
-        unseen = dict.fromkeys(names[p] for p in np.flatnonzero((shares > 0.1).any(axis=1)))
         yield with_remedy(
             f"the data do not identify {listing(unseen)}", "fix some, or measure more"
         )
@@ -167,15 +160,18 @@ class PopulationFit(PopulationEstimates, Labelled):
         rows = []
         for name, (low, high) in self.interval().items():
             shrunk = self.shrinkage.get(name.removeprefix("omega_")) if "omega_" in name else None
+            known = self.identifiable[name] and not math.isnan(low)
             rows.append(
                 [
                     name,
                     f"{self.x[name]:.5g}",
-                    "" if math.isnan(self.std[name]) else f"{self.std[name]:.3g}",
-                    "" if math.isnan(low) else f"[{low:.5g}, {high:.5g}]",
+                    f"{self.std[name]:.3g}" if known else "",
+                    f"[{low:.5g}, {high:.5g}]" if known else "",
                     "" if shrunk is None else f"{100 * shrunk:.0f} %",
                 ]
             )
+            if not self.identifiable[name]:
+                rows[-1][1:4] = ["not identified", "", ""]
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         return Table(
             f"Population of {count(len(self.subjects), 'subject')}: {count(self.size, 'value')} of "
@@ -194,6 +190,7 @@ class PopulationFit(PopulationEstimates, Labelled):
             "std": np.array([self.std[name] for name in intervals]),
             "lower": low,
             "upper": high,
+            "identified": np.array([self.identifiable[name] for name in intervals]),
         }
         arrays = {name: (("parameter",), column) for name, column in columns.items()}
         return Variables(arrays, {"parameter": list(intervals)})

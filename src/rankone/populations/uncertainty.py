@@ -24,6 +24,7 @@ _LARGEST_CORRECTION = 0.5  # Largest change of the logarithm of a standard devia
 _LEAST_FREEDOM = 1.0
 # Ratio of eigenvalues of the scaled information below which a direction is not identified
 _FLAT = 1e-6
+_NO_BOX = 1e-12  # Precision of a direction that no box ends: above rounding
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,9 @@ class Uncertainty:
 def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     """The uncertainty at an optimum."""
     layout = marginal.search.layout
-    covariance, flat = _covariance(optimum.hessian)
+    box = np.zeros(layout.size)
+    box[: len(layout.names)] = 12.0 / (marginal.search.upper - marginal.search.lower) ** 2
+    covariance, flat = _covariance(optimum.hessian, box)
     means, spreads = layout.means, layout.spreads
     scale = standard_steps(optimum.hessian)
     among = covariance[spreads, spreads]
@@ -93,14 +96,19 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     return Uncertainty(covariance, corrected, inflation, freedom, flat)
 
 
-def _covariance(hessian: Array) -> tuple[Array, Array]:
-    """Twice the inverse of the Hessian of -2 log L, infinite along directions that are flat."""
+def _covariance(hessian: Array, box: Array) -> tuple[Array, Array]:
+    """Twice the inverse of the Hessian of -2 log L, and the directions (P, k) that are flat.
+
+    Along these the variance is that of the box, whose precision is ``box`` (P,).
+    """
     scale = standard_steps(hessian)
     eigenvalues, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
     steep = eigenvalues > _FLAT * max(float(eigenvalues.max()), 1e-300)
     kept = vectors[:, steep] * scale[:, None]
     covariance = 2.0 * (kept / eigenvalues[steep]) @ kept.T
-    return covariance, vectors[:, ~steep] * scale[:, None]
+    flat = vectors[:, ~steep] * scale[:, None]
+    precision = np.maximum(np.einsum("pk,p,pk->k", flat, box, flat), _NO_BOX)
+    return covariance + (flat / precision) @ flat.T, flat
 
 
 def _inverse(matrices: Array) -> Array:
