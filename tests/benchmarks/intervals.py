@@ -1,7 +1,7 @@
 """How often printed 95 % intervals hold the true values, and what carries a label instead.
 
     python -m tests.benchmarks.intervals [--only NAME] [--count N] [--calibrations N]
-                                         [--method linear|profile] [--processes N] [--noises N]
+                                         [--method profile|linear] [--processes N] [--noises N]
 
 The twelve designs of tests/reference/designs.py are solved once each and fitted to 400 data sets.
 For each parameter are printed: what the data say of it; how many intervals were printed, and the
@@ -227,7 +227,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=SETS)
     parser.add_argument("--calibrations", type=int, default=20)
     parser.add_argument("--noises", type=int, default=0)
-    parser.add_argument("--method", default="linear", choices=["linear", "profile"])
+    parser.add_argument("--method", default="profile", choices=["profile", "linear"])
     parser.add_argument("--processes", type=int, default=1)
     chosen = parser.parse_args()
     runs = [

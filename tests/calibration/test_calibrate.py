@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
+from tests.reference.designs import WIDE
 
 TRUTH = {"k1": 0.04, "k2": 1e4, "k3": 3e7}
 TIMES = np.geomspace(0.01, 40, 12)
@@ -120,6 +121,62 @@ def test_parameters_that_the_data_do_not_tell_apart_are_named():
     assert "the data do not identify `a` and `b`" in calibration.message
     assert set(calibration.boxes[-1].intervals) == {"c"}
     assert calibration.x["a"] * calibration.x["b"] == pytest.approx(0.8, rel=0.2)
+    # the interval holds for all values of the others, that of the fit for those that it holds
+    fit, (low, high) = calibration.fit, calibration.intervals["c"]
+    inner = fit.interval()["c"]
+    assert low < inner[0] < inner[1] < high
+    assert high - low > 1.5 * (inner[1] - inner[0])
+    assert set(fit.held) == {"a", "b"}
+    assert "`a` and `b` held" in repr(fit)
+    assert not fit.success
+
+
+def calibrated(name, k):
+    """A design of wide bounds, calibrated from a data set."""
+    design = next(each for each in WIDE if each.name == name)
+    problem = ro.Problem.from_strings(
+        dict(design.rates), dict(design.initial), dict(design.box), (0, design.end)
+    )
+    experiment = ro.Experiment(
+        design.data(k), design.times, observe=design.observed, sigma=design.sigma
+    )
+    return ro.calibrate(problem, experiment, starts=4, seed=k), design
+
+
+@pytest.mark.slow
+def test_a_cascade_whose_fastest_rate_has_no_upper_bound():
+    calibration, design = calibrated("cascade over four decades", 0)
+    assert calibration.limited == {"k1": "upper"}
+    assert calibration.intervals["k1"][1] == design.box["k1"][1]
+    assert "upper bound" in repr(calibration)
+    for name in ("k2", "k3"):
+        low, high = calibration.intervals[name]
+        assert low < design.truth[name] < high
+    assert not calibration.success
+    assert not calibration.fit.success
+
+
+def test_a_volume_that_the_data_do_not_tell_has_no_interval():
+    calibration, _ = calibrated("a volume of which only the clearance over it is seen", 0)
+    assert {*calibration.not_identified, *calibration.limited} >= {"CL", "V"}
+    assert "inf" not in repr(calibration)
+    assert not calibration.success
+    for low, high in calibration.intervals.values():
+        assert low > 0.0
+        assert np.isfinite(high)
+
+
+def test_an_unknown_noise_widens_intervals_as_in_a_fit():
+    """Student's quantile and the variance without bias, as a fit in a box has them."""
+    times = np.linspace(0.2, 3.0, 8)
+    data = 2.0 * np.exp(-0.7 * times) + 0.05 * np.random.default_rng(4).normal(size=8)
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"}, {"x": "a"}, {"k": (0.1, 10, "log"), "a": (0.1, 10, "log")}, (0, 3)
+    )
+    calibration = ro.calibrate(problem, ro.Experiment(data, times, observe="x"), starts=2)
+    assert calibration.success, calibration.message
+    for name, ends in calibration.fit.interval().items():
+        np.testing.assert_allclose(calibration.intervals[name], ends, rtol=5e-3)
 
 
 @pytest.mark.slow

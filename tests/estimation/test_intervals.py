@@ -107,7 +107,9 @@ def test_parameters_of_observables_without_bounds_have_endless_intervals():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["enzyme, saturated at first", "a feed of zero, the end of its box"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", ["enzyme, saturated at first", "a feed of zero, the end of its box"]
+)
 def test_coverage_of_designs(name):
     """Of 100 data sets; all 400 of each are counted by tests/benchmarks/intervals.py."""
     design: Design = next(each for each in DESIGNS if each.name == name)
