@@ -23,6 +23,7 @@
 ``descent``             the way down from one start, by least squares in a box of trust
 ``starts``              many starts, and which of them go on
 ``uncertainty``         how far the data determine each parameter
+``profiles``            how far parameters can go, by trajectories
 ``comparison``          measurements beside predictions, for plots
 ``of_files``            the likelihood of a problem from files, as searches take it
 ``from_files``          the calibration of a problem from files
