@@ -450,3 +450,18 @@ def test_a_guard_against_a_division_by_zero_at_rest():
     np.testing.assert_array_equal(solution["q"](t=[0, 0.5, 0.99], k=1.0), 0)
     exact = guarded.trajectory([2, 3], k=1.0, rtol=1e-9).values
     np.testing.assert_allclose(solution(t=[2, 3], k=1.0), exact, atol=3 * RTOL)
+
+
+def test_a_level_that_is_a_case_of_time_is_held_and_left():
+    """Fed up to 2, where it slides until the level is 4."""
+    rates = {"S": "Piecewise((F, S < Piecewise((2, t < 4), (4, True))), (0, True)) - m*S"}
+    box = {"F": (2, 3), "m": (0.2, 0.4)}
+    solution = ro.solve(problem(rates, {"S": 0.5}, box, 8), RTOL)
+    assert solution.success
+    times = np.linspace(0, 8, 41)
+    for inflow, loss in points(box):
+        full = inflow / loss
+        first = full - (full - 0.5) * np.exp(-loss * times)
+        second = full - (full - 2) * np.exp(-loss * (times - 4))
+        exact = np.where(times < 4, np.minimum(first, 2), np.minimum(second, 4))
+        np.testing.assert_allclose(solution["S"](t=times, F=inflow, m=loss), exact, atol=8 * RTOL)

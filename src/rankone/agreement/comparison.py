@@ -292,6 +292,8 @@ _FUNCTIONS: dict[str, Operation] = {
     "DiracDelta": lambda *_: fzero,  # impulses are jumps
     "Piecewise": _piecewise,
     "And": lambda *truths: all(truths),
+    "ITE": lambda condition, yes, no: yes if condition else no,
+    "Xor": lambda *truths: sum(truths) % 2 == 1,
     "Or": lambda *truths: any(truths),
     "Not": lambda truth: not truth,
 }

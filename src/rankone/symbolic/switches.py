@@ -423,7 +423,8 @@ class _Sliding:
             on_side = group[0].state, _on_side(group[0])
             cases = [*rests.cases(sp.S.One, sp.S.NegativeOne)]
             # Rates may be the same on both sides where what makes one of them zero ends
-            share = -drift * slope / (slope**2 + _LEAST) if cases else -drift / slope
+            ends = cases or slope.has(sp.Piecewise)
+            share = -drift * slope / (slope**2 + _LEAST) if ends else -drift / slope
             return {unknowns[0]: sp.Piecewise(on_side, *cases, (share, True))}
         matrix, vector = sp.Matrix(rows), sp.Matrix(right)
         solved = matrix.adjugate() * vector / matrix.det(method="berkowitz")
