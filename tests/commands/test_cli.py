@@ -170,6 +170,8 @@ def test_another_domain_and_options_reach_the_solver(
         (["--options", "max_rank=many"], "max_rank='many' is not valid"),
         (["--options", "max_rnk=3"], "unknown option 'max_rnk' (did you mean `max_rank`?)"),
         (["--options", "rtol=1e-3"], "--options: `rtol` is not an option of the engine"),
+        (["--tol", "1e-3"], "unrecognized arguments: --tol 1e-3 (did you mean `--rtol`?)"),
+        (["--t-finl=3"], "unrecognized arguments: --t-finl=3 (did you mean `--t-final`?)"),
         (["--options", "self=1"], "--options: `self` is not an option of the engine"),
     ],
 )

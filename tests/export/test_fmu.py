@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import re
@@ -19,7 +20,8 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.export.model_fmu import checked_fmi
+from rankone.export.model_fmu import checked_fmi, fmu_model
+from rankone.export.packing import pack
 from rankone.ir.verdict import Status
 from rankone.support.errors import ExportError, OptionError, RankoneWarning
 from tests.export.solutions import points, solved, synthetic
@@ -280,6 +282,10 @@ def test_names(fmi, tmp_path):
     variables = [variable.get("name") for variable in root.find("ModelVariables")]
     assert variables == ["a_b_", "a_b__", "a_b", "<&\"' %#_", "x", "int"]
     assert root.get("modelName") == "naïve model-1"
+    model = pack(ro.Solution(solution.outcome, replace(solution.metadata, **names)))
+    content = fmu_model(model, Path("a.fmu"), fmi=fmi, name="Pendulum")[Path("a.fmu")]
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert b'modelName="Pendulum"' in archive.read("modelDescription.xml")
     assert root.find("CoSimulation").get("modelIdentifier") == "naive_model_1"
     if fmpy is not None:
         assert validate_fmu(str(path)) == []

@@ -11,7 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rankone.commands import evaluate, export, fit, report, solve
 from rankone.commands.common import BAD_INPUT, FAILURE, complain
@@ -46,7 +46,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Errors in one line."""
+    """Errors in one line; unknown options are told the one that is like them."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        arguments, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            from rankone.support.wording import did_you_mean
+
+            options = [option for action in self._actions for option in action.option_strings]
+            named = (each.partition("=")[0] for each in unknown if each.startswith("--"))
+            hint = next(filter(None, (did_you_mean(each, options) for each in named)), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return arguments, unknown
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")

@@ -147,7 +147,12 @@ def export_model(
         ".c": c_model,
         ".js": javascript_model,
         ".mjs": javascript_model,
-        ".fmu": partial(fmu_model, fmi=version, timeless=solution.metadata.timeless),
+        ".fmu": partial(
+            fmu_model,
+            fmi=version,
+            name=solution.metadata.name,
+            timeless=solution.metadata.timeless,
+        ),
     }
     if target.suffix == ".html":
         check_states(states)

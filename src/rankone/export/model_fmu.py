@@ -74,18 +74,19 @@ def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
 
 
 def fmu_model(
-    model: PackedModel, path: Path, *, fmi: FMI = "2.0", timeless: bool = False
+    model: PackedModel, path: Path, *, fmi: FMI = "2.0", name: str = "", timeless: bool = False
 ) -> dict[Path, Content]:
-    """The archive of a model, by the path of the file; its stem names the model.
+    """The archive of a model, by the path of the file.
 
-    ``timeless`` says that the outputs are the same at all times. Without a compiler the FMU has the
-    sources alone, with a RankoneWarning.
+    The model has the ``name`` of the problem, or else the stem of the file; the stem names what is
+    inside. ``timeless`` says that the outputs are the same at all times. Without a compiler the FMU
+    has the sources alone, with a RankoneWarning.
     """
     identifier = c_identifier(path.stem)[:_LONGEST_IDENTIFIER]
     files_in_c = c_model(model, Path(f"{identifier}_model.c"))
     evaluation = {file.name: text for file, text in files_in_c.items() if isinstance(text, str)}
     names = f"fmi{fmi[0]}.c", f"{identifier}_model.c"
-    about = Description(model, fmi, path.stem, identifier, names, timeless)
+    about = Description(model, fmi, name or path.stem, identifier, names, timeless)
     token = _fingerprint(model_description(about, ""), _wrapper(about, ""), evaluation)
     sources = _wrapper(about, token) | evaluation
     files = {"modelDescription.xml": model_description(about, token)}
