@@ -355,7 +355,10 @@ class MeasuredError(Note):
             text = f"{interior}: {self.error:.1e} of {self.rtol:.1e}"
         else:
             worst = "" if self.unknown is None else f" in {quote(self.unknown)}"
-            text = f": measured error {self.error:.1e}{worst}, asked {self.rtol:.1e}"
+            digits = next(
+                (d for d in range(1, 17) if f"{self.error:.{d}e}" != f"{self.rtol:.{d}e}"), 1
+            )
+            text = f": measured error {self.error:.{digits}e}{worst}, asked {self.rtol:.{digits}e}"
         if self.corners is not None:
             text += f" (up to {self.corners:.1e} at the corners, which count with cover='box')"
         if self.drift is not None:
@@ -409,6 +412,8 @@ class Budget(Note):
     @classmethod
     def of(cls, work: dict[str, float], operations: float) -> tuple[Budget, ...]:
         """The note, if there is a budget and a stage that took much of it."""
+        if operations <= 0.0:
+            return ()
         shares = tuple((stage, done / operations) for stage, done in work.items())
         told = tuple((stage, share) for stage, share in shares if share >= _LEAST_SHARE)
         return (cls(told),) if told else ()
@@ -447,16 +452,20 @@ class Remedy(Note):
 class NarrowBox(Note):
     """Parameters to narrow, each with an interval on which the solve is predicted to converge.
 
-    The nodes that the best attempt had, and the modes that it lacked, tell the intervals.
+    The nodes that the best attempt had, and the modes that it lacked, tell the intervals; or the
+    solve was ``tried`` on them.
     """
 
     intervals: tuple[tuple[str, float, float], ...]
+    tried: bool = False
 
     def sentence(self, status: Status) -> str:
         ranges = [
-            f"{quote(name)} to [{lower:g}, {upper:g}]" for name, lower, upper in self.intervals
+            f"{quote(name)} to [{lower:.12g}, {upper:.12g}]"
+            for name, lower, upper in self.intervals
         ]
-        return f"it is predicted to converge if you narrow {' and '.join(ranges)}"
+        converges = "converges" if self.tried else "is predicted to converge"
+        return f"it {converges} if you narrow {' and '.join(ranges)}"
 
 
 @dataclass(frozen=True)

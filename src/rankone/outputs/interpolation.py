@@ -37,9 +37,9 @@ from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
+    budget_left,
     limited,
     seconds_left,
-    work_left,
 )
 from rankone.support.errors import ConvergenceError
 from rankone.support.executors import Pool
@@ -159,7 +159,7 @@ class OutputInterpolation:
                 default = _DEFAULT_MARGIN * max(solution.rtol, effect)
                 rtol = min(default, max(_LARGEST_DEFAULT, solution.rtol))
             target = self._check(sampler, np.concatenate([points.aimed, critical]))
-            with limited(_TRAIN_SHARE * work_left(), _TRAIN_SHARE * seconds_left()):
+            with limited(_TRAIN_SHARE * budget_left(), _TRAIN_SHARE * seconds_left()):
                 slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)

@@ -6,6 +6,7 @@
 ``selection``      a solve that tries one engine after another
 ``attempts``       reference, march, check, tighten, until the measured error fits
 ``narrowing``      which parameters to narrow where that does not happen, and to what
+``remedies``       what to do about a refused solve, tried before it is offered
 ``march``          one pass over the horizon, slab after slab
 ``interpolation``  initial values and states after jumps, interpolated in a tensor train
 ``stretches``      solves over stretches between events

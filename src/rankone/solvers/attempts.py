@@ -6,7 +6,7 @@ import itertools
 import math
 import time as clock
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
@@ -38,7 +38,9 @@ from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
 from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,
-    limited,
+    budget_left,
+    keeping_back,
+    persisting,
     seconds_left,
     work_done,
     work_left,
@@ -52,7 +54,7 @@ from rankone.verification.reference import safe_intervals
 from rankone.verification.reference_set import ReferenceSet
 from rankone.verification.worst_points import worst_points
 
-EXPLANATION_OPERATIONS = 5e9
+EXPLANATION_OPERATIONS = 1.5e9
 """Most operations kept back, and spent, to explain a failure: to find the steep parameter."""
 EXPLANATION_SECONDS = 5.0
 """Most seconds of a time limit kept back for the same: about what those operations take."""
@@ -144,9 +146,11 @@ class Progress:
 
     stalls: int = 0
     _recent: tuple[bool, ...] = ()
+    _least: tuple[float, ...] = ()
 
     def add(self, error: float, best: float) -> None:
         """Record an attempt; ``best`` is the least error before it."""
+        self._least = (*self._least, min(error, best))[-RECENT_ATTEMPTS:]
         self.stalls = self.stalls + 1 if error > STALLED_RATIO * best else 0
         lowered = best < math.inf and PAYING_FACTOR * error <= best
         self._recent = (*self._recent, lowered)[-RECENT_ATTEMPTS:]
@@ -155,6 +159,19 @@ class Progress:
     def pays(self) -> bool:
         """Whether another attempt is worth its work in any case."""
         return any(self._recent)
+
+    def going_on(self, work: float, rtol: float) -> AbstractContextManager[None]:
+        """What another attempt of so much work runs in, after one that took as much.
+
+        It may take all of the budget where the tolerance is reached within it if the error goes on
+        to fall as it did.
+        """
+        first, last = (self._least or (math.inf,))[0], min(self._least, default=math.inf)
+        if not self.pays or not rtol < last < first < math.inf:
+            return nullcontext()
+        fall = math.log(first / last) / (len(self._least) - 1)
+        further = math.ceil(math.log(last / rtol) / fall)
+        return persisting() if further * work <= budget_left() else nullcontext()
 
 
 class Stages:
@@ -237,10 +254,10 @@ def solve_in_attempts(
     ``marcher_of`` integrates it and makes the engine's marcher, ``options`` are those of the
     engine. A part of the budget is kept back to explain a failure.
     """
-    stages, kept_back = Stages(), min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * work_left())
+    stages, kept_back = Stages(), min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * budget_left())
     seconds = min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds_left())
     tell_fallback(system, request.integrator)
-    with limited(work_left() - kept_back, seconds_left() - seconds):
+    with keeping_back(kept_back, seconds):
         try:
             with stages.of("reference"):
                 marcher = marcher_of()
@@ -252,7 +269,7 @@ def solve_in_attempts(
     if made.limit is not None and status is not Status.CONVERGED:
         status = made.limit
     narrower: list[Note] = []
-    with stages.of("check"), limited(kept_back):
+    with stages.of("check"), persisting(kept_back):
         with suppress(OutOfBudgetError):
             narrower = _narrowed(marcher, status, best, request, stages)
         try:
@@ -411,10 +428,10 @@ def _attempts(
     """March and check until the measured error fits, or there is nothing left to try."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
-    progress, limit = Progress(), None
+    progress, limit, work = Progress(), None, 0.0
     for index in itertools.count():
         marched = stages.work["march"]
-        with stages.of("march"):
+        with stages.of("march"), progress.going_on(work, rtol):
             try:
                 result = marcher.march(index, report)
             except MemoryError:
@@ -427,7 +444,7 @@ def _attempts(
         records += result.records
         stages.sampled += result.sampled
         before = marcher.reference_set
-        with stages.of("check"):
+        with stages.of("check"), persisting():
             work = stages.work["march"] - marched
             attempt = Attempt(result, measure(before, result.slabs), work)
             try:
@@ -453,14 +470,16 @@ def _attempts(
             most = options.usual_attempts
         if done or (most is not None and index + 1 >= most):
             break
-        if not marcher.refine(attempt, progress):
-            break
-        if LEAST_COST_RATIO * attempt.work > work_left():
-            limit = Status.WORK_LIMIT  # the next attempt would not come to its end
-            break
+        with progress.going_on(work, rtol):
+            if not marcher.refine(attempt, progress):
+                break
+            if LEAST_COST_RATIO * work > work_left():
+                limit = Status.WORK_LIMIT  # the next attempt would not come to its end
+                break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    best = _restated(best, marcher.reference_set, rtol)
+    with persisting(EXPLANATION_SHARE * budget_left()):
+        best = _restated(best, marcher.reference_set, rtol)
     return _Attempts(best, records, limit, result.memory_needed)
 
 

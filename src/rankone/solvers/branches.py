@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.measures import LINEAR
+from rankone.ir.measures import LINEAR, Interval
 from rankone.ir.outcome import Outcome
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
@@ -25,7 +25,7 @@ from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches
 from rankone.solvers.one_order import remedy_of
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
+from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
@@ -144,11 +144,11 @@ class _Solves:
         """
         search, parted = self._parted(search)
         outcomes, timelines = list[Outcome](), list[Timeline]()
-        whole = work_left()
+        whole = budget_left()
         for k, branch in enumerate(parted.branches):
             of_rest = 1.0 / (len(parted.branches) - k)
             most = whole * (MOST_OF_OPENED if branch.opened.turns else _MOST_OF_ONE)
-            with limited(min(of_rest * work_left(), most), of_rest * seconds_left()):
+            with limited(min(of_rest * budget_left(), most), of_rest * seconds_left()):
                 outcome, timeline = self._solved_branch(search, branch, share)
             if not outcome.slabs or outcome.status not in _SOLVED:
                 raise _unresolved(search.named(branch.order), outcome)
@@ -215,7 +215,7 @@ class _Solves:
         if self.search is not None:
             reason = f"{reason}: {_largest_orders(self.search)}"
             with self.stages.of("reference"):
-                remedy = remedy_of(self.search)
+                remedy, _ = remedy_of(self.search)
         notes.append(Remedy(_RAISED.get(status, "") + remedy))
         cause = OrderSearchLimit(reason)
         ended = Outcome((), status, None, (), {}, {}, cause=cause, notes=tuple(notes))
@@ -232,8 +232,8 @@ class _Solves:
         if len(search.groups()) == 1:
             return None
         with self.stages.of("reference"):
-            remedy = remedy_of(search)
-        return _limited_error(failure.message, failure.limit, remedy)
+            remedy, part = remedy_of(search)
+        return _limited_error(failure.message, failure.limit, remedy, part)
 
 
 def _unresolved(order: str, outcome: Outcome) -> OrderError:
@@ -244,11 +244,16 @@ def _unresolved(order: str, outcome: Outcome) -> OrderError:
     return _limited_error(message, status if status in _RAISED else None, REMEDY)
 
 
-def _limited_error(message: str, limit: Status | None, remedy: str) -> OrderError:
+def _limited_error(
+    message: str,
+    limit: Status | None,
+    remedy: str,
+    part: tuple[Interval, ...] | None = None,
+) -> OrderError:
     """The error of what is not solved, perhaps because a limit was reached."""
     raised = "" if limit is None else _RAISED[limit]
     error = OrderError(message, remedy=raised + remedy)
-    error.limit = limit
+    error.limit, error.part = limit, part
     return error
 
 

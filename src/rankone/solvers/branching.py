@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rankone.ir.events import Beginning, ForcedOrder, Guard, Turn
 from rankone.ir.timeline import Fork, Grazing, Opening
 from rankone.support.arrays import Array
-from rankone.support.budget import limited, work_left
+from rankone.support.budget import budget_left, limited
 from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.openings import (
@@ -214,7 +214,7 @@ class _Branching:
         for k, parent in enumerate(branches):
             step = order.parts_at(parent.order)
             try:
-                with limited(MOST_OF_OPENED * work_left()):
+                with limited(MOST_OF_OPENED * budget_left()):
                     opened = self._opened_at(failed, parent, step)
                     if opened is None:
                         continue

@@ -24,7 +24,7 @@ from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import FirstPoints, SolveStart, goes_in_step, start_of
 from rankone.solvers.stretches import clock_of, over_stretches
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
+from rankone.support.budget import OutOfBudgetError, part_of_budget
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
@@ -40,7 +40,7 @@ from rankone.verification.reference_set import ReferenceSet
 
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches
-_KINKS_SHARE, _HELD_SHARE = 0.12, 0.6
+_KINKS_SHARE, _HELD_SHARE = 0.12, 0.75
 _LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretches between them
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 # Most events before the end that some trajectories meet, beyond those that the first ones met
@@ -79,17 +79,17 @@ class Engine:
         jumps = system.features.n_steps or system.features.n_moving_steps
         kinks = not system.events and not jumps
         if kinks and request.rtol < _LOOSE:
-            with limited(*_part(_HELD_SHARE)), suppress(ConvergenceError):
+            with part_of_budget(_HELD_SHARE), suppress(ConvergenceError):
                 held = self._solve_in_order(system.held, request, report, Stages(), crossed=True)
         if kinks and held is None:
-            with limited(*_part(_KINKS_SHARE)), suppress(ConvergenceError):
+            with part_of_budget(_KINKS_SHARE), suppress(ConvergenceError):
                 outcome = self._solve_as_written(system, request, report)
                 if outcome.status in _SOLVED:
                     return outcome
         failure: ConvergenceError | None = None
         if held is None:
             try:
-                with limited(*_part(_HELD_SHARE)):
+                with part_of_budget(_HELD_SHARE):
                     held = self._solve_over_stretches(system.held, request, report)
             except ConvergenceError as error:
                 failure = error
@@ -122,7 +122,7 @@ class Engine:
             try:
                 return self._solve_over_stretches(system, request, report)
             except OrderError as error:
-                with limited(*_part(_KINKS_SHARE)), suppress(ConvergenceError):
+                with part_of_budget(_KINKS_SHARE), suppress(ConvergenceError):
                     outcome = self._solve(system, request, report)
                     if outcome.status in _SOLVED:
                         return outcome
@@ -320,11 +320,6 @@ def _is_better(one: Outcome, other: Outcome) -> bool:
     if not other.slabs or other.measured is None:
         return True
     return one.measured.error < other.measured.error
-
-
-def _part(share: float) -> tuple[float, float]:
-    """A share of the operations and seconds that are left."""
-    return share * work_left(), share * seconds_left()
 
 
 def sums(*by_stage: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,13 @@ from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
 from rankone.solvers.stretches import over_stretches, pilots
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfWorkError, limited, looking, memory_left, work_left
+from rankone.support.budget import (
+    OutOfWorkError,
+    limited,
+    looking,
+    memory_left,
+    work_left,
+)
 from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.event_trajectory import EventTrajectory

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rankone.ir.measures import Interval
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_left
+from rankone.support.budget import OutOfBudgetError, budget_left, persisting
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.orders import OrderSearch
@@ -22,7 +22,7 @@ _CHECKED = 48  # Trajectories inside of a part that have to be of one order as w
 _ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
 _UNITS = 20.0  # Units of the last digit in an interval that is told, at least
 _ROUNDING = 1e-6  # Of such a unit
-_SHARE = 0.3  # Of what is left of the budget, for the search for a part
+_SHARE = 0.1  # Of what is left of the budget, for the search for a part
 _LEAST = 0.05  # Width of a part, over that of the box, below which it is of no use
 
 
@@ -46,36 +46,36 @@ def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
     return None
 
 
-def remedy_of(search: OrderSearch) -> str:
+def remedy_of(search: OrderSearch) -> tuple[str, tuple[Interval, ...] | None]:
     """What to do about orders that cannot be continued: a part of the box, if there is one."""
     try:
-        with limited(_SHARE * work_left(), seconds_left()):
+        with persisting(_SHARE * budget_left()):
             part = one_order(search)
     except OutOfBudgetError:
         part = None
     if part is None:
-        return REMEDY
+        return REMEDY, None
     narrowed = narrowing_text(search.system.parameters, search.bounds, part)
-    return f"narrow {narrowed}: events come in one order there"
+    return f"narrow {narrowed}: events come in one order there", part
 
 
 def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> str:
     """Which parameters to narrow, and to what."""
     narrowed = [
-        f"{quote(name)} to {_inside_text(ends)}"
+        "{} to [{:.12g}, {:.12g}]".format(quote(name), *inside(ends))
         for name, whole, ends in zip(names, bounds.tolist(), part, strict=True)
         if list(ends) != whole
     ]
     return " and ".join(narrowed)
 
 
-def _inside_text(ends: Interval) -> str:
+def inside(ends: Interval) -> Interval:
     """An interval inside another one, with ends of few digits."""
     lower, upper = ends
     unit = 10.0 ** math.floor(math.log10((upper - lower) / _UNITS))
     low = math.ceil(lower / unit - _ROUNDING) * unit
     high = math.floor(upper / unit + _ROUNDING) * unit
-    return f"[{low:.12g}, {high:.12g}]"
+    return float(f"{low:.12g}"), float(f"{high:.12g}")
 
 
 def _largest_part(search: OrderSearch) -> Array | None:

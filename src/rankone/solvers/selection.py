@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from rankone.ir.measures import moved_measures
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome
-from rankone.ir.request import SolveRequest, check_factors
+from rankone.ir.request import Limits, SolveRequest, check_factors
 from rankone.ir.system import System
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.engine import Engine, sums, without_last
-from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
+from rankone.solvers.remedies import Trials, with_remedy, with_tried_remedy
+from rankone.support.budget import (
+    PATIENCE,
+    REFUSAL,
+    OutOfBudgetError,
+    budget_left,
+    limited,
+    patient,
+    seconds_left,
+    unlimited,
+    work_done,
+    work_left,
+)
+from rankone.support.errors import ConvergenceError
 from rankone.support.progress import Report, quiet
 from rankone.verification.measure import drift, measure
 from rankone.verification.reference_set import ReferenceSet
@@ -34,6 +49,8 @@ _TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
 # Share of the budget for cross if train follows: most systems need no second engine, which has the
 # reference of the first
 _CROSS_SHARE = 0.78
+# Share of the budget that remedies may take where the solve itself took less
+_LEAST_REMEDY_SHARE = 0.06
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
@@ -56,7 +73,15 @@ def solve_with(
     system.jumps.warn_of_last(*domain.horizon)
     held = limited(limits.operations, limits.seconds, limits.memory)
     with held, sharing_references(), np.errstate(all="ignore"):  # is checked
-        outcome, method = _best_outcome(engines, system, request, report)
+        trials = Trials(request, system.parameters, partial(_tried, engines, system))
+        try:
+            with patient(PATIENCE * limits.operations):
+                outcome, method = _best_outcome(engines, system, request, report)
+        except ConvergenceError as error:
+            with _remedying(limits):
+                raise with_tried_remedy(error, trials) from None
+        with _remedying(limits):
+            outcome = with_remedy(outcome, request, trials)
         outcome = _without_lifted(outcome, system, request, truth)
     box, horizon, rtol = domain.box, domain.horizon, request.rtol
     intervals = dict(zip(metadata.parameters, box, strict=True))
@@ -102,9 +127,28 @@ def _best_outcome(
     return replace(best, timings=timings, work=work, notes=notes), method
 
 
+@contextmanager
+def _remedying(limits: Limits) -> Iterator[None]:
+    """Limit trials of remedies to what the solve took, and to a part of its budget."""
+    most = max(REFUSAL * limits.operations - work_done(), (REFUSAL - PATIENCE) * limits.operations)
+    with limited(min(most, max(work_done(), _LEAST_REMEDY_SHARE * limits.operations))):
+        yield
+
+
+def _tried(engines: Sequence[Engine], system: System, request: SolveRequest) -> Outcome | None:
+    """The outcome of a trial by the engine that takes most; None if it ends in an error."""
+    engines = [engine for engine in engines if engine.name == "cross"] or engines
+    if budget_left() <= 0.0:
+        return None
+    with suppress(ConvergenceError, OutOfBudgetError):
+        outcome, _ = _best_outcome(engines, system, request, quiet)
+        return outcome
+    return None
+
+
 def _share(engine: Engine, last: bool) -> tuple[float, float]:
     """Operations and seconds for an engine: train before cross gets a short attempt."""
-    work, seconds = work_left(), seconds_left()
+    work, seconds = budget_left(), seconds_left()
     if last:
         return work, seconds
     if engine.name == "train":

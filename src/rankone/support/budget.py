@@ -23,7 +23,11 @@ EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best
 MEMORY_HELP = "limit of memory, such as 2GB; what would not fit is refused"
 SECONDS_HELP = "time limit on the clock; the best so far is kept"
 NORMAL = 2.5e10
-"""Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
+"""Most operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
+PATIENCE = 0.43
+"""Share of a budget after which a solve ends unless its attempts still improve."""
+REFUSAL = 0.57
+"""Share of a budget by which such a solve is refused: what is left goes into trials of remedies."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
@@ -84,20 +88,25 @@ class OutOfMemoryError(OutOfBudgetError):
 class Account:
     """The work that was counted, and the limits on it.
 
-    ``done`` operations are counted, at most ``most`` may be; once ``telling`` ones are, those that
-    are foreseen count too. ``memory`` are the bytes that may be held at once, and ``held`` those
-    that are kept for now. ``end`` is the deadline, by
+    ``done`` operations are counted, at most ``most`` may be, and ``patience`` where nothing
+    improves; once ``telling`` ones are, those that are foreseen count too. ``memory`` are the bytes
+    that may be held at once, and ``held`` those that are kept for now. ``end`` is the deadline, by
     ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
     whose answer is kept.
     """
 
-    __slots__ = ("done", "end", "held", "memory", "most", "once", "telling")
+    __slots__ = ("done", "end", "held", "memory", "most", "once", "patience", "telling")
 
     def __init__(self) -> None:
         self.done, self.most, self.end = 0.0, math.inf, math.inf
-        self.telling = math.inf
+        self.patience = self.telling = math.inf
         self.held, self.memory = 0.0, math.inf
         self.once: set[Hashable] = set()
+
+    @property
+    def limit(self) -> float:
+        """The operations that may be counted now."""
+        return min(self.most, self.patience)
 
     def release(self, count: float) -> None:
         """Give back this many bytes."""
@@ -131,6 +140,46 @@ def limited(
 
 
 @contextmanager
+def patient(operations: float) -> Iterator[None]:
+    """End the work inside after so many operations, except for what is :func:`persisting`."""
+    account = _ACCOUNT.get() or Account()
+    before = account.patience
+    account.patience = min(before, account.done + operations)
+    try:
+        yield
+    finally:
+        account.patience = before
+
+
+@contextmanager
+def persisting(operations: float = math.inf) -> Iterator[None]:
+    """Go on inside where patience has ended, for at most so many operations."""
+    account = _ACCOUNT.get() or Account()
+    before, account.patience = account.patience, math.inf
+    try:
+        with limited(operations):
+            yield
+    finally:
+        account.patience = before
+
+
+@contextmanager
+def part_of_budget(share: float) -> Iterator[None]:
+    """Leave a share of all that is left to the work inside."""
+    hard, soft, seconds = share * budget_left(), share * work_left(), share * seconds_left()
+    with limited(hard, seconds), patient(soft):
+        yield
+
+
+@contextmanager
+def keeping_back(operations: float, seconds: float = 0.0) -> Iterator[None]:
+    """Leave so many operations and seconds of what is left for what comes after the work inside."""
+    hard, soft = budget_left() - operations, work_left() - operations
+    with limited(hard, seconds_left() - seconds), patient(soft):
+        yield
+
+
+@contextmanager
 def looking(operations: float) -> Iterator[Account]:
     """Limit the work inside, which ends early where more than that is foreseen.
 
@@ -152,12 +201,12 @@ def looking(operations: float) -> Iterator[Account]:
 def unlimited() -> Iterator[None]:
     """Count the work inside, but without a limit: a solution has to be measured in any case."""
     account = _ACCOUNT.get() or Account()
-    before = account.most, account.end
-    account.most = account.end = math.inf
+    before = account.most, account.patience, account.end
+    account.most = account.patience = account.end = math.inf
     try:
         yield
     finally:
-        account.most, account.end = before
+        account.most, account.patience, account.end = before
 
 
 @contextmanager
@@ -189,8 +238,9 @@ def charge(operations: float) -> None:
     if account is None:
         return
     done = account.done + operations
-    if done > account.most:
-        account.done = account.most  # the remaining budget does not depend on the call that ran out
+    if done > account.limit:
+        # the remaining budget does not depend on the call that ran out
+        account.done = max(account.done, account.limit)
         raise OutOfWorkError
     account.done = done
     if (
@@ -203,7 +253,7 @@ def charge(operations: float) -> None:
 def foresee(operations: float) -> None:
     """Raise an OutOfWorkError if so many further operations are more than a look has left."""
     account = _ACCOUNT.get()
-    if account is not None and account.telling <= account.done > account.most - operations:
+    if account is not None and account.telling <= account.done > account.limit - operations:
         raise OutOfWorkError
 
 
@@ -256,6 +306,12 @@ def work_done() -> float:
 
 def work_left() -> float:
     """Operations until the limit; infinite if there is none."""
+    account = _ACCOUNT.get()
+    return math.inf if account is None else account.limit - account.done
+
+
+def budget_left() -> float:
+    """Operations until the limit of what still improves: what shares are taken of."""
     account = _ACCOUNT.get()
     return math.inf if account is None else account.most - account.done
 

@@ -113,7 +113,7 @@ class CrossMarcher:
         Status.TRAJECTORY_LIMIT: "raise max_trajectories, narrow the box or loosen rtol",
         Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
-        Status.STEEP: "solve the parts of the box on either side on their own, or loosen rtol",
+        Status.STEEP: "narrow the box or shorten the horizon",
     }
 
     def __init__(

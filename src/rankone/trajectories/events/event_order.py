@@ -31,10 +31,12 @@ REMEDY = "narrow the box to where all trajectories meet the same events in the s
 class OrderError(ConvergenceError):
     """A trajectory does not meet the events of the others, or not in their order.
 
-    ``limit`` is the one that was reached where that is known, and not solved for that.
+    ``limit`` is the one that was reached where that is known, and not solved for that. ``part`` are
+    the intervals of a part of the box in which events come in one order, if one was found.
     """
 
     limit: Status | None = None
+    part: tuple[tuple[float, float], ...] | None = None
 
 
 class TrajectoryEndError(OrderError):

@@ -1,0 +1,129 @@
+"""Refusals come soon, and their remedies succeed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+
+import pytest
+
+import rankone as ro
+from rankone.ir.verdict import MeasuredError, NarrowBox, Status, Verdict
+from rankone.solvers.attempts import Progress
+from rankone.support.budget import (
+    NORMAL,
+    OutOfWorkError,
+    charge,
+    keeping_back,
+    limited,
+    patient,
+    persisting,
+    work_left,
+)
+from tests.reference.refusals import REFUSALS
+
+FIRST_END = re.compile(r"end the horizon before t = ([0-9.e+-]+)")
+
+
+@pytest.mark.parametrize("name", ["separatrix that moves", "oblique step over two parameters"])
+def test_the_part_beside_a_jump_is_solved(name):
+    case = REFUSALS[name]
+    refused = ro.solve(case.problem(), case.rtol)
+    assert not refused.success
+    assert "as on a jump" in refused.message
+    assert "loosen rtol" not in refused.message
+    assert "try rtol" not in refused.message
+    narrower = refused.outcome.verdict.narrower
+    assert "it converges if you narrow" in refused.message
+    assert ro.solve(case.problem(narrower), case.rtol).success
+
+
+def test_an_earlier_end_of_chaos_is_solved():
+    case = REFUSALS["Lorenz"]
+    refused = ro.solve(case.problem(), case.rtol)
+    found = FIRST_END.search(refused.message)
+    assert found
+    assert ro.solve(case.problem(), case.rtol, t_final=float(found[1])).success
+
+
+def test_a_tolerance_that_an_attempt_meets_is_offered():
+    rates, box = {"x": "v", "v": "-k*sin(x)"}, {"k": (0.5, 2), "a": (0.5, 2.5)}
+    problem = ro.Problem.from_strings(rates, {"x": "a", "v": "0"}, box, (0, 20))
+    refused = ro.solve(problem, 1e-9, method="cross", effort=0.01)
+    found = re.search(r"try rtol=([0-9.e-]+): (predicted error|it was solved to)", refused.message)
+    assert found, refused.message
+    assert not refused.success
+    assert refused.outcome.error < float(found[1])
+    assert refused(t=20.0, k=1.0, a=1.0).shape == (2,)
+    assert ro.solve(problem, float(found[1]), method="cross", effort=0.02).success
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two wells, shifted", "toggle switch"])
+def test_a_refusal_takes_a_part_of_the_budget(name):
+    case = REFUSALS[name]
+    with limited() as account:
+        refused = ro.solve(case.problem(), case.rtol)
+    assert not refused.success
+    assert account.done < 0.6 * NORMAL
+    assert refused.outcome.verdict.narrower
+
+
+def test_patience_ends_work_unless_it_persists():
+    with limited(100.0), patient(40.0):
+        charge(30.0)
+        assert work_left() == 10.0
+        with pytest.raises(OutOfWorkError):
+            charge(20.0)
+        with persisting(25.0):
+            charge(20.0)
+            with pytest.raises(OutOfWorkError):
+                charge(20.0)
+        assert work_left() < 0.0
+        with pytest.raises(OutOfWorkError):
+            charge(0.1)
+
+
+def test_work_is_kept_back_from_both_limits():
+    with limited(100.0), patient(40.0):
+        with keeping_back(10.0):
+            assert work_left() == 30.0
+            with persisting():
+                assert work_left() == 90.0
+        assert work_left() == 40.0
+
+
+@pytest.mark.parametrize(
+    ("errors", "goes_on"),
+    [
+        ([1.0, 0.1, 0.01], True),
+        ([1.0, 0.9, 0.85], False),
+        ([1.0, 0.5, 0.25], False),
+        ([1.0], False),
+    ],
+)
+def test_only_an_error_that_falls_fast_enough_goes_on(errors, goes_on):
+    progress, best = Progress(), math.inf
+    for error in errors:
+        progress.add(error, best)
+        best = min(best, error)
+    with limited(100.0), patient(10.0), progress.going_on(30.0, 1e-3):
+        assert (work_left() > 10.0) == goes_on
+
+
+def test_an_error_above_the_tolerance_is_told_from_it():
+    note = MeasuredError(1.0000004e-3, 1e-3)
+    text = str(Verdict(Status.TOLERANCE, None, (note,)))
+    assert text.endswith("measured error 1.0000004e-03, asked 1.0000000e-03")
+    assert "2.0e-03, asked 1.0e-03" in note.__class__(2e-3, 1e-3).sentence(Status.TOLERANCE)
+
+
+def test_a_box_says_whether_it_was_tried():
+    predicted = NarrowBox((("a", 0.5, 1.0),))
+    assert (
+        predicted.sentence(Status.STEEP)
+        == "it is predicted to converge if you narrow `a` to [0.5, 1]"
+    )
+    tried = dataclasses.replace(predicted, tried=True)
+    assert tried.sentence(Status.STEEP) == "it converges if you narrow `a` to [0.5, 1]"
