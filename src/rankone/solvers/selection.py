@@ -29,7 +29,7 @@ from rankone.support.budget import (
     work_done,
     work_left,
 )
-from rankone.support.errors import ConvergenceError
+from rankone.support.errors import ConvergenceError, RankoneError
 from rankone.support.progress import Report, quiet
 from rankone.verification.measure import drift, measure
 from rankone.verification.reference_set import ReferenceSet
@@ -140,7 +140,7 @@ def _tried(engines: Sequence[Engine], system: System, request: SolveRequest) -> 
     engines = [engine for engine in engines if engine.name == "cross"] or engines
     if budget_left() <= 0.0:
         return None
-    with suppress(ConvergenceError, OutOfBudgetError):
+    with suppress(RankoneError, OutOfBudgetError, MemoryError):
         outcome, _ = _best_outcome(engines, system, request, quiet)
         return outcome
     return None

@@ -72,7 +72,7 @@ def taylor_order(tolerance: float, affine: bool = False) -> int:
 
     The last coefficient then falls by a factor e with each order, but for ``affine`` rates.
     """
-    digits = -math.log(tolerance)
+    digits = max(-math.log(tolerance), 0.0)
     order = 0.5 * (digits + math.sqrt(digits**2 + 4.0 * _STEP_ORDERS * digits))
     order *= _AFFINE_ORDERS if affine else 1.0
     return min(max(round(order), _LEAST_ORDER), _MOST_ORDER)
