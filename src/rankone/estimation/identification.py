@@ -39,7 +39,8 @@ _ROUNDING = 1e-13  # Share of the largest singular value that is rounding
 _UNIFORM_PRECISION = 12.0  # Of a parameter that may be anywhere in the unit cube
 _ENDLESS_PRECISION = 1e-9  # Of one without bounds: far below what any data say
 _LOST = 1e-3  # Share of the data in a variance below which they say nothing of a direction
-_BOX_SHARE = 0.5  # Share of a variance from the box above which the data do not determine it
+BOX_SHARE = 0.5
+"""Share of a variance from the box above which the data do not determine it."""
 # How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
 _FRACTION_TOLERANCE = 0.04
 _LARGEST_DENOMINATOR = 4  # Largest denominator of a simple fraction
@@ -275,7 +276,7 @@ class Identification:
         """
         along = self.root.T @ slope
         by_box = float(self.box @ (self.root @ along) ** 2)
-        return by_box > _BOX_SHARE * float(along @ along)
+        return by_box > BOX_SHARE * float(along @ along)
 
 
 def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> float:
@@ -335,7 +336,7 @@ def identify(
     if not boxed:
         return plain
     flat = tuple(p.index for p in boxed)
-    q = max(int(np.count_nonzero(shares > _BOX_SHARE)), 1)
+    q = max(int(np.count_nonzero(shares > BOX_SHARE)), 1)
     names = _combinations(problem, best.z, jacobian, flat, q, boxed, limit)
     return replace(plain, flat=flat, combinations=names)
 

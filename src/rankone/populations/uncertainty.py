@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from rankone.estimation.identification import BOX_SHARE
 from rankone.populations.marginal import Marginal
 from rankone.populations.search import Optimum, standard_steps
 from rankone.support.arrays import Array
@@ -97,18 +98,24 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
 
 
 def _covariance(hessian: Array, box: Array) -> tuple[Array, Array]:
-    """Twice the inverse of the Hessian of -2 log L, and the directions (P, k) that are flat.
+    """The covariance (P, P) of the data alone, and the directions (P, k) that these do not tell.
 
-    Along these the variance is that of the box, whose precision is ``box`` (P,).
+    Along these the variance is that of the data with the box, whose precision is ``box`` (P,): it
+    has most of it there, see :meth:`.Identification.boxed`. Differences make the Hessian of
+    -2 log L, which is twice the precision of the data, rough: it is no zero by rounding.
     """
     scale = standard_steps(hessian)
-    eigenvalues, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
+    precision = (0.5 * hessian + np.diag(box)) * scale[:, None] * scale
+    eigenvalues, vectors = np.linalg.eigh(precision)
     steep = eigenvalues > _FLAT * max(float(eigenvalues.max()), 1e-300)
-    kept = vectors[:, steep] * scale[:, None]
-    covariance = 2.0 * (kept / eigenvalues[steep]) @ kept.T
-    flat = vectors[:, ~steep] * scale[:, None]
-    precision = np.maximum(np.einsum("pk,p,pk->k", flat, box, flat), _NO_BOX)
-    return covariance + (flat / precision) @ flat.T, flat
+    root = vectors[:, steep] * scale[:, None] / np.sqrt(eigenvalues[steep])
+    shares, turns = np.linalg.eigh(root.T @ (box[:, None] * root))
+    lost = shares > BOX_SHARE
+    root = root @ turns
+    seen = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
+    endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(_NO_BOX)
+    flat = np.concatenate([root[:, lost], endless], axis=1)
+    return seen @ seen.T + flat @ flat.T, flat
 
 
 def _inverse(matrices: Array) -> Array:
