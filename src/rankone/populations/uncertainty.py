@@ -74,7 +74,8 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     layout = marginal.search.layout
     box = np.zeros(layout.size)
     box[: len(layout.names)] = 12.0 / (marginal.search.upper - marginal.search.lower) ** 2
-    covariance, flat = _covariance(optimum.hessian, box)
+    of_means = marginal.information_of_means(optimum.psi[None], optimum.individuals)[0]
+    covariance, flat = _covariance(optimum.hessian, of_means, box)
     means, spreads = layout.means, layout.spreads
     scale = standard_steps(optimum.hessian)
     among = covariance[spreads, spreads]
@@ -97,25 +98,39 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     return Uncertainty(covariance, corrected, inflation, freedom, flat)
 
 
-def _covariance(hessian: Array, box: Array) -> tuple[Array, Array]:
+def _covariance(hessian: Array, of_means: Array, box: Array) -> tuple[Array, Array]:
     """The covariance (P, P) of the data alone, and the directions (P, k) that these do not tell.
 
-    Along these the variance is that of the data with the box, whose precision is ``box`` (P,): it
-    has most of it there, see :meth:`.Identification.boxed`. Differences make the Hessian of
-    -2 log L, which is twice the precision of the data, rough: it is no zero by rounding.
+    Half of the Hessian of -2 log L is the precision of the data. By differences it is rough: the
+    information ``of_means`` (B, B) says what the data do not tell of these. Along such directions
+    the variance is that of the box.
     """
-    scale = standard_steps(hessian)
-    precision = (0.5 * hessian + np.diag(box)) * scale[:, None] * scale
-    eigenvalues, vectors = np.linalg.eigh(precision)
+    scale, count = standard_steps(hessian), len(of_means)
+    _, unseen = _split(of_means, box[:count], scale[:count])
+    ways = np.zeros((scale.size, unseen.shape[1]))
+    ways[:count] = unseen / scale[:count, None]
+    basis, _ = np.linalg.qr(ways)
+    rest = (np.eye(scale.size) - basis @ basis.T) / scale[:, None]
+    data = 0.5 * hessian * scale[:, None] * scale
+    seen, flat = _split(rest @ data @ rest.T, box, scale)
+    return seen @ seen.T + flat @ flat.T, flat
+
+
+def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
+    """Roots of covariances: what the data alone say (P, r), and where the box decides (P, k).
+
+    ``precision`` (P, P) is that of the data, ``box`` (P,) that of the box, see
+    :meth:`.Identification.boxed`.
+    """
+    whole = (precision + np.diag(box)) * scale[:, None] * scale
+    eigenvalues, vectors = np.linalg.eigh(whole)
     steep = eigenvalues > _FLAT * max(float(eigenvalues.max()), 1e-300)
     root = vectors[:, steep] * scale[:, None] / np.sqrt(eigenvalues[steep])
     shares, turns = np.linalg.eigh(root.T @ (box[:, None] * root))
-    lost = shares > BOX_SHARE
-    root = root @ turns
+    lost, root = shares > BOX_SHARE, root @ turns
     seen = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
     endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(_NO_BOX)
-    flat = np.concatenate([root[:, lost], endless], axis=1)
-    return seen @ seen.T + flat @ flat.T, flat
+    return seen, np.concatenate([root[:, lost], endless], axis=1)
 
 
 def _inverse(matrices: Array) -> Array:
