@@ -35,7 +35,7 @@ def variance(states, weights):
 
 def of(spikes):
     averages = LineAverages(spikes, np.array([0]))
-    table, share = averages(np.array([1.0]), 2, lambda points: [points], variance, MOMENTS)
+    table, share = averages(np.array([1.0]), 2, lambda points: points, variance, MOMENTS)
     assert share == [1.0]
     return table[0, 0]
 

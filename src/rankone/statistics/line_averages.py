@@ -16,8 +16,8 @@ from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
-PointSets = Callable[[Array], Sequence[Array]]
-"""Parameters (d, M), one set or several, of points (D, M) of a unit cube."""
+PointsOf = Callable[[Array], Array]
+"""Parameters (d, M) of points (D, M) of a unit cube."""
 Weighted = Callable[[Array, Array], tuple[Array, Array]]
 """A statistic, and the unit of its changes, of states (rows, M) with weights (M,) of sum one."""
 
@@ -25,11 +25,9 @@ _POINTS_AT_ONCE = 2**14
 # Chebyshev points of a segment, between which what decides about pieces is a polynomial
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
 _BARYCENTRIC = np.sin(np.pi * (np.arange(9) + 0.5) / 9) * (-1.0) ** np.arange(9)
-LASTING = 0.25
-"""Share of a change that is expected of the next one."""
+_LASTING = 0.25  # Share of a change that is expected of the next one
 # Nodes of Gauss's rule on a smooth piece of a line: at first, and most of them
 _FEWEST_NODES, _MOST_NODES = 4, 64
-_MOST_PIECES = 10_000  # Smooth pieces of one evaluator
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ class _Average:
         while True:
             states, weights = values(2 * self.nodes)
             now, unit, _ = self._running(states, weights)
-            self.unresolved = relative_change(now, before, unit)
+            self.unresolved = _relative_change(now, before, unit)
             if self.unresolved <= settled or 2 * self.nodes == _MOST_NODES:
                 return states, weights
             self.nodes, before = 2 * self.nodes, now
@@ -117,11 +115,12 @@ class _Average:
         everything = np.hstack(self.states), np.concatenate(self.weights)
         statistic, unit, self.share = self._running(*everything)
         if self.latest is not None and statistic is not None:
-            self.changes = relative_change(statistic, self.latest, unit), LASTING * self.changes[0]
+            change = _relative_change(statistic, self.latest, unit)
+            self.changes = change, _LASTING * self.changes[0]
         self.latest = statistic
 
 
-def relative_change(now: Array | None, before: Array | None, unit: Array) -> float:
+def _relative_change(now: Array | None, before: Array | None, unit: Array) -> float:
     """The largest change of a statistic in its units; zero where nothing runs."""
     if now is None or before is None:
         return 0.0
@@ -141,24 +140,22 @@ class LineAverages:
         self,
         times: Array,
         dimensions: int,
-        sets: PointSets,
+        points_of: PointsOf,
         of: Weighted,
         accuracy: Accuracy,
     ) -> tuple[Array, Array]:
         """A statistic over a unit cube, (..., times), and the share (times,) that still runs.
 
-        Its rows are the states at the first set of points, then those at the next one. It is NaN
-        where nothing runs. A warning says how accurate it is if it does not settle.
+        It is NaN where nothing runs. A warning says how accurate it is if it does not settle.
         """
         averages = [_Average(of) for _ in range(times.size)]
         for lines in refinements(dimensions, accuracy.most_lines):
             left = [k for k, each in enumerate(averages) if each.change > accuracy.settled]
-            self._add(lines, times[left], sets, [averages[k] for k in left], accuracy.settled)
+            self._add(lines, times[left], points_of, [averages[k] for k in left], accuracy.settled)
             for k in left:
                 averages[k].refine()
-        warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
-        count = len(sets(np.full((dimensions, 1), 0.5))) * self.rows.size
-        shape = of(np.zeros((count, 1)), np.ones(1))[0].shape
+        _warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
+        shape = of(np.zeros((self.rows.size, 1)), np.ones(1))[0].shape
         nothing = np.full(shape, np.nan)
         columns = [nothing if each.latest is None else each.latest for each in averages]
         table = np.stack(columns, axis=-1) if columns else np.empty((*shape, 0))
@@ -168,42 +165,35 @@ class LineAverages:
         self,
         lines: Lines,
         times: Array,
-        sets: PointSets,
+        points_of: PointsOf,
         averages: Sequence[_Average],
         settled: float,
     ) -> None:
         """Take the states at times (T,) at the points of lines into averages."""
-        tables = []
-        for points in sets(lines.on_all(_NODES)):
-            deciders = np.hstack(
-                [self.evaluator.deciders(points[:, here]) for here in _blocks(points.shape[1])]
-            )
-            tables.append(deciders.reshape(len(deciders), _NODES.size, -1))
+        points = points_of(lines.on_all(_NODES))
+        deciders = np.hstack(
+            [self.evaluator.deciders(points[:, here]) for here in _blocks(points.shape[1])]
+        )
+        table = deciders.reshape(len(deciders), _NODES.size, -1)
         for time, average in zip(times, averages, strict=True):
             at = np.array([time])
-            pieces = lines.pieces(lambda *places, at=at: self._pieces(at, tables, *places))
+            pieces = lines.pieces(lambda *places, at=at: self._pieces(at, table, *places))
 
             def values(nodes: int, at: Array = at, pieces: Pieces = pieces) -> tuple[Array, Array]:
                 points, weights = lines.rule(pieces, nodes)
-                return np.concatenate([self._states(at, p) for p in sets(points)]), weights
+                return self._states(at, points_of(points)), weights
 
             average.add(values, settled)
 
     def _pieces(
-        self, time: Array, tables: Sequence[Array], segments: NDArray[np.intp], shares: Array
+        self, time: Array, table: Array, segments: NDArray[np.intp], shares: Array
     ) -> NDArray[np.intp]:
         """Labels (M,) of the smooth pieces in which shares of segments lie.
 
-        ``tables`` (deciders, nodes, S) has what decides, for each set of points.
+        ``table`` (deciders, nodes, S) has what decides.
         """
-        labels = np.zeros(segments.size, dtype=np.intp)
-        at = _interpolation(shares)
-        for table in tables:
-            deciders = np.einsum("fkm,mk->fm", table[:, :, segments], at)
-            labels = (
-                labels * _MOST_PIECES + self.evaluator.smooth_pieces(time[:, None], deciders)[0]
-            )
-        return labels
+        deciders = np.einsum("fkm,mk->fm", table[:, :, segments], _interpolation(shares))
+        return np.asarray(self.evaluator.smooth_pieces(time[:, None], deciders)[0])
 
     def _states(self, time: Array, points: Array) -> Array:
         """States (rows, M) at one time."""
@@ -229,7 +219,7 @@ def _interpolation(shares: Array) -> Array:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def warn_of_changes(change: float, warned: float) -> None:
+def _warn_of_changes(change: float, warned: float) -> None:
     """Warn of a statistic that does not settle."""
     if change > warned:
         warn(

@@ -135,8 +135,8 @@ class TimelineStatistics(Statistics):
         others = len(self.parameters.measures) - 1
         for k, place in enumerate(points.tolist()):
 
-            def on_face(shares: Array, place: float = place) -> list[Array]:
-                return [on_hyperplane(j, place, shares)]
+            def on_face(shares: Array, place: float = place) -> Array:
+                return on_hyperplane(j, place, shares)
 
             table[:, k], share = self._averages(times, others, on_face, mean, EFFECTS)
             _warn_of_ends(share)
@@ -202,7 +202,7 @@ class TimelineStatistics(Statistics):
     def _over_box(self, times: Array, of: Weighted) -> Array:
         """A statistic over the box, (..., times)."""
         points, count = self.parameters.points, len(self.parameters.measures)
-        table, share = self._averages(times, count, lambda p: [points(p)], of, MOMENTS)
+        table, share = self._averages(times, count, points, of, MOMENTS)
         _warn_of_ends(share)
         return table
 
