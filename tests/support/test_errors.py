@@ -18,6 +18,18 @@ def test_str_joins_message_and_remedy() -> None:
     assert str(OptionError("no such option")) == "no such option"
 
 
+def test_str_leaves_out_the_middle_of_a_long_message() -> None:
+    error = OptionError(f"begin {'and on ' * 1000}end", remedy="write less")
+    assert len(str(error)) < 1100
+    assert str(error).startswith("begin and on")
+    assert " … (see `.message`) … " in str(error)
+    assert str(error).endswith("on end; remedy: write less")
+    assert len(error.message) > 7000
+    named = str(OptionError(f"the file `{'a' * 5000}` is missing"))
+    assert named.startswith("the file `aaa")
+    assert named.endswith("aaa` is missing (see `.message`)")
+
+
 def test_a_warning_joins_message_and_remedy() -> None:
     with pytest.warns(ro.RankoneWarning, match="^the tea is cold; remedy: heat it$"):
         warn("the tea is cold", remedy="heat it")

@@ -55,7 +55,7 @@ def petab_library() -> Any:
     return optional_module(
         "petab.v1",
         "reading PEtab problems needs petab",
-        'pip install petab, or pip install "rankone[petab]"',
+        'pip install petab, or pip install ".[petab]" in the folder of the source',
         ProblemError,
     )
 

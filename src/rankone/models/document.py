@@ -22,7 +22,7 @@ def sbml_library() -> Any:
     return optional_module(
         "libsbml",
         "reading SBML needs python-libsbml",
-        'pip install python-libsbml, or pip install "rankone[sbml]"',
+        'pip install python-libsbml, or pip install ".[sbml]" in the folder of the source',
         ProblemError,
     )
 

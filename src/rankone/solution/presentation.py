@@ -22,7 +22,7 @@ from rankone.ir.outcome import Outcome
 from rankone.solution.core import SolutionCore
 from rankone.support.errors import optional_module
 from rankone.support.memory import in_words
-from rankone.support.wording import count, listing
+from rankone.support.wording import count, listing, shortened
 
 if TYPE_CHECKING:
     import xarray
@@ -64,7 +64,7 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     return [
         ("unknowns", _some(named)),
         ("over", _over(solution)),
-        ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
+        ("success", f"{'yes' if solution.success else 'no'}: {shortened(solution.message)}"),
         ("error", _error(solution)),
         (metadata.method, _trains(solution.outcome)),
         ("timings", ", ".join(timings) or "none"),

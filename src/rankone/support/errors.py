@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from rankone.support.wording import shortened
+
 __all__ = [
     "BlowUpError",
     "ConvergenceError",
@@ -57,7 +59,7 @@ class RankoneError(Exception):
         self.message, self.term, self.remedy = message, term, remedy
 
     def __str__(self) -> str:
-        return with_remedy(self.message, self.remedy)
+        return with_remedy(shortened(self.message), self.remedy)
 
 
 class ProblemError(RankoneError, ValueError):

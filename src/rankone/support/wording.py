@@ -5,12 +5,14 @@ from __future__ import annotations
 import difflib
 import functools
 import html
+import re
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from typing import Protocol, TypeVar
 
 Subject = TypeVar("Subject")
 
+_LONGEST = 1000  # Characters of a message that is shown: about ten lines
 _LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
 _LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
 _MOST_LISTED = 16  # Names of a list in a message: more are read by nobody
@@ -93,6 +95,21 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6) -> str:
     lowered = {candidate.lower(): candidate for candidate in reversed(list(names))}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=cutoff)
     return f" (did you mean {quote(lowered[close[0]])}?)" if close else ""
+
+
+def shortened(message: str) -> str:
+    """A message of about ten lines at most: the middle of a longer one is left out.
+
+    So are first the middles of its longest words, such as names of files.
+    """
+    if len(message) <= _LONGEST:
+        return message
+    half = _LONGEST_QUOTE // 2
+    message = re.sub(rf"(\S{{{half}}})\S{{{half},}}(\S{{{half}}})", r"\1…\2", message)
+    begin, end = message[: _LONGEST * 3 // 4], message[_LONGEST * 3 // 4 :][-_LONGEST // 4 :]
+    if len(begin) + len(end) == len(message):
+        return f"{message} (see `.message`)"
+    return f"{begin.rpartition(' ')[0]} … (see `.message`) … {end.partition(' ')[2]}"
 
 
 def count(n: int, noun: str, plural: str | None = None) -> str:
