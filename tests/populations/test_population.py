@@ -49,6 +49,22 @@ def test_one_way_analysis_of_variance():
     np.testing.assert_allclose(population.individuals["a"], drawn, rtol=1e-4)
 
 
+def test_means_of_which_only_the_sum_is_seen_have_no_interval():
+    """Their variances are those of the box, and never the small ones of a pseudo-inverse."""
+    problem = ro.Problem.from_strings(
+        {"u": "0*u"}, {"u": "a + b"}, {"a": (-20, 40), "b": (0, 10)}, (0, 4)
+    )
+    population = ro.solve(problem, 1e-8).fit_population(
+        as_table(one_way(1)), random={"a": "normal"}
+    )
+    assert population.identifiable["a"] is population.identifiable["b"] is False
+    assert population.identifiable["omega_a"]
+    assert population.interval()["b"] == (-np.inf, np.inf)
+    assert min(population.std["a"], population.std["b"]) > 0.5 * 10 / np.sqrt(12)
+    assert repr(population).count("not identified") == 2
+    assert not population.success
+
+
 def test_a_subject_under_several_conditions_has_one_random_effect():
     """Half of the rows with another dose, which shifts the level by as much."""
     problem = ro.Problem.from_strings(

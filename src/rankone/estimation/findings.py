@@ -27,15 +27,15 @@ def findings_of(fit: Intervals) -> Iterator[str]:
         reason = f", because an event passes {of} of the data there" if times else ""
         elsewhere = ", or measure at times that no event can pass" if times else ""
         yield with_remedy(
-            f"the search ended where the sum of squares jumps{reason}: intervals by linearisation "
-            "are not valid",
-            f'use interval(method="profile"){elsewhere}',
+            f"the search ended where the sum of squares jumps{reason}: standard deviations and "
+            "bands are not valid",
+            f"take the intervals, which see the jump{elsewhere}",
         )
     elif fit.kinked:
         yield with_remedy(
-            "the search ended at a kink of the sum of squares: intervals by linearisation are not "
-            "valid",
-            'use interval(method="profile")',
+            "the search ended at a kink of the sum of squares: standard deviations and bands are "
+            "not valid",
+            "take the intervals, which see the kink",
         )
     elif not fit.converged:
         yield with_remedy("the search did not converge", "give a start, or more starts")

@@ -73,7 +73,7 @@ class Fit(Intervals, Labelled):
             names = listing(jump.parameter for jump in self.jumps if jump.time == time)
             sentences.append(
                 f"an event passes the time {time:.6g} of the data inside the intervals of {names}; "
-                'they are rough, and those of interval(method="profile") are not'
+                "standard deviations and bands are rough there"
             )
         return tuple(sentences)
 

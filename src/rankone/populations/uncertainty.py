@@ -95,6 +95,7 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
         freedom = np.maximum(2.0 / variances / np.maximum(inflation, 1e-3), _LEAST_FREEDOM)
     freedom = np.where(variances > 0.0, freedom, 1e9)
     assert inflation.size == means.stop
+    covariance = covariance + flat @ flat.T  # what the box says of these
     return Uncertainty(covariance, corrected, inflation, freedom, flat)
 
 
@@ -102,8 +103,8 @@ def _covariance(hessian: Array, of_means: Array, box: Array) -> tuple[Array, Arr
     """The covariance (P, P) of the data alone, and the directions (P, k) that these do not tell.
 
     Half of the Hessian of -2 log L is the precision of the data. By differences it is rough: the
-    information ``of_means`` (B, B) says what the data do not tell of these. Along such directions
-    the variance is that of the box.
+    information ``of_means`` (B, B) says what the data do not tell of these. The directions are
+    roots of the variance of the box.
     """
     scale, count = standard_steps(hessian), len(of_means)
     _, unseen = _split(of_means, box[:count], scale[:count])
@@ -113,7 +114,7 @@ def _covariance(hessian: Array, of_means: Array, box: Array) -> tuple[Array, Arr
     rest = (np.eye(scale.size) - basis @ basis.T) / scale[:, None]
     data = 0.5 * hessian * scale[:, None] * scale
     seen, flat = _split(rest @ data @ rest.T, box, scale)
-    return seen @ seen.T + flat @ flat.T, flat
+    return seen @ seen.T, flat
 
 
 def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
