@@ -103,6 +103,29 @@ def test_a_limit_names_the_unknowns_that_cost_most():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("given", [{"atol": {"y": 1e-6}}, {"units": {"x": "mg", "y": "mg"}}])
+def test_branches_of_events_take_them(given):
+    """The check of branches, too, whose orders differ over the box."""
+    tiny = "1e-9" if "atol" in given else "1e-20"
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x", "y": f"-k*y + {tiny}*x"},
+        {"x": 1, "y": 0},
+        {"k": (1, 2)},
+        (0, 1),
+        events=[
+            {"when": "x - 1/2", "direction": "falling", "then": {"x": "x/2"}, "name": "half"},
+            {"when": "t - 9/20", "then": {"x": "x + 1/20"}, "name": "dose"},
+        ],
+        **given,
+    )
+    solution = ro.solve(problem, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) > 1
+    assert solution.errors["y"] < 1e-3 * RTOL
+    assert ("`y` below 1" in solution.message) == ("units" in given)
+
+
+@pytest.mark.slow
 def test_events_take_them():
     of = problem({"y": 1e-6}, events=[ro.Event(x - 0.5, "falling", then={x: x + 0.25})])
     solution = ro.solve(of, rtol=RTOL)

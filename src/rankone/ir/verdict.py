@@ -496,6 +496,19 @@ class SharedUnit(Note):
     unknowns: tuple[str, ...]
     tolerance: float
 
+    @classmethod
+    def of(
+        cls, system: System, sizes: Array, rtol: float, asked: Collection[int] | None
+    ) -> tuple[SharedUnit, ...]:
+        """The notes on states of sizes (n,), one for each unit, that are ``asked`` for."""
+        tiny: dict[float, list[str]] = {}
+        shared = {name for alike in system.alike for name in alike} - dict(system.atol).keys()
+        for i, tolerance in enumerate(system.tolerances(sizes).tolist()):
+            name = system.states[i]
+            if name in shared and (asked is None or i in asked) and rtol * sizes[i] < tolerance:
+                tiny.setdefault(tolerance, []).append(name)
+        return tuple(cls(tuple(names), tolerance) for tolerance, names in tiny.items())
+
     def sentence(self, status: Status) -> str:
         first, *others = self.unknowns
         more = f" and {len(others)} more" if others else ""

@@ -17,6 +17,7 @@ from rankone.ir.verdict import (
     MeasuredError,
     Note,
     Remedy,
+    SharedUnit,
     Status,
     UndecidedOrder,
     UndecidedShare,
@@ -67,13 +68,17 @@ class BranchCheck:
         others = ~np.array(known, dtype=bool)
         if (others & errors.decided).any():
             return joined, points[others & errors.decided]
-        measured = _measured(errors, self.request, points, corners)
+        sizes = np.delete(errors.largest, slice(1, 1 + corners), axis=1).max(axis=1)
+        added = checked.system.tolerances(sizes)[:, None] / rtol
+        measured = _measured(errors, self.request, points, corners, added)
         undecided = undecided_share(evaluator, Coverage.of_domain(self.request.domain))
         judged = _judged(joined, timeline, measured, undecided, rtol)
+        shared = SharedUnit.of(checked.system, sizes, rtol, self.request.check.states)
+        judged = replace(judged, notes=(*judged.notes, *shared))
         if judged.status is Status.CONVERGED:
             judged = _looked_at(judged, checked, rtol)
         if judged.status is Status.TOLERANCE:  # by other orders, where events nearly coincide
-            return judged, points[others & _is_wrong(errors, rtol)]
+            return judged, points[others & _is_wrong(errors, rtol, added)]
         return judged, nothing
 
     def _is_known(self, order: Order) -> bool:
@@ -101,9 +106,12 @@ class BranchCheck:
         return np.concatenate([points, near, others]), len(points) - 1 - count
 
 
-def _is_wrong(errors: BranchErrors, rtol: float) -> NDArray[np.bool_]:
-    """The points (m,) with errors that more accurate branches are not likely to mend."""
-    sizes = errors.largest.max(axis=1, keepdims=True)
+def _is_wrong(errors: BranchErrors, rtol: float, added: Array) -> NDArray[np.bool_]:
+    """The points (m,) with errors that more accurate branches are not likely to mend.
+
+    What is ``added`` to sizes (n, 1) are absolute tolerances over the relative one.
+    """
+    sizes = errors.largest.max(axis=1, keepdims=True) + added
     return np.asarray((errors.states > MOST_MISSED * rtol * sizes).any(axis=0))
 
 
@@ -137,8 +145,10 @@ def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:
     return replace(outcome, status=Status.NARROW, cause=hidden, notes=(Remedy(hidden.remedy),))
 
 
-def _measured(errors: BranchErrors, request: SolveRequest, points: Array, corners: int) -> Measured:
-    """What errors amount to, relative to the sizes of the states."""
+def _measured(
+    errors: BranchErrors, request: SolveRequest, points: Array, corners: int, added: Array
+) -> Measured:
+    """What errors amount to, relative to the sizes of the states and what is ``added``, (n, 1)."""
     whole_box = covers_corners(request)
     at_corners = slice(1, 1 + corners)
     inside = np.delete(errors.largest, at_corners, axis=1).max(axis=1)
@@ -146,6 +156,7 @@ def _measured(errors: BranchErrors, request: SolveRequest, points: Array, corner
     units = np.repeat(sizes[:, None], len(points), axis=1)
     largest = errors.largest[:, at_corners].max(axis=1, initial=0.0)
     units[:, at_corners] = np.maximum(sizes, largest)[:, None]
+    units += added
     relative = errors.states / units
     counts = np.ones(len(points), dtype=bool)
     counts[at_corners] = whole_box

@@ -373,12 +373,8 @@ class ReferenceSet:
         """The unknowns asked for that are tiny beside others of their unit."""
         if not self.system.alike:
             return ()
-        tiny: dict[float, list[str]] = {}
-        for i in self.asked if self.asked is not None else range(len(self.system.unknowns)):
-            name, tolerance = self.system.states[i], float(self.rtol * self.added[i])
-            if name not in dict(self.system.atol) and self.rtol * self.largest[i] < tolerance:
-                tiny.setdefault(tolerance, []).append(name)
-        return tuple(SharedUnit(tuple(names), tolerance) for tolerance, names in tiny.items())
+        sizes = self.largest[: self.system.n_differential]
+        return SharedUnit.of(self.system, sizes, self.rtol, self.asked)
 
     @property
     def zeros(self) -> tuple[NumericallyZero, ...]:
