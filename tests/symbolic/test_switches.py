@@ -7,6 +7,7 @@ import sympy as sp
 import rankone as ro
 from rankone.interface.held import held_form, held_system
 from rankone.symbolic import first_order
+from rankone.symbolic.features import switching_term
 from rankone.symbolic.switches import held_switches
 
 t, k = sp.symbols("t k")
@@ -119,3 +120,10 @@ def test_a_reset_sets_the_side_of_what_it_moves_alone():
     mark = ro.Event(x - 1, then={x: x}, name="mark")
     system = held(-1 - v * sp.Abs(v), events=[mark])
     assert system.events[0].then[-1].xreplace({side: -1, x: 1, v: -2}) == -1
+
+
+@pytest.mark.parametrize(("rate", "smooth"), [("sign(w)", "tanh(w/w_)"), ("sign(v)", "tanh(v/w_)")])
+def test_the_width_of_a_smooth_step_has_a_name_of_its_own(rate, smooth):
+    text = ro.Problem.from_strings({"w": f"-{rate}", "v": "-w"}, {"w": 1, "v": 1}, {}, (0, 1))
+    term = switching_term(first_order(text))
+    assert (term.smooth, term.width) == (smooth, "w_")

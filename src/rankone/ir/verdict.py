@@ -618,7 +618,8 @@ class SteadyBranch(Note):
 class SwitchingTerm(Note):
     """A term that switches where ``boundary`` takes one of some levels, and how to smooth it.
 
-    The levels are None for all whole numbers; ``smooth`` is empty for more than one.
+    The levels are None for all whole numbers; ``smooth`` is empty for more than one. It has a
+    ``width`` in it, by a name that nothing else has.
     """
 
     term: str
@@ -626,11 +627,13 @@ class SwitchingTerm(Note):
     boundary: str
     smooth: str
     levels: tuple[float, ...] | None = (0.0,)
+    width: str = "w"
 
     def sentence(self, status: Status) -> str:
         smooth = "the switches"
         if self.smooth:
-            example = f"for example by {quote(self.smooth)} with a width w too small to matter"
+            width = f"a width {self.width} too small to matter"
+            example = f"for example by {quote(self.smooth)} with {width}"
             smooth = f"the switch, {example}"
         return (
             f"the term {quote(self.term)} in {self.place} switches {self._where()}: narrow the box "

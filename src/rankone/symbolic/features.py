@@ -221,7 +221,7 @@ def _switching_in(
     system: FirstOrderSystem,
     index: int,
     functions: tuple[type, ...],
-    smooth: Callable[[sp.Expr, sp.Expr], str],
+    smooth: Callable[[sp.Expr, sp.Expr, str], str],
 ) -> SwitchingTerm | None:
     """The first term of a rate that switches by some functions, if there is one.
 
@@ -247,18 +247,21 @@ def _switching_in(
             at = None if levels is None else tuple(map(float, levels))
             return SwitchingTerm(written(plain_term), equation, written(boundary), "", at)
         place = written(plain_term), equation, written(_shorter(boundary))
-        return SwitchingTerm(*place, smooth(plain_term, boundary))
+        taken = {each.name for each in (*system.states, *system.coordinates)}
+        names = (f"w{'_' * k}" for k in itertools.count())
+        width = next(name for name in names if name not in taken)
+        return SwitchingTerm(*place, smooth(plain_term, boundary, width), width=width)
     return None
 
 
-def _smooth_step(_: sp.Expr, boundary: sp.Expr) -> str:
-    """A smooth step over a boundary, of a width w."""
-    return f"tanh({_factor(boundary)}/w)"
+def _smooth_step(_: sp.Expr, boundary: sp.Expr, width: str) -> str:
+    """A smooth step of a width over a boundary."""
+    return f"tanh({_factor(boundary)}/{width})"
 
 
-def _smooth_kink(term: sp.Expr, boundary: sp.Expr) -> str:
-    """What may stand for the Max, Min or Abs that kinks at a boundary, with a width w."""
-    root = f"sqrt({_factor(_shorter(boundary))}**2 + w**2)"
+def _smooth_kink(term: sp.Expr, boundary: sp.Expr, width: str) -> str:
+    """What may stand for the Max, Min or Abs that kinks at a boundary, with a width."""
+    root = f"sqrt({_factor(_shorter(boundary))}**2 + {width}**2)"
     for node in term.atoms(sp.Max, sp.Min):
         for a, b in itertools.combinations(node.args, 2):
             if a - b in (boundary, -boundary):
