@@ -238,7 +238,8 @@ def _switching_in(
         }
         if not switches:
             continue
-        first = min(switches, key=_inner_first)
+        inner = {each for node in term.atoms(sp.Max, sp.Min) for each in _nested(node)}
+        first = min(switches, key=lambda each: (each in inner, *_inner_first(each)))
         boundary, plain_term, levels = first.xreplace(plain), term.xreplace(plain), switches[first]
         origin = system.origins[index]
         equation = f"the equation of {quote(system.states[index].name)}"
@@ -278,6 +279,14 @@ def _shorter(boundary: sp.Expr) -> sp.Expr:
 def _factor(expression: sp.Expr) -> str:
     """An expression as it is written in a product or a power."""
     return written(expression) if expression.is_Symbol else f"({written(expression)})"
+
+
+def _nested(extreme: sp.Expr) -> set[sp.Expr]:
+    """Where what is inside of an extreme of extremes meets other arguments of it."""
+    plain = [each for each in extreme.args if not isinstance(each, sp.Max | sp.Min)]
+    nested = [each for each in extreme.args if each not in plain]
+    pairs = ((a, b) for a in plain for other in nested for b in other.args)
+    return {sign * (a - b) for a, b in pairs for sign in (1, -1)}
 
 
 def _inner_first(boundary: sp.Expr) -> tuple[bool, object]:
