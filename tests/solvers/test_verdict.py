@@ -88,7 +88,7 @@ def test_a_thermostat_that_takes_all_of_the_budget():
     problem = ro.Problem.from_strings(rates, {"T": "19"}, {"p": (2, 3)}, (0, 20))
     solution = ro.solve(problem, 1e-3, effort=0.012)
     assert "where the rate of `T` switches to and fro" in solution.message
-    assert "the reference trajectories took 85 % of the budget" in solution.message
+    assert "; the reference trajectories took " in solution.message
     assert "in equation 1 switches at" in solution.message
 
 
