@@ -248,7 +248,7 @@ def _switching_in(
             at = None if levels is None else tuple(map(float, levels))
             return SwitchingTerm(written(plain_term), equation, written(boundary), "", at)
         place = written(plain_term), equation, written(_shorter(boundary))
-        taken = {each.name for each in (*system.states, *system.coordinates)}
+        taken = {s.name for s in system.states} | {c.name for c in system.coordinates}
         names = (f"w{'_' * k}" for k in itertools.count())
         width = next(name for name in names if name not in taken)
         return SwitchingTerm(*place, smooth(plain_term, boundary, width), width=width)
