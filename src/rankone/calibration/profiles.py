@@ -66,8 +66,9 @@ def _end(problem: OfExperiments, best: Expansion, covariance: Array, j: int, sig
     room = float(best.z[j]) if sign < 0.0 else 1.0 - float(best.z[j])
     inner, outer, point = (0.0, 0.0), (math.inf, math.inf), best
     at_bound = set(ends_at_bounds(problem.names, best.z))
-    last, distance = best, min(problem.quantile * math.sqrt(covariance[j, j]), room)
-    for _ in range(_MOST_POINTS):
+    last = beyond = best
+    distance = min(problem.quantile * math.sqrt(covariance[j, j]), room)
+    for turn in range(_MOST_POINTS):
         start = np.clip(point.z + (distance - inner[0]) * way, 0.0, 1.0)
         start[j] = np.clip(best.z[j] + sign * distance, 0.0, 1.0)
         last = _settled(problem, start, j, _CLOSE * limit)
@@ -77,17 +78,19 @@ def _end(problem: OfExperiments, best: Expansion, covariance: Array, j: int, sig
             if distance >= room:
                 return _End(0.0 if sign < 0.0 else 1.0, True, False)
         else:
-            outer = distance, root
+            outer, beyond = (distance, root), last
         if abs(root - 1.0) <= _CLOSE:
+            beyond = last
             break
         if math.isinf(outer[0]):
+            beyond = last
             growth = min(max(1.0 / max(root, 0.1), 1.1), _MOST_GROWTH)
             distance = min(max(growth * distance, 1e-6), room)
         else:
             rise = outer[1] - inner[1]
-            share = (1.0 - inner[1]) / rise if math.isfinite(rise) else 0.5
+            share = 0.5 if turn % 2 or math.isinf(rise) else (1.0 - inner[1]) / rise
             distance = inner[0] + min(max(share, 0.05), 0.95) * (outer[0] - inner[0])
-    names = set(ends_at_bounds(problem.names, last.z)) - at_bound - {problem.names[j]}
+    names = set(ends_at_bounds(problem.names, beyond.z)) - at_bound - {problem.names[j]}
     return _End(float(last.z[j]), False, bool(names))
 
 
