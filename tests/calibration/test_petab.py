@@ -272,7 +272,7 @@ def test_values(problem):
 
 def test_the_package_is_asked_for(file, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "petab.v1", None)
-    with pytest.raises(ro.ProblemError, match=r"rankone\[petab\]"):
+    with pytest.raises(ro.ProblemError, match=r"pip install petab"):
         ro.read_petab(file)
 
 

@@ -140,11 +140,17 @@ def _sizes(problem: Likelihood, points: Array) -> tuple[dict[str, float], ...]:
 def _others(
     problem: Likelihood, ends: Minima, k: int, limit: float
 ) -> tuple[dict[str, float], ...]:
-    """Minima apart from the chosen one whose costs are within a limit of it."""
+    """Minima apart from the chosen one whose costs are within a limit of it.
+
+    Other levels of noise alone are no other values.
+    """
     chosen = [ends.z[k]]
+    values = [j for j in range(len(problem.free.names)) if j not in problem.levels]
     margin = max(limit, 1e-9 * abs(float(ends.cost[k])))
     for z, cost, ended in zip(ends.z, ends.cost, ends.converged, strict=True):
-        apart = all(np.abs(z - minimum).max() > _DISTINCT_DISTANCE for minimum in chosen)
+        apart = all(
+            np.abs(z - minimum)[values].max(initial=0.0) > _DISTINCT_DISTANCE for minimum in chosen
+        )
         if ended and apart and cost <= ends.cost[k] + margin:
             chosen.append(z)
     levels = {problem.free.names[j] for j in problem.levels}

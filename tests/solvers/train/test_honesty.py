@@ -46,12 +46,12 @@ def test_an_unresolved_function_of_a_parameter_is_noticed(rhs):
 def test_errors_are_relative_to_interior_values_however_large_the_corners():
     names = "abcd"
     solution = solve(
-        problem({"x": "(a + b + c + d)*x"}, {"x": 1}, dict.fromkeys(names, (0, 1)), (0, 8)),
+        problem({"x": "(a + b + c + d)*x"}, {"x": 1}, dict.fromkeys(names, (0, 1)), (0, 7)),
         rtol=1e-3,
     )
     points = dict(zip(names, np.random.default_rng(0).random((4, 256))))
-    exact = np.exp(8 * sum(points.values()))
-    error = np.abs(solution["x"](t=8.0, **points) - exact).max() / exact.max()
+    exact = np.exp(7 * sum(points.values()))
+    error = np.abs(solution["x"](t=7.0, **points) - exact).max() / exact.max()
     assert solution.success
     assert error <= 5e-3
 
