@@ -77,7 +77,7 @@ def test_a_refusal_takes_a_part_of_the_budget(name):
         refused = ro.solve(case.problem(), case.rtol)
     assert not refused.success
     assert account.done < 0.6 * NORMAL
-    assert refused.outcome.verdict.narrower
+    assert "it was solved" in refused.message
 
 
 def test_patience_ends_work_unless_it_persists():
