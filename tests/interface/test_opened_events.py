@@ -491,7 +491,7 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
         assert (length > 5.0).all() if order.roots[0] else (length < 2.0).all()
 
 
-@pytest.mark.parametrize("effort", [0.03, 0.1])
+@pytest.mark.parametrize("effort", [0.07, 0.1])
 def test_a_budget_that_ends_before_branches_are_solved_is_said_to(effort):
     """And not that a parameter is steep: the event is named, and that more effort helps."""
     hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "hit"}
