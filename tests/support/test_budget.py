@@ -10,6 +10,8 @@ from scipy import special
 
 from rankone.support.budget import (
     NORMAL,
+    PATIENCE,
+    REMEDIES,
     OutOfTimeError,
     OutOfWorkError,
     charge,
@@ -18,6 +20,7 @@ from rankone.support.budget import (
     limited,
     looking,
     operations_for,
+    patience_for,
     seconds_left,
     unlimited,
     work_done,
@@ -118,6 +121,13 @@ def outer(t, u, p):
 
 def slow(u):
     return u
+
+
+def test_a_small_budget_has_the_patience_of_the_normal_one():
+    assert patience_for(NORMAL) == PATIENCE
+    assert patience_for(0.6 * NORMAL) == PATIENCE
+    assert patience_for(0.1 * NORMAL) == pytest.approx((1.0 - REMEDIES) * 0.1 * NORMAL)
+    assert patience_for(4.0 * NORMAL) == pytest.approx(4.0 * PATIENCE)
 
 
 def test_the_cost_of_generated_functions():

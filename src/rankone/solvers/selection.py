@@ -18,11 +18,11 @@ from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.engine import Engine, sums, without_last
 from rankone.solvers.remedies import Trials, with_remedy, with_tried_remedy
 from rankone.support.budget import (
-    PATIENCE,
-    REFUSAL,
+    REMEDIES,
     OutOfBudgetError,
     budget_left,
     limited,
+    patience_for,
     patient,
     seconds_left,
     unlimited,
@@ -75,7 +75,7 @@ def solve_with(
     with held, sharing_references(), np.errstate(all="ignore"):  # is checked
         trials = Trials(request, system.parameters, partial(_tried, engines, system))
         try:
-            with patient(PATIENCE * limits.operations):
+            with patient(patience_for(limits.operations)):
                 outcome, method = _best_outcome(engines, system, request, report)
         except ConvergenceError as error:
             with _remedying(limits):
@@ -130,7 +130,8 @@ def _best_outcome(
 @contextmanager
 def _remedying(limits: Limits) -> Iterator[None]:
     """Limit trials of remedies to what the solve took, and to a part of its budget."""
-    most = max(REFUSAL * limits.operations - work_done(), (REFUSAL - PATIENCE) * limits.operations)
+    least = REMEDIES * limits.operations
+    most = max(patience_for(limits.operations) + least - work_done(), least)
     with limited(min(most, max(work_done(), _LEAST_REMEDY_SHARE * limits.operations))):
         yield
 

@@ -24,10 +24,10 @@ MEMORY_HELP = "limit of memory, such as 2GB; what would not fit is refused"
 SECONDS_HELP = "time limit on the clock; the best so far is kept"
 NORMAL = 2.5e10
 """Most operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
-PATIENCE = 0.43
-"""Share of a budget after which a solve ends unless its attempts still improve."""
-REFUSAL = 0.57
-"""Share of a budget by which such a solve is refused: what is left goes into trials of remedies."""
+PATIENCE = 0.43 * NORMAL
+"""Operations of the normal effort after which a solve ends unless its attempts still improve."""
+REMEDIES = 0.14
+"""Share of a budget that trials of remedies may take at least."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
@@ -329,6 +329,16 @@ def effort_of(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
+
+
+def patience_for(operations: float) -> float:
+    """Operations of a budget after which a solve ends unless its attempts still improve.
+
+    That of the normal effort, for as long as the budget has them: the seconds of a refusal count,
+    not its share of a small budget.
+    """
+    share = PATIENCE / NORMAL
+    return max(share * operations, min(PATIENCE, (1.0 - REMEDIES) * operations))
 
 
 def operations_for(effort: str | float) -> float:
