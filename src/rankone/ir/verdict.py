@@ -464,8 +464,10 @@ class NarrowBox(Note):
             f"{quote(name)} to [{lower:.12g}, {upper:.12g}]"
             for name, lower, upper in self.intervals
         ]
-        converges = "converges" if self.tried else "is predicted to converge"
-        return f"it {converges} if you narrow {' and '.join(ranges)}"
+        narrow = f"narrow {' and '.join(ranges)}"
+        if self.tried:
+            return f"{narrow}: it was solved there"
+        return f"it is predicted to converge if you {narrow}"
 
 
 @dataclass(frozen=True)
