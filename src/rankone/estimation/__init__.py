@@ -3,6 +3,8 @@
 ======================  ============================================================================
 ``tables``              tables of measurements, cut into experiments
 ``observations``        measured data, checked, and what was measured
+``doses``               doses of subjects, and the sum of their curves
+``dose_table``          tables with rows of doses among those of data
 ``formulas``            arithmetic of named quantities, from text or symbols
 ``duals``               arrays with their derivatives
 ``noise``               kinds of noise, and what a datum adds to a likelihood

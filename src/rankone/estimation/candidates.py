@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.discretization.coordinates import name_of
+from rankone.estimation.doses import Doses
 from rankone.estimation.duals import value_of
 from rankone.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.estimation.fit import Fit
@@ -55,7 +56,8 @@ class Candidates:
         row, solution = self.trial.observations, self.trial.solution
         pairs = zip(row.formulas, row.noises, strict=True)
         own = dict(zip(row.names, pairs, strict=True))
-        trial = _measured(solution, self.trial.fixed, own, checked_times(solution, times), 1.0)
+        clock, doses = checked_times(solution, times), self.trial.doses
+        trial = _measured(solution, self.trial.fixed, own, clock, 1.0, doses)
         return _information(trial, self.names, self.points, self.scale)
 
     def curves(self) -> Array:
@@ -136,6 +138,12 @@ def _trial_after(solution: SolutionCore, after: Fit, times: Array, wanted: Wante
     trials = [trial for trial in after.trials if trial.solution is solution]
     if not trials:
         raise OptionError("the fit is of another solution", remedy="give one of this solution")
+    doses = trials[0].doses
+    if any(trial.doses is not doses for trial in trials):
+        raise OptionError(
+            "the experiments of the fit have doses of their own",
+            remedy="fit that one alone whose next measurements are wanted",
+        )
     conditions = _conditions(after, trials, held_parameters(solution, wanted.fixed))
     owners: dict[str, tuple[Formula, Noise]] = {}
     for row in (trial.observations for trial in trials):
@@ -143,7 +151,9 @@ def _trial_after(solution: SolutionCore, after: Fit, times: Array, wanted: Wante
             owners.setdefault(name, (formula, noise))
     names = _observed_again(wanted.observe, solution, tuple(owners))
     unit = 1.0 if after.unit_known else after.sigma
-    return _measured(solution, conditions, {name: owners[name] for name in names}, times, unit)
+    return _measured(
+        solution, conditions, {name: owners[name] for name in names}, times, unit, doses
+    )
 
 
 def _conditions(
@@ -198,6 +208,7 @@ def _measured(
     observed: Mapping[str, tuple[Formula, Noise]],
     times: Array,
     unit: float,
+    doses: Doses | None,
 ) -> Trial:
     """Observables with their noise times a unit, at times (N,)."""
     k = len(observed)
@@ -216,7 +227,7 @@ def _measured(
         present=np.ones(k * times.size, dtype=bool),
         shape=(k, times.size),
     )
-    return trial_of("", solution, fixed, row)
+    return trial_of("", solution, fixed, row, doses)
 
 
 def _points(

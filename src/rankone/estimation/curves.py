@@ -47,7 +47,7 @@ def curve_of(
         times=clock,
         values=np.zeros(clock.size),
     )
-    there = trial_of(trial.name, trial.solution, trial.fixed, observations)
+    there = trial_of(trial.name, trial.solution, trial.fixed, observations, trial.doses)
     free = problem.free
     seeds = Seeds({name: j for j, name in enumerate(free.names)}, len(free.names))
     at = problem.at(free.values(z)[None])

@@ -106,7 +106,8 @@ class Estimates:
     def values(self) -> dict[str, float]:
         """All parameters of the solution: ``solution(times, fit.values)`` is the curve.
 
-        Those of the first experiment if there are several; see :meth:`values_in`.
+        Those of the first experiment if there are several; see :meth:`values_in`. With ``doses=``
+        that is the curve of one dose, and :meth:`curve` that of all.
         """
         return self.values_in(0)
 

@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.dose_table import doses_in
+from rankone.estimation.doses import AFTER_ALL, Doses, Response
 from rankone.estimation.duals import Dual, Operand, coordinate
 from rankone.estimation.free_parameters import ParameterValues
 from rankone.estimation.models import Model, model_of
 from rankone.estimation.observations import Measurements, Observations, Sigma, label, observed
-from rankone.estimation.tables import Block, blocks_of, is_table
+from rankone.estimation.tables import Block, blocks_of, columns_of, is_table
 from rankone.solution.core import SolutionCore
 from rankone.statistics.joint_distribution import by_name
 from rankone.support.arrays import Array
@@ -47,6 +49,9 @@ class Experiment:
         The name of the experiment in messages and plots.
     missing : {"error", "drop"}
         Whether NaN among the data is an error, or left out; tables leave out empty cells.
+    doses : mapping, optional
+        For a table with rows of doses, the parameter that is the amount and the column of amounts;
+        see :meth:`Solution.fit`.
     """
 
     data: Any
@@ -58,6 +63,7 @@ class Experiment:
     weights: Measurements | None = None
     name: str = ""
     missing: str = "error"
+    doses: Mapping[Any, str] | None = None
 
     def __repr__(self) -> str:
         fixed = ", ".join(f"{name}={value}" for name, value in self.fixed.items())
@@ -83,7 +89,8 @@ class Trial:
     """One experiment with the solution that describes it.
 
     ``fixed`` are the parameters that this experiment fixes. The ``model`` has, for each observable
-    in turn, each of its states ``rows`` at each of its times.
+    in turn, each of its states ``rows`` at each of its times. With ``doses`` the states are sums of
+    their curves; ``places`` (m,) are the rows of the table that the data stand in.
     """
 
     name: str
@@ -91,6 +98,8 @@ class Trial:
     fixed: dict[str, float]
     observations: Observations
     model: Model
+    doses: Doses | None = None
+    places: NDArray[np.intp] | None = None
 
     @property
     def rows(self) -> tuple[tuple[str, ...], ...]:
@@ -199,18 +208,28 @@ def states_of(solution: SolutionCore, observations: Observations) -> tuple[tuple
 
 
 def trial_of(
-    name: str, solution: SolutionCore, fixed: dict[str, float], observations: Observations
+    name: str,
+    solution: SolutionCore,
+    fixed: dict[str, float],
+    observations: Observations,
+    doses: Doses | None = None,
+    places: NDArray[np.intp] | None = None,
 ) -> Trial:
-    """The trial of checked observations."""
+    """The trial of checked observations; without ``places`` they come after doses at their time."""
     rows: list[NDArray[np.intp]] = []
-    times: list[Array] = []
+    data: list[NDArray[np.intp]] = []
     for i, states in enumerate(states_of(solution, observations)):
-        clock = observations.times[observations.of(i)]
+        here = np.arange(observations.size)[observations.of(i)]
         for state in states:
-            rows.append(np.full(clock.size, solution.states.index(state), dtype=np.intp))
-            times.append(clock)
-    model = model_of(solution, np.concatenate(rows), np.concatenate(times))
-    return Trial(name, solution, fixed, observations, model)
+            rows.append(np.full(here.size, solution.states.index(state), dtype=np.intp))
+            data.append(here)
+    each = np.concatenate(data)
+    times, response = observations.times[each], None
+    if doses is not None:
+        after = AFTER_ALL if places is None else places[each]
+        response = Response(*(own[0] for own in doses.response(times[None], after)))
+    model = model_of(solution, np.concatenate(rows), times, response)
+    return Trial(name, solution, fixed, observations, model, doses, places)
 
 
 def trials_of(pairs: Sequence[tuple[SolutionCore, Experiment]]) -> tuple[Trial, ...]:
@@ -236,12 +255,13 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
         )
     mapping = experiment.times is None and isinstance(experiment.data, Mapping)
     if is_table(experiment.data) or mapping:
-        blocks = blocks_of(solution, experiment.data, experiment.observe)
-        fixed = fixed_by_label(solution, experiment.fixed, blocks)
-        for block, held in zip(blocks, fixed, strict=True):
-            name = ", ".join(filter(None, (experiment.name, block.name)))
-            yield trial_of(name, solution, held, observed_in(solution, experiment, block))
+        yield from _trials_of_table(solution, experiment)
         return
+    if experiment.doses is not None:
+        raise OptionError(
+            "doses are rows of a table, and the data are none",
+            remedy='give a table with a column of amounts, fit(table, doses={"dose": "amt"})',
+        )
     observations = observed(
         solution,
         experiment.times,  # type: ignore[arg-type]
@@ -254,6 +274,30 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
     )
     held = held_parameters(solution, experiment.fixed)
     yield trial_of(experiment.name, solution, held, observations)
+
+
+def _trials_of_table(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
+    """A trial for each block of a table."""
+    table, known, by_subject = experiment.data, experiment.fixed, None
+    if experiment.doses is not None:
+        columns = columns_of(table)
+        by_subject, table = doses_in(solution, columns, experiment.doses, experiment.observe)
+        known = by_subject.with_reference(solution, known)
+    blocks = blocks_of(solution, table, experiment.observe)
+    fixed = fixed_by_label(solution, known, blocks)
+    every = None
+    if by_subject is not None:
+        owners = [block.labels[-1] if block.labels else "" for block in blocks]
+        every = by_subject.of_records(solution, owners)
+    for k, (block, held) in enumerate(zip(blocks, fixed, strict=True)):
+        name = ", ".join(filter(None, (experiment.name, block.name)))
+        row = observed_in(solution, experiment, block)
+        if by_subject is None or every is None:
+            yield trial_of(name, solution, held, row)
+            continue
+        by_subject.check_observables(zip(row.names, row.formulas, row.noises, strict=True))
+        places = np.concatenate([block.rows[each] for each in row.names])
+        yield trial_of(name, solution, held, row, every.selected(np.array([k])), places)
 
 
 def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) -> Observations:

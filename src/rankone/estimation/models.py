@@ -9,7 +9,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from rankone.estimation.doses import Response
 from rankone.estimation.integrated import IntegratedSolution, TrajectoryModel
 from rankone.ir.outcome import Outcome
 from rankone.ir.timeline import BranchedTimeline
@@ -43,8 +45,15 @@ class Model(Protocol):
         """
 
 
-def model_of(solution: SolutionCore, rows: NDArray[np.intp], times: Array) -> Model:
-    """The model of states ``rows`` at times, one each."""
+def model_of(
+    solution: SolutionCore,
+    rows: NDArray[np.intp],
+    times: Array,
+    response: Response | None = None,
+) -> Model:
+    """The model of states ``rows`` at times, one each; with doses, where they take their curve."""
+    if response is not None:
+        return DosedModel(solution, rows, response)
     if isinstance(solution, IntegratedSolution):
         return TrajectoryModel(solution, rows, times)
     return _model_of(solution.outcome, rows, times)
@@ -64,6 +73,36 @@ def _model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
     if timeline is not None:
         return TimelineModel(timeline_evaluator(outcome.slabs, timeline), rows, times)
     return TrainModel(outcome.slabs, rows, times)
+
+
+class DosedModel:
+    """A :class:`Model` of sums over doses of the curve of one dose."""
+
+    def __init__(self, solution: SolutionCore, rows: NDArray[np.intp], response: Response) -> None:
+        acting = np.nonzero(response.weights)
+        owner, weights = acting[0], response.weights[acting]
+        self._one = model_of(solution, rows[owner], response.times[acting])
+        shape = rows.size, owner.size
+        self._sum = csr_array((weights, (owner, np.arange(owner.size))), shape=shape)
+
+    def thinned(self, scale: Array, tolerance: float) -> DosedModel:
+        """The model with smaller ranks; see :meth:`Model.thinned`."""
+        counts = np.diff(self._sum.indptr)  # of doses: the square of their sum is at most this
+        each = self._sum.data * np.repeat(scale * np.sqrt(counts), counts)
+        fewer = copy(self)
+        fewer._one = self._one.thinned(each, tolerance)
+        return fewer
+
+    def values(self, points: Array) -> Array:
+        """Values (N, m); see :meth:`Model.values`."""
+        return np.asarray((self._sum @ self._one.values(points).T).T)
+
+    def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Values (N, m) and derivatives (N, m, k); see :meth:`Model.linearised`."""
+        values, slopes = self._one.linearised(points, free)
+        count, pairs, k = slopes.shape
+        moved = self._sum @ slopes.transpose(1, 0, 2).reshape(pairs, count * k)
+        return (self._sum @ values.T).T, moved.reshape(-1, count, k).transpose(1, 0, 2)
 
 
 class TimelineModel:

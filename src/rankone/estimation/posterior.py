@@ -237,6 +237,7 @@ def posterior(
     noise: object = None,
     prior: Distributions = None,
     fixed: Mapping[Any, Any] | None = None,
+    doses: Mapping[Any, str] | None = None,
     bounds: Bounds = None,
     weights: Measurements | None = None,
     missing: str = "error",
@@ -252,7 +253,7 @@ def posterior(
 
     Parameters
     ----------
-    times, data, observe, sigma, noise, fixed, bounds, weights, missing
+    times, data, observe, sigma, noise, fixed, doses, bounds, weights, missing
         As for :meth:`fit`. A sigma that is not given, and levels of noise, are integrated over
         with the density 1/sigma.
     prior : mapping, optional
@@ -293,6 +294,7 @@ def posterior(
         noise=noise,
         weights=weights,
         fixed=fixed,
+        doses=doses,
         bounds=bounds,
         missing=missing,
     )
@@ -381,7 +383,8 @@ def _without_fixed(fit: Fit) -> Likelihood:
         held = {name: x for name, x in held.items() if name in solution.parameters}
         if held:
             solution = SolutionCore(*with_fixed(solution.outcome, solution.metadata, held))
-        alone = trial_of(trial.name, solution, trial.fixed, trial.observations)
+        data = trial.observations, trial.doses, trial.places
+        alone = trial_of(trial.name, solution, trial.fixed, *data)
         plain = all(formula.is_name for formula in trial.observations.formulas)
         if plain and alone.rows == tuple((f.names[0],) for f in trial.observations.formulas):
             scale = np.divide(1.0, noise, out=np.ones(noise.size), where=noise > 0.0)

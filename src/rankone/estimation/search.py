@@ -49,6 +49,7 @@ def fit(
     noise: object = None,
     weights: Measurements | None = None,
     fixed: Mapping[Any, Any] | None = None,
+    doses: Mapping[Any, str] | None = None,
     start: ParameterValues = None,
     bounds: Bounds = None,
     prior: Distributions = None,
@@ -93,6 +94,12 @@ def fit(
     fixed : mapping, optional
         Values of known parameters, by names or symbols; for a table with a column ``condition``
         or ``subject`` perhaps mappings by label, ``{"low": {"dose": 1}, "high": {"dose": 5}}``.
+    doses : mapping, optional
+        The parameter that is the amount of a dose, with the column of amounts: ``{dose: "amt"}``.
+        The table then has a row for each dose of a subject or condition, at its time, beside those
+        of data, and perhaps the columns ``evid``, ``mdv``, ``addl`` and ``ii`` of NONMEM. The
+        solution is that of one dose at its start. Those of several add up: this takes a linear
+        system.
     start : mapping, optional
         Values of some parameters to start from; the others start in the middle.
     bounds : mapping, optional
@@ -139,6 +146,7 @@ def fit(
         noise,
         weights,
         missing=missing,
+        doses=doses,
     )
     if data is None and not isinstance(times, Mapping) and not is_table(times):
         raise OptionError(

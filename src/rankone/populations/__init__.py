@@ -2,8 +2,6 @@
 
 =================  =====================================================================
 ``scales``         scales on which the parameters of subjects are normal
-``doses``          doses of subjects, and the sum of their curves
-``dose_table``     tables with rows of doses among those of data
 ``subjects``       subjects of a table, stacked
 ``predictions``    states of all subjects, each at times of its own
 ``layout``         the population parameters in a row

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.dose_table import doses_in
 from rankone.estimation.experiments import Experiment
 from rankone.estimation.free_parameters import ParameterValues
 from rankone.estimation.intervals import checked_level
 from rankone.estimation.observations import Sigma
 from rankone.estimation.tables import columns_of, is_empty, is_table
-from rankone.populations.dose_table import doses_in
-from rankone.populations.doses import DosesBySubject
 from rankone.populations.fit import PopulationFit
 from rankone.populations.individuals import EmpiricalBayes, Start
 from rankone.populations.layout import Layout
@@ -119,11 +118,11 @@ def fit_population(
     rows, by_subject, held = _without_covariates(self, columns, covariates), None, dict(fixed or {})
     if doses is not None:
         by_subject, rows = doses_in(self, rows, doses, observe)
-        held = _with_reference(self, held, by_subject)
+        held = by_subject.with_reference(self, held)
     experiment = Experiment(columns, None, held, observe, sigma, noise)
     subjects = subjects_of(self, experiment, rows, by_subject)
     if by_subject is not None:
-        _check_observables(subjects, by_subject.parameter)
+        by_subject.check_observables((m.name, m.formula, m.noise) for m in subjects.measured)
     layout = layout_of(subjects, columns, random, covariates, correlated)
     _check_size(subjects, layout)
     marginal = Marginal(EmpiricalBayes(subjects, layout))
@@ -169,29 +168,6 @@ def _without_covariates(
     kept = {*solution.parameters, *solution.states, solution.metadata.time, "time", SUBJECT}
     alone = covariate_columns(covariates) - kept
     return {name: column for name, column in columns.items() if name not in alone}
-
-
-def _with_reference(
-    solution: SolutionCore, fixed: Mapping[Any, Any], doses: DosesBySubject
-) -> dict[Any, Any]:
-    """The fixed parameters, and with them the amount of the dose that the solution is of."""
-    own = {key: entry for key, entry in fixed.items() if not isinstance(entry, Mapping)}
-    if doses.parameter in by_name("fixed", own, tuple(solution.parameters)):
-        raise OptionError(
-            f"fixed: {quote(doses.parameter)} is the amount of doses", remedy="leave it out"
-        )
-    return {**fixed, doses.parameter: doses.reference}
-
-
-def _check_observables(subjects: Subjects, amount: str) -> None:
-    """Raise an OptionError for observables in which the amount of a dose stands."""
-    for one in subjects.measured:
-        formulas = [one.formula, *([one.noise.formula] if one.noise.formula else [])]
-        if any(amount in formula.names for formula in formulas):
-            raise OptionError(
-                f"{quote(one.name)} depends on {quote(amount)} itself, which differs between doses",
-                remedy="leave it out of what is observed and of its noise",
-            )
 
 
 def _check_size(subjects: Subjects, layout: Layout) -> None:

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.doses import Response
 from rankone.ir.timeline import BranchedTimeline
-from rankone.populations.doses import Response
 from rankone.solution.branches import branch_evaluator
 from rankone.solution.core import SolutionCore, timeline_evaluator
 from rankone.support.arrays import Array

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.doses import Doses, DosesBySubject
 from rankone.estimation.duals import Dual, Operand
 from rankone.estimation.experiments import Experiment, fixed_by_label, observed_in
 from rankone.estimation.formulas import Formula
 from rankone.estimation.noise import Noise, log_likelihood
 from rankone.estimation.observations import Observations, check_levels
 from rankone.estimation.tables import GROUPS, Block, blocks_of
-from rankone.populations.doses import Doses, DosesBySubject
 from rankone.populations.predictions import OwnTimes, own_times
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array

@@ -7,19 +7,22 @@ from the time of each dose and multiplied by its amount.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.estimation.formulas import Formula
+from rankone.estimation.noise import Noise
 from rankone.solution.core import SolutionCore
+from rankone.statistics.joint_distribution import by_name
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
 
-_AFTER_ALL = np.iinfo(np.intp).max  # The row of what comes after every dose at its time
+AFTER_ALL = np.iinfo(np.intp).max  # The row of what comes after every dose at its time
 
 
 class Response(NamedTuple):
@@ -53,7 +56,7 @@ class Doses:
         shape = count, 1
         return cls(start, end, np.full(shape, start), np.ones(shape), np.full(shape, -1))
 
-    def response(self, times: Array, rows: NDArray[np.intp] | int = _AFTER_ALL) -> Response:
+    def response(self, times: Array, rows: NDArray[np.intp] | int = AFTER_ALL) -> Response:
         """What records take at times (n, M) of data, in some rows of the table (n, M).
 
         Of a dose and a datum at the same time, the one whose row is first comes first.
@@ -80,18 +83,43 @@ class Dose(NamedTuple):
 
 @dataclass(frozen=True)
 class DosesBySubject:
-    """The doses of each subject; the solution is evaluated at ``reference`` of the parameter."""
+    """The doses of each subject; the solution is evaluated at ``reference`` of the parameter.
+
+    ``column`` tells subjects apart in the table; without it all rows are those of one.
+    """
 
     parameter: str
     reference: float
     doses: Mapping[str, Sequence[Dose]]
+    column: str | None
+
+    def with_reference(self, solution: SolutionCore, fixed: Mapping[Any, Any]) -> dict[Any, Any]:
+        """The fixed parameters, and with them the amount of the dose that the solution is of."""
+        own = {key: entry for key, entry in fixed.items() if not isinstance(entry, Mapping)}
+        if self.parameter in by_name("fixed", own, tuple(solution.parameters)):
+            raise OptionError(
+                f"fixed: {quote(self.parameter)} is the amount of doses", remedy="leave it out"
+            )
+        return {**fixed, self.parameter: self.reference}
+
+    def check_observables(self, observed: Iterable[tuple[str, Formula, Noise]]) -> None:
+        """Raise an OptionError for observables in which the amount of a dose stands."""
+        for name, formula, noise in observed:
+            formulas = [formula, *([noise.formula] if noise.formula else [])]
+            if any(self.parameter in each.names for each in formulas):
+                amount = quote(self.parameter)
+                raise OptionError(
+                    f"{quote(name)} depends on {amount} itself, which differs between doses",
+                    remedy="leave it out of what is observed and of its noise",
+                )
 
     def of_records(self, solution: SolutionCore, owners: Sequence[str]) -> Doses:
         """The doses of records, from the names of their subjects, which have one record each."""
         for k, owner in enumerate(owners):
+            whose = f"{self.column} {quote(owner)}" if self.column else "the table"
             if owner in owners[:k]:
                 raise OptionError(
-                    f"subject {quote(owner)} is under several conditions, and `doses` does not say "
+                    f"{whose} is under several conditions, and `doses` does not say "
                     "under which of them its doses are",
                     term=owner,
                     remedy="give the conditions subjects of their own, or the dose as a parameter "
@@ -99,9 +127,9 @@ class DosesBySubject:
                 )
             if owner not in self.doses:
                 raise OptionError(
-                    f"subject {quote(owner)} has data and no dose",
+                    f"{whose} has data and no dose",
                     term=owner,
-                    remedy="add a row with its dose, or leave the subject out",
+                    remedy="add a row with its dose" + (", or leave it out" if self.column else ""),
                 )
         start, end = solution.time
         shape = len(owners), max(len(self.doses[owner]) for owner in owners)

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.estimation.tables import label_of, measured_columns, numbers_of, time_column
-from rankone.populations.doses import Dose, DosesBySubject
-from rankone.populations.subjects import SUBJECT
+from rankone.estimation.doses import Dose, DosesBySubject
+from rankone.estimation.tables import GROUPS, label_of, measured_columns, numbers_of, time_column
 from rankone.solution.core import SolutionCore
 from rankone.statistics.joint_distribution import by_name
 from rankone.support.arrays import Array
@@ -50,11 +49,12 @@ def doses_in(
     measured = measured_columns(solution, rest, time_column(solution, rest), observe)
     data = [numbers_of(each, rest[each]) for each in measured]
     here = _rows_of_doses(name, amounts, np.nan_to_num(np.array(data)), cells)
-    by_subject = _by_subject(solution, rest, amounts, here, cells)
+    owner = next((name for name in reversed(GROUPS) if name in rest), None)
+    by_subject = _by_subject(solution, rest, owner, amounts, here, cells)
     hidden = here | (cells.get("evid", 0.0) == _OTHER) | (cells.get("mdv", 0.0) == 1.0)
     for each, column in zip(measured, data, strict=True):
         rest[each] = np.where(hidden, np.nan, column)
-    return DosesBySubject(parameter, solution.parameters[parameter][1], by_subject), rest
+    return DosesBySubject(parameter, solution.parameters[parameter][1], by_subject, owner), rest
 
 
 def _named(solution: SolutionCore, columns: Mapping[str, Any], doses: object) -> tuple[str, str]:
@@ -119,6 +119,7 @@ def _rows_of_doses(
 def _by_subject(
     solution: SolutionCore,
     columns: Mapping[str, Any],
+    column: str | None,
     amounts: Array,
     here: NDArray[np.bool_],
     cells: Mapping[str, Array],
@@ -129,8 +130,11 @@ def _by_subject(
     none = np.zeros(here.size)
     more, interval = cells.get("addl", none), cells.get("ii", none)
     doses: dict[str, list[Dose]] = {}
-    for row, subject in enumerate(map(label_of, columns[SUBJECT])):
-        place = f"row {row + 1} of the table, subject {quote(subject)}"
+    owners = [label_of(each) for each in columns[column]] if column else [""] * here.size
+    for row, subject in enumerate(owners):
+        place = f"row {row + 1} of the table"
+        if column:
+            place += f", {column} {quote(subject)}"
         if amounts[row] < 0.0:
             raise OptionError(f"{place}: the dose {amounts[row]:g} is negative")
         if not here[row]:
