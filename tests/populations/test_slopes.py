@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rankone.populations import individuals
+from rankone.populations.individuals import Start
 from tests.populations.simulated import oral, population, table_of
 
 H = 2e-3  # Displacements of population parameters
@@ -25,6 +26,20 @@ def test_random_effects_that_are_one():
     assert fit.x["correlation_CL_V"] > 0.9999
     assert fit.log_likelihood == pytest.approx(-70.26343, abs=1e-4)
     assert fit.interval()["correlation_CL_V"][0] < 0.0
+
+
+def test_modes_where_the_covariance_is_singular_but_for_rounding():
+    """One of two correlated effects follows the other: how closely does not show in the modes."""
+    table = table_of(3, 6)
+    fit = oral().fit_population(table, random=["CL", "V"], noise="combined", correlated=True)
+    marginal, layout = fit._marginal, fit._marginal.search.layout
+    psi = np.tile(fit._psi, (4, 1))
+    psi[:, layout.factors.start + 1] = [-12.0, -16.0, -20.0, -24.0]
+    values, found = marginal.at(psi, Start.at(np.zeros((6, 2))))
+    assert found.converged.all()
+    np.testing.assert_allclose(values, values[-1], rtol=1e-7)
+    gradient = marginal.slopes(psi, found).gradient
+    np.testing.assert_allclose(gradient, np.tile(gradient[-1], (4, 1)), atol=1e-4)
 
 
 def differences(rows):

@@ -14,6 +14,7 @@ import scipy.linalg
 from rankone.calibration.conditioned import Interval
 from rankone.calibration.cube import Cube
 from rankone.calibration.likelihood import Evaluation
+from rankone.calibration.uncertainty import covariance_of
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 
@@ -48,8 +49,8 @@ def box_around(
         sizes = np.abs(np.diag(r))[:MOST_AROUND]
         count = max(int(np.sum(sizes > _INSENSITIVE * sizes[0])), 1)
     chosen = order[:count]
-    inverse = np.linalg.pinv(np.linalg.qr(rest[:, chosen], mode="r"))
-    deviations = dict(zip(chosen.tolist(), np.linalg.norm(inverse, axis=1).tolist(), strict=True))
+    spreads = np.sqrt(np.diag(covariance_of(rest[:, chosen])))
+    deviations = dict(zip(chosen.tolist(), spreads.tolist(), strict=True))
     return {
         name: _interval(cube, name, values, deviations[j])
         for j, name in enumerate(listed)

@@ -47,11 +47,16 @@ def linear_reaches(names: Sequence[str], at: Expansion, variance: float) -> dict
 
 
 def covariance_at(at: Expansion, variance: float = 1.0) -> Array:
-    """The covariance (n, n) in z, of a prior that is uniform between the bounds.
+    """The covariance (n, n) in z at a point; see :func:`covariance_of`."""
+    return covariance_of(at.jacobian, variance)
+
+
+def covariance_of(jacobian: Array, variance: float = 1.0) -> Array:
+    """The covariance (n, n) in z by the Jacobian (m, n), of a prior uniform between the bounds.
 
     ``variance`` is that of the residuals.
     """
-    information = at.jacobian.T @ at.jacobian / variance
+    information = jacobian.T @ jacobian / variance
     information[np.diag_indices_from(information)] += 1.0 / _UNIFORM_VARIANCE
     return np.asarray(np.linalg.inv(information))
 

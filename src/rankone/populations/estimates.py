@@ -155,8 +155,12 @@ class PopulationEstimates:
         layout, flat = self._layout, self.uncertainty.flat
         effects = (effect.name for effect in layout.effects)
         names = [*layout.names, *effects, *self._spread_names, *layout.levels]
-        shares = np.abs(flat) / np.abs(flat).max(axis=0)
-        unseen = (shares > _FLAT_SHARE).any(axis=1)
+        moves = flat.copy()
+        moves[layout.factors] = self._spread_slopes.T @ flat[layout.factors]
+        for j, name in enumerate(self._spread_names):
+            if name.startswith("correlation"):
+                moves[layout.factors.start + j] *= 1.0 - self.x[name] ** 2
+        unseen = (np.abs(moves) > _FLAT_SHARE * np.abs(flat).max(axis=0)).any(axis=1)
         return dict(zip(names, (~unseen).tolist(), strict=True)) | dict.fromkeys(self.idle, True)
 
     @cached_property
@@ -203,13 +207,19 @@ class PopulationEstimates:
         intervals |= dict.fromkeys(unseen, (-math.inf, math.inf))
         return {**intervals, **dict.fromkeys(self.idle, (math.nan, math.nan))}
 
-    def _spread_coordinates(self) -> Iterator[tuple[str, float, float]]:
-        """For each spread its name, the correction of its coordinate, and the variance of that."""
-        layout, u = self._layout, self.uncertainty
+    @cached_property
+    def _spread_slopes(self) -> Array:
+        """Derivatives (F, F) of the coordinates of spreads, in columns, by the entries of L."""
+        layout = self._layout
         factors = self._psi[layout.factors]
         steps = _STEP * np.eye(factors.size)
         changes = [_spreads(layout, factors + h) - _spreads(layout, factors - h) for h in steps]
-        slopes = np.array(changes) / (2.0 * _STEP)
+        return np.array(changes) / (2.0 * _STEP)
+
+    def _spread_coordinates(self) -> Iterator[tuple[str, float, float]]:
+        """For each spread its name, the correction of its coordinate, and the variance of that."""
+        layout, u = self._layout, self.uncertainty
+        factors, slopes = self._psi[layout.factors], self._spread_slopes
         shifts = _spreads(layout, u.corrected[layout.factors]) - _spreads(layout, factors)
         among = u.covariance[layout.factors, layout.factors]
         variances = np.einsum("ps,pq,qs->s", slopes, among, slopes)

@@ -2,7 +2,8 @@
 
 For each subject they minimise -2 log p(y | eta) + eta' Omega^-1 eta, by damped Gauss-Newton steps
 on the pseudo-residuals of the data with a secant correction, for many population parameters and all
-subjects at once. The parameters of subjects stay in the box of the solution.
+subjects at once. The parameters of subjects stay in the box of the solution. Steps are those of the
+whitened effects b with eta = L b and Omega = L L', so that Omega may be nearly singular.
 """
 
 from __future__ import annotations
@@ -67,12 +68,14 @@ class Linearised:
 class Individuals:
     """The most probable random effects ``eta`` (K, n, q), and the data linearised there.
 
-    ``penalty`` (K, n) is eta' Omega^-1 eta, ``correction`` (K, n, q, q) what the Fisher information
-    lacks of half the second derivatives, ``damping`` (K, n) that of the last steps. ``converged``
-    (K, n) tells where the search ended.
+    ``whitened`` (K, n, q) are these with unit covariance, ``penalty`` (K, n) is the sum of their
+    squares, ``correction`` (K, n, q, q) what the Fisher information lacks of half the second
+    derivatives, ``damping`` (K, n) that of the last steps. ``converged`` (K, n) tells where the
+    search ended.
     """
 
     eta: Array
+    whitened: Array
     at: Linearised
     penalty: Array
     correction: Array
@@ -87,6 +90,7 @@ class Individuals:
         converged[:, which] = others.converged
         return Individuals(
             _joined(self.eta, others.eta, which),
+            _joined(self.whitened, others.whitened, which),
             Linearised(*at),
             _joined(self.penalty, others.penalty, which),
             _joined(self.correction, others.correction, which),
@@ -99,6 +103,7 @@ class Individuals:
         one = slice(k, k + 1)
         return Individuals(
             self.eta[one],
+            self.whitened[one],
             Linearised(*(getattr(self.at, field.name)[one] for field in fields(Linearised))),
             self.penalty[one],
             self.correction[one],
@@ -220,82 +225,118 @@ class _Descent:
     def __init__(self, search: EmpiricalBayes, psi: Array, start: Start) -> None:
         self.search, self.psi = search, psi
         self.random = list(search.layout.random)
-        factor = search.layout.cholesky(psi)
-        self.precision = np.asarray(np.linalg.inv(factor @ factor.swapaxes(-1, -2)))[:, None]
+        self.factor = search.layout.cholesky(psi)[:, None]
         self.typical = search.layout.typical(psi)
         middle = self.typical[..., self.random]
         self.lower = search.lower[self.random] - middle
         self.upper = search.upper[self.random] - middle
         self.eta = np.clip(np.broadcast_to(start.eta, middle.shape), self.lower, self.upper)
-        self.here, self.penalty = self._at(self.eta)
+        self.whitened = self._whitened(self.eta)
+        self.here = self._at(self.eta)
         self.correction = np.broadcast_to(start.correction, (*middle.shape, len(self.random)))
-        self.damping = np.broadcast_to(start.damping, self.penalty.shape)
-        self.converged = np.zeros(self.penalty.shape, dtype=bool)
+        self.damping = np.broadcast_to(start.damping, middle.shape[:2])
+        self.converged = np.zeros(middle.shape[:2], dtype=bool)
 
     @property
     def individuals(self) -> Individuals:
         """What has been reached."""
         return Individuals(
-            self.eta, self.here, self.penalty, self.correction, self.damping, self.converged
+            self.eta,
+            self.whitened,
+            self.here,
+            _squared(self.whitened),
+            self.correction,
+            self.damping,
+            self.converged,
         )
 
     def advance(self) -> bool:
         """Take a step where it lowers the sum; False once all have converged."""
-        gradient = self._gradient(self.here, self.eta)
-        step, decrement = self._step(gradient)
+        step, whitened, decrement = self._step()
         self.converged |= (decrement < _LEAST_DECREMENT) & np.isfinite(self.here.cost)
         if self.converged.all():
             return False
-        there, penalty = self._at(self.eta + step)
-        before = self.here.cost + self.penalty
-        better = there.cost + penalty <= before + _ROUNDING * np.abs(before)
+        there = self._at(self.eta + step)
+        before = self.here.cost + _squared(self.whitened)
+        better = there.cost + _squared(whitened) <= before + _ROUNDING * np.abs(before)
         better &= np.isfinite(there.cost)
-        change = self._gradient(there, self.eta + step) - gradient
+        change = (there.gradient - self.here.gradient)[..., self.random]
         self.correction = _secant(
-            self.correction, self._fisher(there), step, change, better & (decrement > 0.0)
+            self.correction, self._information(there), step, change, better & (decrement > 0.0)
         )
         self.eta = np.where(better[..., None], self.eta + step, self.eta)
-        self.penalty = np.where(better, penalty, self.penalty)
+        self.whitened = np.where(better[..., None], whitened, self.whitened)
         self.here = _chosen(better, there, self.here)
         eased = np.where(self.damping > _LEAST_DAMPING, self.damping / _DAMPING_FACTOR**2, 0.0)
         raised = np.clip(self.damping * _DAMPING_FACTOR, _LEAST_DAMPING, _MOST_DAMPING)
         self.damping = np.where(better, eased, raised)
         return True
 
-    def _at(self, eta: Array) -> tuple[Linearised, Array]:
-        """The data at random effects (K, n, q), and the penalty of these."""
+    def _at(self, eta: Array) -> Linearised:
+        """The data at random effects (K, n, q)."""
         place = self.typical.copy()
         place[..., self.random] += eta
         place = np.clip(place, self.search.lower, self.search.upper)
-        one = linearised(self.search.subjects, self.search.layout, self.psi, place)
-        return one, (eta * (self.precision @ eta[..., None])[..., 0]).sum(axis=-1)
+        return linearised(self.search.subjects, self.search.layout, self.psi, place)
 
-    def _gradient(self, at: Linearised, eta: Array) -> Array:
-        """Half of the derivatives of the sum (K, n, q)."""
-        return np.asarray(at.gradient[..., self.random] + (self.precision @ eta[..., None])[..., 0])
+    def _whitened(self, eta: Array) -> Array:
+        """The whitened effects of random effects (K, n, q)."""
+        return np.asarray(np.linalg.solve(self.factor, eta[..., None])[..., 0])
 
-    def _fisher(self, at: Linearised) -> Array:
-        """Half of the expected second derivatives of the sum (K, n, q, q)."""
-        return np.asarray(at.information[..., self.random, :][..., self.random] + self.precision)
+    def _information(self, at: Linearised) -> Array:
+        """The Fisher information (K, n, q, q) of the data about the random effects."""
+        return np.asarray(at.information[..., self.random, :][..., self.random])
 
-    def _step(self, gradient: Array) -> tuple[Array, Array]:
-        """A damped step (K, n, q) inside of the ends, and its squared length (K, n).
+    def _step(self) -> tuple[Array, Array, Array]:
+        """A damped step (K, n, q) inside of the ends, and the whitened effects after it.
 
-        Effects at an end that the gradient pushes outwards stay.
+        Beside them is its squared length (K, n) without damping. Effects at an end that the
+        gradient pushes outwards stay.
         """
-        identity = np.eye(len(self.random))
-        fisher = self._fisher(self.here)
-        held = (self.eta <= self.lower) & (gradient > 0.0)
-        held |= (self.eta >= self.upper) & (gradient < 0.0)
-        free = ~held
-        usable = np.isfinite(fisher).all(axis=(-1, -2)) & np.isfinite(gradient).all(axis=-1)
-        free &= np.asarray(usable)[..., None]
-        pairs = free[..., :, None] & free[..., None, :]
-        fisher = np.where(pairs, fisher, identity)
-        correction = np.where(pairs, self.correction, 0.0)
-        push = np.where(free, gradient, 0.0)
-        solved, decrement = _solved(fisher, correction, self.damping, push)
-        return np.asarray(np.clip(self.eta - solved, self.lower, self.upper) - self.eta), decrement
+        turned = self.factor.swapaxes(-1, -2)
+        gradient = (turned @ self.here.gradient[..., self.random, None])[..., 0] + self.whitened
+        ways = self._ways(gradient)
+        onto = np.asarray(self.factor @ ways)
+        back = onto.swapaxes(-1, -2)
+        push = (ways @ gradient[..., None])[..., 0]
+        information = back @ self._information(self.here) @ onto
+        usable = np.asarray(np.isfinite(information).all(axis=(-1, -2)))
+        usable &= np.isfinite(push).all(axis=-1)
+        push = np.where(usable[..., None], push, 0.0)
+        information = np.where(usable[..., None, None], information, 0.0)
+        correction = np.where(usable[..., None, None], back @ self.correction @ onto, 0.0)
+        expected = np.eye(len(self.random)) + information
+        solved, decrement = _solved(expected, correction, self.damping, push)
+        free = self.eta - (onto @ solved[..., None])[..., 0]
+        eta = np.clip(free, self.lower, self.upper)
+        inside = (eta == free).all(axis=-1)[..., None]
+        return (
+            eta - self.eta,
+            np.where(inside, self.whitened - solved, self._whitened(eta)),
+            decrement,
+        )
+
+    def _ways(self, gradient: Array) -> Array:
+        """The projection (K, n, q, q) of whitened effects on those that leave held effects at ends.
+
+        ``gradient`` (K, n, q) is half of the derivatives of the sum by whitened effects.
+        """
+        turned = self.factor.swapaxes(-1, -2)
+        outwards = np.linalg.solve(turned, gradient[..., None])[..., 0]
+        held = (self.eta <= self.lower) & (outwards > 0.0)
+        held |= (self.eta >= self.upper) & (outwards < 0.0)
+        ways = np.broadcast_to(np.eye(len(self.random)), (*held.shape, len(self.random)))
+        some = held.any(axis=-1)
+        if some.any():
+            rows = self.factor / np.linalg.norm(self.factor, axis=-1, keepdims=True)
+            rows = np.where(held[..., None], rows, 0.0)[some]
+            ways = ways.copy()
+            ways[some] -= np.linalg.pinv(rows) @ rows
+        return ways
+
+
+def _squared(rows: Array) -> Array:
+    return np.asarray((rows**2).sum(axis=-1))
 
 
 def _solved(fisher: Array, correction: Array, damping: Array, right: Array) -> tuple[Array, Array]:

@@ -87,10 +87,10 @@ class _Point:
             tangents[:, f, i, j] = self.factor[:, 0, i, i] if i == j else 1.0
         return tangents
 
-    @cached_property
+    @property
     def whitened(self) -> Array:
         """The random effects b (K, n, q) of unit covariance: eta = L b."""
-        return np.asarray(np.linalg.solve(self.factor, self.individuals.eta[..., None])[..., 0])
+        return self.individuals.whitened
 
     @cached_property
     def turned(self) -> Array:

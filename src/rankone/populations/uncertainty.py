@@ -79,7 +79,7 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     means, spreads = layout.means, layout.spreads
     scale = standard_steps(optimum.hessian)
     among = covariance[spreads, spreads]
-    slope = _slopes_of_information(marginal, optimum, scale)
+    slope = _slopes_of_information(marginal, optimum, box, scale)
     shift = -0.5 * among @ slope[:, 0]
     shift = np.clip(shift, -_LARGEST_CORRECTION, _LARGEST_CORRECTION)
     corrected = optimum.psi.copy()
@@ -87,9 +87,8 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     psi = np.stack([optimum.psi, corrected])
     _, individuals = marginal.at(psi, optimum.slopes.start(psi - optimum.psi))
     with np.errstate(all="ignore"):
-        before, after = np.diagonal(
-            _inverse(marginal.information_of_means(psi, individuals)), 0, 1, 2
-        )
+        information = marginal.information_of_means(psi, individuals)
+        before, after = _of_means(information, box, scale)[1]
         inflation = np.nan_to_num(after / before, nan=1.0, posinf=1.0)
         variances = np.einsum("vb,vw,wb->b", slope[:, 1:], among, slope[:, 1:])
         freedom = np.maximum(2.0 / variances / np.maximum(inflation, 1e-3), _LEAST_FREEDOM)
@@ -134,11 +133,20 @@ def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
     return seen, np.concatenate([root[:, lost], endless], axis=1)
 
 
-def _inverse(matrices: Array) -> Array:
-    return np.asarray(np.linalg.pinv(matrices, rcond=1e-12, hermitian=True))
+def _of_means(information: Array, box: Array, scale: Array) -> tuple[Array, Array]:
+    """Log determinants (K,) of the information (K, B, B) about means, and their variances (K, B).
+
+    Both are marginal: the precision of the ``box`` (P,) is added. ``scale`` (P,) is that of all
+    population parameters.
+    """
+    unit = scale[: information.shape[-1]]
+    whole = (information + np.diag(box[: unit.size])) * unit[:, None] * unit
+    whole = whole + _NO_BOX * np.eye(unit.size)
+    variances = np.diagonal(np.linalg.inv(whole), 0, 1, 2) * unit**2
+    return np.linalg.slogdet(whole)[1], np.asarray(variances)
 
 
-def _slopes_of_information(marginal: Marginal, optimum: Optimum, scale: Array) -> Array:
+def _slopes_of_information(marginal: Marginal, optimum: Optimum, box: Array, scale: Array) -> Array:
     """Derivatives with respect to the spreads of log |I|, and of logarithms of variances of means.
 
     Shape (V, 1 + B), by central differences.
@@ -152,7 +160,6 @@ def _slopes_of_information(marginal: Marginal, optimum: Optimum, scale: Array) -
     points = psi + moves
     _, individuals = marginal.at(points, optimum.slopes.start(moves))
     information = marginal.information_of_means(points, individuals)
-    logarithms = np.linalg.slogdet(information)[1]
-    variances = np.log(np.maximum(np.diagonal(_inverse(information), 0, 1, 2), 1e-300))
-    columns = np.concatenate([logarithms[:, None], variances], axis=1)
+    logarithms, variances = _of_means(information, box, scale)
+    columns = np.concatenate([logarithms[:, None], np.log(variances)], axis=1)
     return np.asarray((columns[:size] - columns[size:]) / (2.0 * h[:, None]))
