@@ -168,6 +168,25 @@ def test_a_latch_that_is_reset_to_zero_is_not_said_to_grow_again(rate):
     assert box._grows_again(Sampled())[1, 0]
 
 
+@pytest.mark.parametrize(
+    ("rate", "points"),
+    [
+        pytest.param("(t - 5)*x", [[0.0, 5.0], [1.0, 5.0]], id="one that is zero all along"),
+        pytest.param("-x", [[1.0, 100.0], [1.0, -2.0]], id="one that falls for good"),
+    ],
+)
+def test_a_trajectory_does_not_grow_because_others_do(rate, points):
+    problem = ro.Problem.from_strings(
+        {"x": f"k*{rate}"}, {"x": "a"}, {"a": (0, 2), "k": (-2, 100)}, (0, 10)
+    )
+    points = np.array(points)
+    reference = integrate_reference(ro.compile(problem).system, points, (0.0, 10.0), 1e-6)
+    assert reference.end == 10.0
+    exact = [points[0, 0] * np.exp(-1000.0), {5.0: 1.0, -2.0: np.exp(20.0)}[points[1, 1]]]
+    found = reference(np.array([10.0]))[0, :, 0]
+    np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-200)
+
+
 @pytest.mark.slow
 def test_of_several_lost_states_the_one_that_grows_again_is_named():
     rates = {"a": "-200*a", "x": "k*(t - 5)*x"}

@@ -81,7 +81,7 @@ class Resolution:
         self.system, self.points, self.rtol = system, points, rtol
         self.start, self.end, self.horizon = start, end, end - start
         self.first = size = np.abs(initial).max(axis=1, keepdims=True)
-        self.from_zero = (initial == 0.0).any(axis=1, keepdims=True)
+        self.at_zero = initial == 0.0
         self.rounding = self._rounding([(start, initial)], size)
         self.size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
         self.floor = np.full((len(initial), 1), np.inf)
@@ -146,7 +146,8 @@ class Resolution:
         self.largest = np.maximum(self.first, largest)
         self.size = np.where(small, largest, self.size)
         self.floor = np.where(lingers, _LINGERING * early, self.floor)
-        deepest = np.where(self.from_zero, _ZERO_FLOOR * largest, _DIP_FLOOR)
+        leaves_zero = (self.at_zero & (dense.largest > 0.0)).any(axis=1, keepdims=True)
+        deepest = np.where(leaves_zero, _ZERO_FLOOR * largest, _DIP_FLOOR)
         self.floor = np.where(dips, np.minimum(deepest, self.floor), self.floor)
         return self._resolves(small | lingers | dips | coarse)
 
@@ -217,12 +218,13 @@ class Resolution:
         own block of the Jacobian, whatever the others do. An integration that does not resolve them
         makes noise of them, which grows as well.
         """
-        dips, least, first = _dips(dense)
+        least, first = _dips(dense)
+        dips = np.asarray((least < math.inf).any(axis=1))
         if not dips.any():
             return dips[:, None]
         later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
-        lost, grows = dips & (least < _LEAST_SIZE), np.zeros_like(dips)
+        lost, grows = least < _LEAST_SIZE, np.zeros_like(dips)
         sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
             for some in self._may_grow(time, at, small, slowest):
@@ -231,13 +233,14 @@ class Resolution:
                 if np.isfinite(blocks).all():
                     charge(len(blocks) * eigenvalues(small.size))
                     growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
-                    if lost.any():
-                        grows[small] |= _growing(blocks * (sizes / sizes[:, None]), slowest)
+                    falls = blocks[lost[:, some].any(axis=0)]
+                    if len(falls):
+                        grows[small] |= _growing(falls * (sizes / sizes[:, None]), slowest)
         if growth <= slowest:
             return np.zeros_like(dips)[:, None]
-        lost &= grows
-        if lost.any():
-            name = self.system.states[int(np.argmax(lost))]
+        grows &= lost.any(axis=1)
+        if grows.any():
+            name = self.system.states[int(np.argmax(grows))]
             raise ConvergenceError(
                 f"`{name}` falls below {_LEAST_SIZE:g} and may grow again from there, which is "
                 "beyond floating-point numbers",
@@ -293,13 +296,13 @@ def _growing(blocks: Array, slowest: float) -> NDArray[np.bool_]:
     return np.asarray((parts > _PART).any(axis=(0, 2)))
 
 
-def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
-    """States (n,) that fall to a negligible part of what they were, and their least sizes there.
+def _dips(dense: DenseTrajectories) -> tuple[Array, float]:
+    """Sizes (n, m) to which states fall that fall to a negligible part of what they were.
 
-    Also the time at which the first of them is there.
+    Infinite for others. Also the time at which the first of them is there.
     """
     n, first, earlier = len(dense.state), math.inf, math.inf
-    dips, least, highest = np.zeros(n, dtype=bool), np.full(n, math.inf), np.zeros(n)
+    least, highest = np.full_like(dense.state, math.inf), np.zeros(n)
     before = largest = np.zeros_like(dense.state)
     for time, states in dense.samples(_DIP_SAMPLES):
         sizes = np.abs(states)
@@ -307,11 +310,10 @@ def _dips(dense: DenseTrajectories) -> tuple[NDArray[np.bool_], Array, float]:
         if (lowest < NEGLIGIBLE * highest).any():
             low = np.flatnonzero(lowest < NEGLIGIBLE * highest)  # few if any
             staying = np.maximum(before[low], sizes[low])
-            below = (staying < NEGLIGIBLE * largest[low]).any(axis=1)
+            below = staying < NEGLIGIBLE * largest[low]
             if below.any():
-                fallen = low[below]
-                first, dips[fallen] = min(first, earlier), True
-                least[fallen] = np.minimum(least[fallen], lowest[fallen])
+                first = min(first, earlier)
+                least[low] = np.where(below, np.minimum(least[low], sizes[low]), least[low])
         before, earlier, largest = sizes, time, np.maximum(largest, sizes)
         highest = np.maximum(highest, sizes.max(axis=1))
-    return dips, least, first
+    return least, first
