@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from rankone.estimation.checks import residual_checks
 from rankone.estimation.findings import findings_of
 from rankone.estimation.intervals import Intervals
+from rankone.statistics.distributions import Distribution
+from rankone.statistics.joint_distribution import Known
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import count, listing, quote
 
@@ -76,6 +80,43 @@ class Fit(Intervals, Labelled):
                 "standard deviations and bands are rough there"
             )
         return tuple(sentences)
+
+    @cached_property
+    def known(self) -> Known:
+        """The distribution of the parameters, which statistics take: ``solution.mean(under=fit)``.
+
+        Estimates are normal in the coordinates of the search, with the covariance there.
+        """
+        free = self._problem.free
+        root = self._identification.root
+        deviations = np.linalg.norm(root, axis=1)
+        distributions: dict[str, Distribution] = {}
+        fixed = dict(self.fixed)
+        for j, name in enumerate(self.parameters):
+            x = self.x[name]
+            if not deviations[j] > 0.0:
+                fixed[name] = x
+            elif free.logarithmic[j]:
+                spread = deviations[j] * free.logarithms[j]
+                distributions[name] = scipy.stats.lognorm(spread, scale=x)
+            else:
+                distributions[name] = scipy.stats.norm(x, deviations[j] * free.width[j])
+        moving = [j for j, name in enumerate(self.parameters) if name in distributions]
+        pairs = itertools.combinations(moving, 2)
+        correlation = {
+            (self.parameters[i], self.parameters[j]): float(
+                root[i] @ root[j] / (deviations[i] * deviations[j])
+            )
+            for i, j in pairs
+        }
+        several = []
+        for name in dict.fromkeys(itertools.chain(*(trial.fixed for trial in self.trials))):
+            values = {trial.fixed.get(name) for trial in self.trials}
+            if len(values) > 1 or any(trial.doses is not None for trial in self.trials):
+                several.append(name)
+            else:
+                fixed[name] = self.trials[0].fixed[name]
+        return Known(distributions, correlation, fixed, tuple(several))
 
     # --- display -------------------------------------------------------------------------------
 

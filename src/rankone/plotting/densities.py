@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from rankone.plotting import style
 from rankone.plotting.arguments import check_solution, sometimes_of, unknown_of
-from rankone.statistics.joint_distribution import Correlations, Distributions
+from rankone.statistics.joint_distribution import Correlations, Under
 from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def plot_density(
     unknown: object = None,
     t: ArrayLike | None = None,
     *,
-    under: Distributions = None,
+    under: Under = None,
     correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from rankone.plotting import style
 from rankone.plotting.arguments import check_solution, one_time, sometimes_of, unknown_of
-from rankone.statistics.joint_distribution import Correlations, Distributions
+from rankone.statistics.joint_distribution import Correlations, Under
 from rankone.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -35,7 +35,7 @@ def plot_sobol(
     t: ArrayLike | None = None,
     *,
     kind: Kind = "total",
-    under: Distributions = None,
+    under: Under = None,
     correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -114,7 +114,7 @@ def plot_main_effects(
     unknown: object = None,
     t: ArrayLike | None = None,
     *,
-    under: Distributions = None,
+    under: Under = None,
     correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:

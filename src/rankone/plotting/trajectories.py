@@ -20,7 +20,7 @@ from rankone.plotting.arguments import (
     unknowns_of,
 )
 from rankone.solution.smaller import merged
-from rankone.statistics.joint_distribution import Correlations, Distributions
+from rankone.statistics.joint_distribution import Correlations, Under
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
@@ -222,7 +222,7 @@ def plot_bands(
     *,
     quantiles: tuple[float, float] | None = None,
     sigmas: float | None = None,
-    under: Distributions = None,
+    under: Under = None,
     correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from rankone.solution.core import UnknownView
-from rankone.statistics.joint_distribution import Correlations, Distributions
+from rankone.statistics.joint_distribution import Correlations, Under
 from rankone.statistics.over_box import StatisticsOverBox, Times
 from rankone.statistics.replicates import SETS, half_width, share_of
 from rankone.statistics.solution_statistics import Statistics
@@ -128,7 +128,7 @@ class DistributionOverBox(StatisticsOverBox):
         *,
         unknown: object = None,
         values: ArrayLike | None = None,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         count: int = 2**17,
     ) -> Density:
@@ -202,7 +202,7 @@ class DistributionOverBox(StatisticsOverBox):
         unknown: object = None,
         above: float | None = None,
         below: float | None = None,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         count: int = 2**15,
     ) -> Probability:

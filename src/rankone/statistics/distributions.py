@@ -237,6 +237,11 @@ class Measure:
                 remedy="solve on a wider box",
             )
 
+    @property
+    def key(self) -> object:
+        """Equal for the same distribution object."""
+        return id(self.distribution)
+
     @cached_property
     def mass(self) -> float:
         """Probability of the interval before it is cut."""
@@ -366,6 +371,34 @@ class Measure:
         xi, weights = leggauss(_PANEL_NODES)
         half = 0.5 * (panels[:, 1:] - panels[:, :1])
         return self.sample(panels[:, :1] + half * (xi + 1.0)), half * weights
+
+
+@dataclass(frozen=True, eq=False)
+class PointMeasure(Measure):
+    """A parameter that has one value in its interval."""
+
+    at: float = math.nan
+
+    @property
+    def key(self) -> object:
+        """See :attr:`Measure.key`."""
+        return self.at
+
+    def share(self, lower: float, upper: float) -> float:
+        """See :meth:`Measure.share`; of two parts the upper one has the point between them."""
+        return float(lower <= self.at and (self.at < upper or upper >= self.upper))
+
+    def cut(self, lower: float, upper: float) -> Measure:
+        """See :meth:`Measure.cut`."""
+        return PointMeasure(self.name, lower, upper, at=self.at)
+
+    def sample(self, shares: Array) -> Array:
+        """See :meth:`Measure.sample`."""
+        return np.full(np.shape(shares), self.at)
+
+    def quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+        """See :meth:`Measure.quadrature`."""
+        return np.array([self.at]), np.ones(1)
 
 
 def gauss_rule(points: Array, weights: Array, count: int) -> tuple[Array, Array]:

@@ -13,13 +13,13 @@ import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rankone.discretization.coordinates import name_of
-from rankone.statistics.distributions import Distribution, Measure
+from rankone.statistics.distributions import Distribution, Measure, PointMeasure
 from rankone.statistics.replicates import even_shares, sets_of_shares
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
@@ -30,6 +30,31 @@ Distributions = Mapping[Any, Distribution] | None
 """Distributions by parameter, a name or a symbol; those of the problem where none are given."""
 Correlations = Mapping[Any, float] | None
 """Correlations by pair of parameters, names or symbols; None for those of the problem."""
+
+
+class Known(NamedTuple):
+    """What a fit says of parameters: distributions, their correlations, and fixed values.
+
+    ``open`` are parameters that have several values in the experiments of the fit.
+    """
+
+    distributions: dict[str, Distribution]
+    correlation: dict[tuple[str, str], float]
+    fixed: dict[str, float]
+    open: tuple[str, ...]
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """A fit, whose estimates are uncertain."""
+
+    @property
+    def known(self) -> Known:
+        """The distribution of the parameters."""
+
+
+Under = Distributions | Fitted
+"""Distributions by parameter, or a fit."""
 
 _LARGEST_NORMAL = 6.5  # Largest normal number of the quadrature; the probability beyond is 1e-10
 _MOST_GRID_DIMENSIONS = 3  # Most correlated parameters for a grid; more take evenly spread points
@@ -211,6 +236,52 @@ def measures_of(
     )
 
 
+def fitted_distribution(
+    names: Sequence[str],
+    box: Sequence[tuple[float, float]],
+    fit: Fitted,
+    correlation: Correlations,
+    from_problem: Mapping[str, Distribution],
+) -> JointDistribution:
+    """Parameters as a fit knows them; those that it does not know have what the problem says.
+
+    An OptionError if the fit knows none of them, or has a value for each experiment.
+    """
+    known = fit.known
+    several = [name for name in names if name in known.open]
+    if several:
+        raise OptionError(
+            f"under: the experiments of the fit have several values of {listing(several)}",
+            term=tuple(several),
+            remedy="fix values, and ask that solution: "
+            f"solution.fix({', '.join(f'{name}=...' for name in several)})",
+        )
+    if not {*known.distributions, *known.fixed} & {*names}:
+        raise OptionError(
+            f"under: the fit is of {listing(known.distributions)}, and the solution has "
+            f"{listing(names) if names else 'no parameters'}",
+            remedy="give a fit of this solution",
+        )
+    measures: list[Measure] = []
+    for name, (lower, upper) in zip(names, box, strict=True):
+        if name not in known.fixed:
+            of_fit = known.distributions.get(name)
+            given = from_problem.get(name) if of_fit is None else of_fit
+            measures.append(Measure(name, lower, upper, given, from_problem=of_fit is None))
+            continue
+        if not lower <= known.fixed[name] <= upper:
+            raise OptionError(
+                f"under: the fit has {name} = {known.fixed[name]:g}, outside "
+                f"[{lower:g}, {upper:g}]",
+                term=name,
+                remedy="solve on a box that holds it",
+            )
+        measures.append(PointMeasure(name, lower, upper, at=known.fixed[name]))
+    if correlation is None:
+        correlation = {pair: c for pair, c in known.correlation.items() if {*pair} <= {*names}}
+    return JointDistribution(tuple(measures), copula_of(names, correlation))
+
+
 def by_name(
     option: str, given: Mapping[Any, Entry] | None, names: Sequence[str]
 ) -> dict[str, Entry]:
@@ -240,7 +311,7 @@ class JointDistribution:
     @property
     def key(self) -> tuple[object, ...]:
         """Equal for equal correlations of the same distribution objects."""
-        return self.copula, tuple(id(measure.distribution) for measure in self.measures)
+        return self.copula, tuple(measure.key for measure in self.measures)
 
     def points(self, shares: Array) -> Array:
         """Values of the parameters at independent shares of their probability, (d, count)."""

@@ -15,9 +15,11 @@ from rankone.solution.core import SolutionCore
 from rankone.statistics.distributions import Distribution, from_text, scale_of
 from rankone.statistics.joint_distribution import (
     Correlations,
-    Distributions,
+    Fitted,
     JointDistribution,
+    Under,
     copula_of,
+    fitted_distribution,
     measures_of,
 )
 from rankone.statistics.piece_statistics import PieceStatistics
@@ -101,7 +103,7 @@ class StatisticsOverBox(SolutionCore):
     """A solution whose parameters are random: moments, sensitivities, quantiles."""
 
     def mean(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Means of the unknowns over the box at times.
 
@@ -111,17 +113,19 @@ class StatisticsOverBox(SolutionCore):
         ----------
         t : array_like, optional
             Times; none if nothing depends on time.
-        under : mapping, optional
+        under : mapping or Fit, optional
             For parameters, by symbols or names, frozen continuous distributions of scipy.stats, cut
             at the ends of the box. Other parameters have the distribution of the problem, or a
-            uniform one.
+            uniform one. A fit gives its estimates their covariance: they are normal, or log-normal
+            if they were searched over decades, with the correlations of the fit, and what the fit
+            fixes has its value.
         correlation : mapping, optional
             For pairs of parameters, the correlation of the normal numbers of their Gaussian copula:
             ``{(k, c): 0.6}``. It is the correlation of normal parameters, and 2 sin(pi s/6) for a
-            rank correlation s of Spearman. Other pairs are independent. Up to three correlated
-            parameters are integrated by a quadrature, refined until mean and covariance change by
-            less than 1e-6, relative to the spread; more by evenly spread points, good to about
-            1e-3 of the standard deviation.
+            rank correlation s of Spearman. Other pairs are independent. By default those of the
+            fit, or of the problem. Up to three correlated parameters are integrated by a
+            quadrature, refined until mean and covariance change by less than 1e-6, relative to the
+            spread; more by evenly spread points, good to about 1e-3 of the standard deviation.
 
         Over solutions with events, which jump over the parameters at a time, averages are over
         lines through the box that are divided where the solution jumps. The nodes of Gauss's rule
@@ -144,19 +148,19 @@ class StatisticsOverBox(SolutionCore):
         return self._at(t, self._statistics(under, correlation).mean)
 
     def var(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Variances; arguments and shape as for :meth:`mean`."""
         return self._at(t, self._statistics(under, correlation).variance)
 
     def std(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Standard deviations; arguments and shape as for :meth:`mean`."""
         return np.asarray(np.sqrt(self.var(t, under=under, correlation=correlation)))
 
     def cov(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Covariances of the unknowns at the same time, (unknowns, unknowns, *shape of t)."""
         return self._at(t, self._statistics(under, correlation).covariance)
@@ -166,7 +170,7 @@ class StatisticsOverBox(SolutionCore):
         order: int,
         t: Times = None,
         *,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         central: bool = True,
     ) -> Array:
@@ -211,7 +215,7 @@ class StatisticsOverBox(SolutionCore):
         return np.zeros_like(mean) if central else mean
 
     def skewness(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Third central moments over the cubes of the standard deviations.
 
@@ -221,7 +225,7 @@ class StatisticsOverBox(SolutionCore):
         return np.asarray(self._higher(t, self._statistics(under, correlation), True)[1])
 
     def kurtosis(
-        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> Array:
         """Fourth central moments over the squared variances, minus 3 (0 for a normal distribution).
 
@@ -234,7 +238,7 @@ class StatisticsOverBox(SolutionCore):
         self,
         t: Times = None,
         *,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         count: int | None = None,
         progress: Progress = False,
@@ -274,7 +278,7 @@ class StatisticsOverBox(SolutionCore):
         t: Times = None,
         *,
         count: int = 101,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         progress: Progress = False,
     ) -> MainEffects:
@@ -304,7 +308,7 @@ class StatisticsOverBox(SolutionCore):
         count: int,
         *,
         seed: int | None = None,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
     ) -> dict[str, Array]:
         """Random values of the parameters, by name, (count,) each.
@@ -324,7 +328,7 @@ class StatisticsOverBox(SolutionCore):
         q: ArrayLike,
         t: Times = None,
         *,
-        under: Distributions = None,
+        under: Under = None,
         correlation: Correlations = None,
         count: int = 2**15,
     ) -> Quantiles:
@@ -376,7 +380,7 @@ class StatisticsOverBox(SolutionCore):
         statistics.parameters.require_independent(
             "third and fourth moments need independent parameters",
             remedy="take moments of samples: solution(t=t, **solution.sample(10**5, "
-            "correlation=...))",
+            "under=..., correlation=...))",
         )
         tolerance = _TRUNCATION_SHARE * self.rtol
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
@@ -388,9 +392,9 @@ class StatisticsOverBox(SolutionCore):
         statistics.parameters.require_independent(
             "Sobol indices are not defined for correlated parameters: their shares of the variance "
             "overlap",
-            remedy="leave out the correlation (correlation={} if the problem has it); compare "
-            "the standard deviations with one parameter fixed at a time; main_effects takes "
-            "correlations",
+            remedy="leave out the correlation (correlation={} if the problem or a fit has it); "
+            "compare the standard deviations with one parameter fixed at a time; main_effects "
+            "takes correlations",
         )
         checked = self._times(t)
         if checked.ndim > 1:
@@ -503,20 +507,19 @@ class StatisticsOverBox(SolutionCore):
     def _problem_distributions(self) -> dict[str, Distribution]:
         return {name: from_text(text) for name, text in self.metadata.distributions}
 
-    def _joint_distribution(
-        self, under: Distributions, correlation: Correlations
-    ) -> JointDistribution:
+    def _joint_distribution(self, under: Under, correlation: Correlations) -> JointDistribution:
         """The distributions and correlations given, completed by the problem."""
         names, box = self.metadata.parameters, self.metadata.box
+        if isinstance(under, Fitted):
+            of_problem = self._problem_distributions
+            return fitted_distribution(names, box, under, correlation, of_problem)
         if correlation is None:
             correlation = {(a, b): coefficient for a, b, coefficient in self.metadata.correlations}
         copula = copula_of(names, correlation)
         measures = measures_of(names, box, under, self._problem_distributions)
         return JointDistribution(measures, copula)
 
-    def _statistics(
-        self, under: Distributions = None, correlation: Correlations = None
-    ) -> Statistics:
+    def _statistics(self, under: Under = None, correlation: Correlations = None) -> Statistics:
         """The statistics for a joint distribution; the latest are kept for the next call."""
         self._evaluator  # noqa: B018 - raises if nothing was solved
         parameters = self._joint_distribution(under, correlation)
