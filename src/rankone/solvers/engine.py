@@ -101,8 +101,8 @@ class Engine:
             raise failure or error from None
         if outcome.status.ends_early and isinstance(failure, AccumulationError):
             raise failure
-        if outcome.status is Status.BLOW_UP and system.features.n_steps:
-            # over clock time, trajectories that slide along a jump seem to blow up
+        if outcome.status in (Status.BLOW_UP, Status.STALLS) and system.features.n_steps:
+            # over clock time, trajectories that slide along a jump seem to blow up or to stall
             if held is not None:
                 return held
             if failure is not None and not isinstance(failure, TrajectoryEndError):
