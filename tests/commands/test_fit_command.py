@@ -123,7 +123,7 @@ def test_conditions(tmp_path, capsys):
     assert answer["experiments"] == ["a=1", "a=2"]
     assert answer["x"] == {"k": pytest.approx(1.3, abs=1e-2)}
     assert main(["fit", file, data, "--noise", "gaussian"]) == 2
-    assert "noise='gaussian' is unknown" in capsys.readouterr().err
+    assert "--noise gaussian is unknown" in capsys.readouterr().err
     assert main(["fit", file, data, "--bounds", "k=1"]) == 2
     assert "the bounds of `k` are (1.0,), not a pair" in capsys.readouterr().err
 

@@ -74,8 +74,8 @@ def test_pieces_without_success_are_shown(solve):
     [
         (("--split", "q=2"), "there is no parameter `q`"),
         (("--split", "k=x"), "write NAME=COUNT"),
-        (("--executor", "x"), "executor='x' is not valid"),
-        (("--executor", "0"), "executor=0 is not valid"),
+        (("--executor", "x"), "--executor x is not valid"),
+        (("--executor", "0"), "--executor 0 is not valid"),
         (("--checkpoint", ""), "checkpoint is empty text"),
     ],
 )

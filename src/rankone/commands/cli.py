@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from rankone.commands import evaluate, export, fit, report, solve
-from rankone.commands.common import BAD_INPUT, FAILURE, complain
+from rankone.commands.common import BAD_INPUT, FAILURE, complain, spelled
+from rankone.commands.spelling import spelling
 
 _INTERRUPTED = 130  # Exit status after an interrupt, as shells have it: 128 and the signal
 _BROKEN_PIPE = 141  # Exit status when the reader of the output has gone
@@ -24,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line, with these arguments or those of the process; the exit status."""
     try:
         arguments = _parser().parse_args(argv)
+        spelled.set(spelling(arguments))
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: complain(f"warning: {message}")
             return int(arguments.run(arguments))

@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -20,6 +21,9 @@ PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML fi
 MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
 _DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
+
+spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
+"""How messages of the running command are written."""
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -180,7 +184,12 @@ def status_of(solution: Solution) -> int:
 
 
 def complain(text: str) -> None:
-    print(f"rankone: {text}", file=sys.stderr)
+    print(f"rankone: {spelled.get()(text)}", file=sys.stderr)
+
+
+def display(result: object) -> None:
+    """Print a summary, in the words of the command line."""
+    print(spelled.get()(str(result)))
 
 
 def summary(solution: Solution) -> dict[str, object]:
@@ -189,7 +198,7 @@ def summary(solution: Solution) -> dict[str, object]:
     return {
         "success": solution.success,
         "status": solution.status.name.lower(),
-        "message": solution.message,
+        "message": spelled.get()(solution.message),
         "method": solution.method,
         "rtol": solution.rtol,
         "error": finite_or_none(solution.error),

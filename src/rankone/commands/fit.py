@@ -16,6 +16,7 @@ from rankone.commands.common import (
     Commands,
     add_command,
     add_solve_arguments,
+    display,
     finite_or_none,
     solution_of,
 )
@@ -109,9 +110,9 @@ def _fit(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_plain(fit, posterior), indent=2, allow_nan=False))
     else:
-        print(fit)
+        display(fit)
         if posterior is not None:
-            print(posterior)
+            display(posterior)
     return SUCCESS if fit.success else FAILURE
 
 

@@ -17,6 +17,7 @@ from rankone.commands.common import (
     add_command,
     add_set,
     complain,
+    display,
     model_problem,
     problem_of,
     summary,
@@ -179,7 +180,7 @@ def _solve(arguments: argparse.Namespace) -> int:
         answer = {"file": str(arguments.file), **summary(solution), "saved": saved}
         print(json.dumps(answer, indent=2, allow_nan=False))
     elif not arguments.quiet:
-        print(solution)
+        display(solution)
         if arguments.save is not None:
             print(f"  saved     {arguments.save}")
     sys.stdout.flush()
