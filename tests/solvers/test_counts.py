@@ -44,18 +44,32 @@ def test_a_state_that_is_zero_before_a_dose_does_not_fall(start):
         np.testing.assert_allclose(found, exact, atol=3 * RTOL)
 
 
-@pytest.mark.parametrize(
-    ("box", "end"), [((1.06, 2.5), 5), pytest.param((1.03, 2), 6, marks=pytest.mark.slow)]
-)
-def test_spikes_whose_counts_differ_widely(box, end):
-    spikes = ro.Problem.from_strings(
+def spikes(box, end):
+    return ro.Problem.from_strings(
         {"x": "k - x"},
         {"x": 0},
         {"k": box},
         (0, end),
         events=[rising("x - 1", {"x": "0"}, "spike")],
     )
-    solution = ro.solve(spikes, RTOL)
+
+
+@pytest.mark.slow
+def test_counts_that_differ_too_widely_are_refused_with_a_part_that_is_solved():
+    """A part with several counts, where none of them alone holds in enough of the box."""
+    with pytest.raises(ro.ConvergenceError, match=r"`spike` \d+ times, which holds") as refused:
+        ro.solve(spikes((1.01, 3), 10), RTOL)
+    assert "it was solved there" in refused.value.remedy
+    (part,) = refused.value.part
+    assert part[1] - part[0] > 0.2
+    assert ro.solve(spikes(part, 10), RTOL).success
+
+
+@pytest.mark.parametrize(
+    ("box", "end"), [((1.06, 2.5), 5), pytest.param((1.03, 2), 6, marks=pytest.mark.slow)]
+)
+def test_spikes_whose_counts_differ_widely(box, end):
+    solution = ro.solve(spikes(box, end), RTOL)
     assert solution.success, solution.message
     times = np.linspace(0, end, 83)
     for share in (0.03, 0.3, 0.9):

@@ -19,7 +19,7 @@ from rankone.ir.verdict import NarrowBox, Note, NothingInterpolated, Remedy, Sta
 from rankone.solvers.one_order import inside, narrowing_text
 from rankone.support.budget import budget_left, limited
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.events.event_order import OrderError
+from rankone.trajectories.events.event_order import OrderError, TrajectoryEndError
 
 _WORST = 0.02  # Largest error of a solution that is offered
 _MARGIN = 1.5  # A looser tolerance over the error that was measured, at least
@@ -89,17 +89,17 @@ def with_remedy(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outc
 
 def with_tried_remedy(error: ConvergenceError, trials: Trials) -> ConvergenceError:
     """An error that was raised in place of an outcome, with a remedy that holds if one is found."""
-    part = error.part if isinstance(error, OrderError) else None
-    box = None
-    if part is not None:
-        box, _ = trials.first_box(trials.shrunk(dict(enumerate(part))))
-    if box is not None:
-        narrower = [*trials.request.domain.box]
-        for j, ends in box.items():
-            narrower[j] = ends
-        names, bounds = trials.names, trials.request.domain.bounds
-        error.remedy = f"narrow {narrowing_text(names, bounds, narrower)}: it was solved there"
-    elif (end := trials.end()) is not None:
+    if isinstance(error, OrderError) and not isinstance(error, TrajectoryEndError):
+        domain, whole = trials.request.domain, error.part is None
+        # the middle of a whole box has fewer orders, if not one alone
+        intervals = dict(enumerate(error.part or domain.box))
+        box, _ = trials.first_box(trials.shrunk(intervals, _SMALLER[whole:]))
+        if box is not None:
+            error.part = tuple(box.get(j, ends) for j, ends in enumerate(domain.box))
+            narrowed = narrowing_text(trials.names, domain.bounds, error.part)
+            error.remedy = f"narrow {narrowed}: it was solved there"
+            return error
+    if (end := trials.end()) is not None:
         error.remedy = _end_text(end)
     return error
 
@@ -172,9 +172,11 @@ class Trials:
             return latest
         return None
 
-    def shrunk(self, intervals: Intervals) -> Iterator[Intervals]:
+    def shrunk(
+        self, intervals: Intervals, parts: Sequence[float] = _SMALLER
+    ) -> Iterator[Intervals]:
         """Intervals, and parts around their middles."""
-        for part in _SMALLER:
+        for part in parts:
             shares = 0.5 + np.array([-0.5, 0.5]) * part
             yield {j: self._part(j, ends, shares) for j, ends in intervals.items()}
 
