@@ -141,10 +141,12 @@ def test_what_cannot_be_asked(ball, output, message):
         ball.output({"q": output})
 
 
-def test_an_occurrence_that_is_not_reached_everywhere(ball):
-    count = len(ball.event_times("bounce", **AT))
-    with pytest.raises(ro.EvaluationError, match="does not happen at h = "):
-        ball.output({"q": ro.event_time("bounce", count - 1)})
+@pytest.mark.parametrize("last", [True, False])
+def test_an_occurrence_that_is_not_reached_everywhere(ball, last):
+    occurrence = -1 if last else len(ball.event_times("bounce", **AT)) - 1
+    told = r"does not happen at h = .*: fewer of these events come .*, or take `solution.event_time"
+    with pytest.raises(ro.EvaluationError, match=told):
+        ball.output({"q": ro.event_time("bounce", occurrence)})
 
 
 def test_negative_occurrences_count_from_the_last_before_the_end(ball):

@@ -340,13 +340,21 @@ class Sampler:
         self._refuse(np.isnan(crossings), reduction, points)
         return crossings
 
-    def _refuse(self, missing: NDArray[np.bool_], reduction: Reduction, points: Array) -> None:
+    def _refuse(
+        self,
+        missing: NDArray[np.bool_],
+        reduction: Reduction,
+        points: Array,
+        why: str = "",
+        otherwise: str = "",
+    ) -> None:
         """Raise an EvaluationError if something does not happen at some points."""
         if missing.any() and (missing := missing & self.holds(points)).any():
             raise EvaluationError(
-                f"`{reduction.text}` does not happen at {self._named(points[missing][0])}",
+                f"`{reduction.text}` does not happen at {self._named(points[missing][0])}{why}",
                 term=reduction.text,
-                remedy="restrict the solution to parameters where it does: solution.restrict(...)",
+                remedy="restrict the solution to parameters where it does: solution.restrict(...)"
+                f"{otherwise}",
             )
 
     def _check_finite(self, text: str, sampled: Array, points: Array) -> None:

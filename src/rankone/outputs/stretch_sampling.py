@@ -21,6 +21,11 @@ from rankone.tensors.timeline import TimelineEvaluator
 
 _PLACE_COST, _SOURCE_COST = 160.0, 40.0  # Operations of a place on a stretch, and of a source there
 _NUMBER_COST = 20.0  # Operations of a number of the functions of clock time
+# Why an occurrence does not come before the end, and what tells its time where it does
+_FEWER = (
+    ": fewer of these events come before the end there than elsewhere in the box",
+    ", or take `solution.event_times(...)` at points",
+)
 
 
 class StretchSampler(Sampler):
@@ -269,7 +274,7 @@ class StretchSampler(Sampler):
         borders, within = self._borders(points)
         if isinstance(limit, Border):
             end = self.evaluator.horizon[1]
-            self._refuse(borders[limit.place] > end, reduction, points)
+            self._refuse(borders[limit.place] > end, reduction, points, *_FEWER)
             at = borders[limit.place] - self._late
         else:
             at = np.full(len(points), limit)
@@ -288,7 +293,7 @@ class StretchSampler(Sampler):
         instant, columns = reduction.start, np.arange(len(points))
         if isinstance(instant, Border):
             at = borders[instant.place]
-            self._refuse(at > self.evaluator.horizon[1], reduction, points)
+            self._refuse(at > self.evaluator.horizon[1], reduction, points, *_FEWER)
             stretch = np.full(len(points), instant.place if instant.after else instant.place - 1)
             later = self._late if instant.after else -self._late
         else:
