@@ -5,7 +5,7 @@ import itertools
 import pytest
 import sympy as sp
 
-from rankone.expressions.conditions import with_plain_conditions
+from rankone.expressions.conditions import definite_sign, with_plain_conditions
 from rankone.ir.forms import Coordinate
 
 t, a, k = sp.symbols("t a k", real=True)
@@ -83,3 +83,13 @@ def test_the_spellings_of_a_pulse_are_one():
 def test_branches_that_meet_where_they_change_are_extremes(written, wanted):
     plain = with_plain_conditions(written, (Coordinate("k", k, 0.5, 2.0),))
     assert plain == (written if wanted is None else wanted)
+
+
+def test_the_sign_of_a_sum_of_many_parameters_is_that_of_its_two_extremes():
+    many = [Coordinate(s.name, s, 0.1, 0.3) for s in sp.symbols("q:40", real=True)]
+    total = sp.Add(*((-1) ** i * c.symbol for i, c in enumerate(many)))
+    assert definite_sign(total - 5, many) == -1
+    assert definite_sign(total + 5, many) == 1
+    assert definite_sign(total - 3.9, many) is None
+    product = sp.Mul(*(c.symbol for c in many))
+    assert definite_sign(product + total + 100, many) is None

@@ -450,6 +450,18 @@ def test_a_guard_against_a_division_by_zero_at_rest():
     np.testing.assert_allclose(solution(t=[2, 3], k=1.0), exact, atol=3 * RTOL)
 
 
+@pytest.mark.parametrize("value", ["exp(-q/D)", "sin(q/D)", "q/D/(1 + q/D)"])
+def test_a_guarded_function_need_not_vanish_at_its_guard(value):
+    """Its values there are not finite, which says nothing of a kink."""
+    rates = {"D": "1 - D", "q": f"k - Piecewise(({value}, D > 0), (0, True))"}
+    box = {"k": (1, 2)}
+    guarded = problem(rates, {"D": 0.25, "q": 0.1}, box, 2)
+    solution = ro.solve(guarded, RTOL)
+    assert solution.success
+    exact = guarded.trajectory([1, 2], k=1.3, rtol=1e-9).values
+    np.testing.assert_allclose(solution(t=[1, 2], k=1.3), exact, atol=3 * RTOL)
+
+
 def test_a_level_that_is_a_case_of_time_is_held_and_left():
     """Fed up to 2, where it slides until the level is 4."""
     rates = {"S": "Piecewise((F, S < Piecewise((2, t < 4), (4, True))), (0, True)) - m*S"}

@@ -21,6 +21,7 @@ from sympy.logic.boolalg import Boolean, Xor
 from rankone.ir.forms import Coordinate
 
 _MOST_PARTS = 32  # Comparisons that one is written as: more of them are no clearer
+_MOST_MIXED = 6  # Parameters of products of them, whose corners are all looked at
 _MOST_BRANCHES = 4  # Of a piecewise function that may be a saturation
 _SWITCHING = (sp.Piecewise, sp.Heaviside, sp.sign)
 _ORDERED = (sp.Gt, sp.Ge, sp.Lt, sp.Le)
@@ -63,9 +64,19 @@ def definite_sign(expression: sp.Expr, parameters: Sequence[Coordinate]) -> sp.E
     symbols = [c.symbol for c in used]
     if expression.has(AppliedUndef) or not expression.free_symbols <= {*symbols}:
         return None
-    if any(sp.diff(expression, symbol, 2) != 0 for symbol in symbols):
+    slopes = [sp.diff(expression, symbol) for symbol in symbols]
+    if any(slope.has(symbol) for slope, symbol in zip(slopes, symbols, strict=True)):
         return None
-    corners = itertools.product(*((c.lower, c.upper) for c in used))
+    if all(slope.is_number for slope in slopes):
+        # the least and the largest value are at two opposite corners
+        rising = [(c, slope > 0) for c, slope in zip(used, slopes, strict=True)]
+        least = tuple(c.lower if up else c.upper for c, up in rising)
+        largest = tuple(c.upper if up else c.lower for c, up in rising)
+        corners = iter([least, largest])
+    elif len(used) <= _MOST_MIXED:
+        corners = itertools.product(*((c.lower, c.upper) for c in used))
+    else:
+        return None
     signs = {sp.sign(expression.subs(dict(zip(symbols, at, strict=True)))) for at in corners}
     return signs.pop() if len(signs) == 1 and signs <= {sp.S.One, sp.S.NegativeOne} else None
 

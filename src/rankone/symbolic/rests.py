@@ -104,6 +104,8 @@ def _is_zero(expression: sp.Expr) -> bool:
     random = np.random.default_rng(4021)
     atoms = sorted({*expression.atoms(AppliedUndef), *expression.free_symbols}, key=str)
     value = expression.xreplace({each: sp.Float(random.uniform(0.5, 1.5)) for each in atoms})
-    if value.is_number and abs(sp.N(value)) > _ROUNDING:
-        return False
+    if value.is_number:
+        size = abs(sp.N(value))
+        if not size.is_finite or size > _ROUNDING:
+            return False
     return bool(sp.expand(expression) == 0)
