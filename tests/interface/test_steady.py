@@ -165,6 +165,11 @@ LORENZ = {x: 10 * (y - x), y: x * (a - z) - y, z: x * y - 2 * z}
         ("pitchfork", {x: a * x - x**3}, {a: (-1, 0.6)}, {x: 1}, 0),
         ("pitchfork", {x: a * x - x**3}, {a: (-0.4, 1)}, {x: 1}, 0),
         ("pitchfork", LORENZ, {a: (0.2, 1.6)}, {x: 1, y: 1, z: 0}, 1),
+        # at the centre of the box, where nothing settles
+        ("fold", {x: a + x**2}, {a: (-1, 1)}, {x: -0.5}, 0),
+        ("Hopf", BRUSSELATOR, {a: (1.5, 2.5)}, {x: 1.1, y: 2}, 2),
+        ("transcritical", {x: a * x - x**2}, {a: (-1, 1)}, {x: 1}, 0),
+        ("pitchfork", {x: a * x - x**3}, {a: (-1, 1)}, {x: 1}, 0),
     ],
 )
 def test_bifurcations_are_named_and_located(kind, rates, box, start, place):
@@ -192,6 +197,14 @@ def test_slow_settling_is_no_bifurcation():
     assert caught.value.bifurcation is None
     settle = float(caught.value.remedy.split("settle=")[1].split(",")[0])
     assert ro.steady_state(slow, settle)(k=1.5) == pytest.approx([1.5, 1.5])
+
+
+def test_the_time_to_settle_is_that_of_the_slowest_part_of_the_box():
+    slow = problem({x: k - x, y: (x - y) * (k - 1) / 200}, {k: (1.1, 3)}, {x: 0, y: 0})
+    with pytest.raises(ro.ConvergenceError, match=r"elsewhere at 0\.0005") as caught:
+        ro.steady_state(slow, settle=200)
+    settle = float(caught.value.remedy.split("settle=")[1].split(",")[0])
+    assert ro.steady_state(slow, settle)(k=1.2) == pytest.approx([1.2, 1.2])
 
 
 @pytest.mark.parametrize("share", [1, 1e-9])

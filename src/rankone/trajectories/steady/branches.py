@@ -86,23 +86,42 @@ def _ended(branch: str, bifurcation: Bifurcation, side: str) -> ConvergenceError
 def _unsettled(steady: SteadyStates, points: Array) -> ConvergenceError:
     """The error for a centre, the first of points (m, d), whose trajectory does not settle.
 
-    If an unstable steady state is next to its end, it names the bifurcation in the box at which
-    this turns stable.
+    It names the bifurcation at which an unstable steady state next to its end turns stable, or one
+    at which a branch that trajectories reach elsewhere turns unstable on its way past the centre.
     """
-    error = steady.not_settled(points[:1])
-    state = steady.beside(points[:1])
-    if not steady.grows(state, points[:1])[0]:
-        return error
-    for end in points[1:]:
-        with suppress(ArithmeticError):
-            bifurcation = BranchLine(steady, state[:, 0], points[0], end).bifurcation()
-            if bifurcation is not None:
+    centre, state = points[0], steady.beside(points[:1])
+    if steady.grows(state, points[:1])[0]:
+        error = steady.not_settled(points[:1])
+        for end in points[1:]:
+            if bifurcation := _first_bifurcation(steady, state, centre, end):
                 return ConvergenceError(
                     f"{error.message}; that steady state turns stable at {bifurcation}",
                     remedy="keep the box on its stable side",
                     bifurcation=bifurcation,
                 )
-    return error
+        return error
+    lower, upper = np.asarray(steady.system.box, dtype=float).reshape(-1, 2).T
+    for point in points[1:]:
+        start = steady.settled(point)
+        if start is None:
+            continue
+        beyond = np.clip(2.0 * centre - point, lower, upper)
+        if bifurcation := _first_bifurcation(steady, start, point, beyond):
+            unsettled = f"trajectories have not settled by t = {steady.settle:g}"
+            branch = f"the branch of steady states from {_listed(steady, point)}"
+            ended = f"{unsettled} at {_listed(steady, centre)}; {branch}"
+            return _ended(ended, bifurcation, _listed(steady, point))
+    *_, (states, _) = _on_way(steady, state, centre, points)
+    return steady.not_settled(points[:1], steady.growth(np.nan_to_num(states), points).max())
+
+
+def _first_bifurcation(
+    steady: SteadyStates, state: Array, start: Array, end: Array
+) -> Bifurcation | None:
+    """The first bifurcation of the branch with a state (n, 1) on a line; None if it is lost."""
+    with suppress(ArithmeticError):
+        return BranchLine(steady, state[:, 0], start, end).bifurcation()
+    return None
 
 
 def _on_way(

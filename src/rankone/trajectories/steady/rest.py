@@ -8,6 +8,7 @@ as totals of species, keep the values of the start.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -281,8 +282,19 @@ class SteadyStates:
         states = np.array([self._last[point.tobytes()] for point in points]).T
         return self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
 
-    def not_settled(self, points: Array) -> ConvergenceError:
-        """The error for trajectories at points (m, d) that have not come to rest."""
+    def settled(self, point: Array) -> Array | None:
+        """The stable steady state (n, 1) that the trajectory at a point (d,) reaches, if any."""
+        with suppress(BlowUpError):
+            state = self.reached(point[:, None])
+            if self.decays(state, point[None])[0]:
+                return state
+        return None
+
+    def not_settled(self, points: Array, slowest: float = -np.inf) -> ConvergenceError:
+        """The error for trajectories at points (m, d) that have not come to rest.
+
+        ``slowest`` is the largest growth rate of perturbations elsewhere in the box.
+        """
         states = self.beside(points)
         leading = self.leading(np.nan_to_num(states), points)
         growth = np.where(np.isfinite(states).all(axis=0), leading.real, np.nan)
@@ -302,8 +314,12 @@ class SteadyStates:
         remedy = "give a larger settle=, or narrow the box"
         if np.isfinite(rate):
             message += f": next to the steady state perturbations decay at a rate of {-rate:.3g}"
+            if rate < slowest < -neutral:
+                rate = slowest
+                message += f", elsewhere at {-rate:.3g}"
             longer = max(-np.log(_CLOSE * _CLOSE) / -rate, 2.0 * self.settle)
-            remedy = f"give settle={longer:.1g}, or narrow the box"
+            digit = 10.0 ** np.floor(np.log10(longer))
+            remedy = f"give settle={np.ceil(longer / digit) * digit:g}, or narrow the box"
         return ConvergenceError(message, remedy=remedy)
 
     def _at(self, point: Array) -> str:
