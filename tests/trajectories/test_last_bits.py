@@ -7,7 +7,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.events import SystemEvent
-from rankone.trajectories.events import crossings
+from rankone.trajectories.events import crossings, forced
 from tests.trajectories.test_events import INTEGRATORS, system_of, trajectories
 
 ULPS = 4.0 * np.finfo(float).eps
@@ -105,6 +105,19 @@ CASES = {
         ],
         [0, 1],
     ),
+    "reaches a surface at the known time of another event": (
+        line(1.0),
+        [
+            SystemEvent(lambda t, u, p: t - 0.5, 1, add(0.0, -9.0), at=lambda p: 0.5 + 0.0 * p[0]),
+            level(0.5, 1, put(0.8, 0.0)),
+        ],
+        [0, 1],
+    ),
+    "lands on a surface with one event, and rises from there": (
+        line(1.0),
+        [level(0.25, 1, put(0.75, 0.0)), level(0.75, 1, add(0.0, -9.0))],
+        [0, 1],
+    ),
     "bounces twice on a floor far from zero": (
         system_of({"y": "v", "v": "-2 + 0*y"}, {"y": "h + 30", "v": "0"}, {"h": (0.5, 2)}, 2.4),
         [SystemEvent(lambda t, u, p: u[0] - 30, -1, lambda t, u, p: np.stack([u[0], -0.5 * u[1]]))],
@@ -121,6 +134,80 @@ def test_events_in_their_order(monkeypatch, case, seed, integrator):
     found, each = met(monkeypatch, seed, system, [1.0], events, integrator)
     assert found == expected
     assert not each.stuck
+
+
+def near(number, ulps):
+    return repr(float(number * (1.0 + ulps * np.finfo(float).eps)))
+
+
+def swapping(rates, initial, box, end, *events):
+    """Events next to a dose of y, whose time ``a`` changes the order."""
+    dose = {"when": "t - a", "then": {"y": "y + 1"}, "name": "dose"}
+    return ro.Problem.from_strings(
+        {**rates, "y": "-y"}, {**initial, "y": 1}, {"k": (0.8, 1.2), **box}, (0, end),
+        events=[*events, dose],
+    )  # fmt: skip
+
+
+def lifted(ulps):
+    """Each lift lands on the surface of another event and crosses it."""
+    lift = {"when": "x - 0.25", "then": {"x": f"x + {near(0.5, ulps)}"}, "name": "lift"}
+    empty = {"when": "x - 0.75", "then": {"x": 0}, "name": "empty"}
+    lift["direction"] = "rising"
+    return swapping({"x": "k"}, {"x": 0}, {"a": (0.1, 0.4)}, 0.48, lift, empty)
+
+
+def put_on_a_mark(ulps):
+    """A dose puts x on the surface of a mark, which it crosses from there or before."""
+    mark = {"when": "x - 0.3", "direction": "rising", "then": {"z": "z + 2"}, "name": "mark"}
+    put = {"when": "t - b", "then": {"x": near(0.3, ulps)}, "name": "put"}
+    rates, initial = {"x": "k", "z": "-z"}, {"x": 0, "z": 1}
+    return swapping(rates, initial, {"a": (0.5, 0.6), "b": (0.2, 0.35)}, 0.8, mark, put)
+
+
+def bouncing(ulps):
+    """A floor far from zero."""
+    bounce = {"when": "x - 30", "direction": "falling", "then": {"v": "-v/2"}, "name": "bounce"}
+    initial = {"x": f"k + {near(30, ulps)}", "v": 0}
+    return swapping({"x": "v", "v": "-2"}, initial, {"a": (0.8, 1.2)}, 2.0, bounce)
+
+
+def turned_back(ulps):
+    """Two events at one instant, the second of which the first one turns back."""
+    turn = {"when": "x - 0.5", "direction": "rising", "name": "turn"}
+    turn |= {"then": {"x": f"x - {near(0.2, ulps)}"}, "priority": 1}
+    never = {"when": "x - 0.5", "direction": "rising", "then": {"x": 5}, "name": "never"}
+    never["persistent"] = False
+    return swapping({"x": "k"}, {"x": 0}, {"a": (0.4, 0.65)}, 0.7, turn, never)
+
+
+def orders_of(monkeypatch, problem, seed):
+    """The orders of the branches of a solution, where roots along forced orders are shaken."""
+    with monkeypatch.context() as patch:
+        if seed is not None:
+            random, nearest = np.random.default_rng(seed), forced._nearest_roots
+
+            def shaken_roots(flow, *arguments):
+                roots = nearest(flow, *arguments)
+                sizes = np.abs(flow.starts) + np.abs(roots)
+                return roots + ULPS * sizes * random.uniform(-1.0, 1.0, roots.shape)
+
+            patch.setattr(forced, "_nearest_roots", shaken_roots)
+        solution = ro.solve(problem, 1e-3)
+    assert solution.success, solution.message
+    branches = solution.timeline.branches
+    assert len(branches) > 1
+    return {str(branch) for branch in branches}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("problem_of", [lifted, put_on_a_mark, bouncing, turned_back])
+def test_orders_that_are_forced(monkeypatch, problem_of):
+    """Roots that are rounded in another way, and constants, leave the orders as they are."""
+    shaken = [
+        orders_of(monkeypatch, problem_of(u), seed) for u, seed in [(0, None), (-1, 1), (2, 2)]
+    ]
+    assert shaken[1:] == shaken[:-1]
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])

@@ -72,8 +72,7 @@ def test_crossings_of_a_level_are_those_of_any_function():
     system = system_of()
     _, trajectories = followed(system, repeats_from=0)
     paths = [joined(each.paths) for each in trajectories]
-    fired, first = [frozenset()] * len(paths), np.ones(len(paths), dtype=bool)
-    crossings = Crossings(system, paths, POINTS, fired, first, 1e-9)
+    crossings = Crossings(system, paths, POINTS, [{}] * len(paths), 1e-9)
     marker = marker_event(Marker(0, 5.0), "marker")
     function = dataclasses.replace(marker, marker=None)
     for ours, theirs in zip(crossings.of(0, marker), crossings.of(0, function), strict=True):

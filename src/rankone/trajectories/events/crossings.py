@@ -261,7 +261,7 @@ class Crossings:
     """The crossings of events on paths, each at its own point (d,) of points (m, d).
 
     Every path has made a step. ``fired`` are for each of them the events at its very start, and
-    ``first`` says whether they were the first ones there. ``landed`` are those on whose surface it
+    how often they came there. ``landed`` are those on whose surface it
     was put there, each with the side that it came from, or 0 for none. Times within an ``instant``
     are the same.
     """
@@ -269,8 +269,7 @@ class Crossings:
     system: System
     paths: Sequence[Path]
     points: Array
-    fired: Sequence[frozenset[int]]
-    first: NDArray[np.bool_]
+    fired: Sequence[Mapping[int, int]]
     instant: float
     landed: Sequence[Mapping[int, float]] = ()
 
@@ -289,7 +288,6 @@ class Crossings:
                 paths=self.paths[a:b],
                 points=self.points[a:b],
                 fired=self.fired[a:b],
-                first=self.first[a:b],
                 landed=self.landed[a:b],
             )
             for a, b in itertools.pairwise([*sorted(set(borders)), len(self.paths)])
@@ -333,7 +331,8 @@ class Crossings:
             sides = np.sign(heights[began, 0])
             back = began[(sides == event.direction) & (sides != 0.0)]
             if event.then is not None and back.size:
-                through = self.first[steps.owner[back]] & self._crosses(event, steps, back)
+                first = np.array([self.fired[path][k] == 1 for path in steps.owner[back]])
+                through = first & self._crosses(event, steps, back)
                 for start in back[~through]:
                     instants[steps.owner[start]] = steps.begin[start : start + 1]
         if event.switch:  # on a side that rates have left, or do not let it stay on

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
@@ -40,13 +41,12 @@ class EventTrajectory:
 
     It ``ends`` early at a terminal event, or where it cannot go on; it is ``stuck`` where events
     accumulate, after so many ``rounds`` of them at one instant, or ``shorter`` and shorter times in
-    a row until the same ones come again; it has ``returned`` if it was at the last event at once.
-    It was ``interrupted`` last at a time by the events ``met``, and goes on for a ``stretch`` at
-    once; ``gaps`` are the times from such events to the next ones, ``returns`` when they came last
-    and how long after the time before. Where its ``period`` is not 0 it goes on after its paths as
-    over their last period, up to its last event. ``ahead`` (events,) are known times that it has
-    not reached, infinite for other events; ``due`` are the times at which events with a delay reset
-    states.
+    a row until the same ones come again. It was ``interrupted`` last at a time by the events
+    ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from such events to the
+    next ones, ``returns`` when they came last and how long after the time before. Where its
+    ``period`` is not 0 it goes on after its paths as over their last period, up to its last event.
+    ``ahead`` (events,) are known times that it has not reached, infinite for other events; ``due``
+    are the times at which events with a delay reset states.
     """
 
     paths: list[Path]
@@ -62,7 +62,6 @@ class EventTrajectory:
     stuck: bool = False
     rounds: int = 0
     shorter: int = 0
-    returned: bool = False
     landed: Mapping[int, float] = field(default_factory=dict)
     period: float = 0.0
 
@@ -123,12 +122,13 @@ class EventTrajectory:
     def _marks_per_period(self) -> int:
         return CROSSINGS * len({each.event for each in self.occurrences})
 
-    @property
-    def fired(self) -> frozenset[int]:
-        """The events where it is now."""
+    def fired(self, instant: float) -> dict[int, int]:
+        """The events where it is now, and how often each came within an ``instant`` before."""
         now = self.end
-        last = takewhile(lambda each: each.time == now, reversed(self.occurrences))
-        return frozenset(each.event for each in last)
+        last = takewhile(lambda each: now - each.time <= instant, reversed(self.occurrences))
+        here = [(each.event, each.time) for each in last]
+        often = Counter(event for event, _ in here)
+        return {event: often[event] for event, time in here if time == now}
 
     def copy(self) -> EventTrajectory:
         """One that may go on by itself."""
@@ -152,7 +152,6 @@ class EventTrajectory:
         """Follow a path up to an event, and whether it was there at once."""
         if path.steps:
             self.paths.append(path)
-        self.returned = returned
         self.rounds = self.rounds if returned else 0
 
     def leave(self, time: float, met: tuple[int, ...], horizon: float) -> None:

@@ -15,6 +15,7 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.heights import sides_of_surface
+from rankone.trajectories.paths import NODES
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
@@ -45,6 +46,9 @@ class Instants:
         all_happened: list[list[int]] = [[] for _ in fired]
         sizes = _sizes(trajectories, states)
         sides = self._sides(times, states, points, sizes)
+        for k, place in np.argwhere(sides == 0.0).tolist():
+            if k not in fired[place]:
+                sides[k, place] = self._came_from(k, trajectories[place], points[:, place])
         landed = np.zeros(sides.shape, dtype=bool)
         while active.size:
             now, at = times[active], points[:, active]
@@ -89,6 +93,26 @@ class Instants:
             trajectory.leave(time, tuple(each), self.horizon)
             terminal = any(self.events[k].terminal for k in each)
             trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
+
+    def _came_from(self, k: int, trajectory: EventTrajectory, point: Array) -> float:
+        """The side of the surface of event ``k`` from which a trajectory came to it, 0 for none.
+
+        It met the event already, unless it was beside the surface since.
+        """
+        path = trajectory.paths[-1]
+        if not path.steps:
+            return trajectory.landed.get(k, 0.0)
+        times = path.breaks[-2] + (path.breaks[-1] - path.breaks[-2]) * NODES
+        states = path.nodal[-1].T
+        sizes = np.broadcast_to(np.abs(states).max(axis=1, keepdims=True), states.shape)
+        columns = np.broadcast_to(point[:, None], (point.size, times.size))
+        sides = sides_of_surface(self.events[k], times, states, columns, sizes)
+        beside = np.flatnonzero(np.abs(sides) > 0.0)
+        if not beside.size:
+            return trajectory.landed.get(k, 0.0)
+        last = float(times[beside[-1]])
+        met = any(each.event == k and each.time >= last for each in trajectory.occurrences)
+        return 0.0 if met else float(sides[beside[-1]])
 
     def land(
         self, trajectories: Sequence[EventTrajectory], times: Array, states: Array, points: Array

@@ -209,11 +209,10 @@ class _Search:
             return
         some = [trajectories[k] for k in moved]
         moving = [paths[k] for k in moved]
-        fired = [each.fired for each in some]
-        first = np.array([not each.returned for each in some])
         instant = SAME_INSTANT * self.horizon
+        fired = [each.fired(instant) for each in some]
         landed = [each.landed for each in some]
-        crossings = Crossings(self.system, moving, points[moved], fired, first, instant, landed)
+        crossings = Crossings(self.system, moving, points[moved], fired, instant, landed)
         of_events = [
             crossings.of(k, event) if event.at is None else self._known(k, some, moving)
             for k, event in enumerate(self.events)

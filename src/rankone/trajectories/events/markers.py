@@ -273,10 +273,9 @@ def _candidate(
         return None
     marker = Marker(state, level)
     event = marker_event(marker, "")
-    nothing = [frozenset[int]()] * len(paths)
-    first = np.ones(len(paths), dtype=bool)
+    nothing = [dict[int, int]()] * len(paths)
     length = paths[0].end - paths[0].breaks[0]
-    crossings = Crossings(system, paths, points, nothing, first, SAME_INSTANT * length)
+    crossings = Crossings(system, paths, points, nothing, SAME_INSTANT * length)
     times = crossings.of(0, event)
     fewest = min(map(len, times))
     if not fewest:

@@ -53,6 +53,8 @@ _MOST_ROOTS = 4  # Roots at which stretches of one order may end
 _FEWEST = 12  # Lengths of stretches that tell such roots apart
 _APART = 4.0  # Gap between lengths of stretches that end at different roots, over further gaps
 _LEAST_APART = 0.01  # About the least such gap, over the horizon, and over ``_APART``
+# Weight of smoothness beside values: lengths at points that nearly coincide differ by rounding
+_SMOOTHING = 1e-10
 
 
 Step: TypeAlias = tuple[tuple[int, ...], tuple[int, ...], int]
@@ -177,7 +179,9 @@ class Lengths:
         kernel = "cubic" if degree else "linear"
         try:
             unit = (points - lower) / width
-            interpolant = RBFInterpolator(unit, lengths, kernel=kernel, degree=degree)
+            interpolant = RBFInterpolator(
+                unit, lengths, smoothing=_SMOOTHING, kernel=kernel, degree=degree
+            )
         except (np.linalg.LinAlgError, ValueError):
             interpolant = None
         return cls(lower, width, interpolant, constant)

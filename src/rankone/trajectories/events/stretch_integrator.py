@@ -15,7 +15,13 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.events.event_order import SAME_INSTANT, end_error, follow, stretch_borders
+from rankone.trajectories.events.event_order import (
+    SAME_INSTANT,
+    end_error,
+    follow,
+    instants_of,
+    stretch_borders,
+)
 from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
@@ -162,7 +168,8 @@ class StretchTrajectories(PseudoTimeTrajectories):
             own = [[path for path in each.paths if path.steps] for each in self.trajectories]
             return [Paths.of([*map(joined, own)])] * self.clock.order.stretches
         each = zip(self.trajectories, self.borders, strict=True)
-        paths = [_paths(trajectory, events, borders) for trajectory, borders in each]
+        length = self.clock.length
+        paths = [_paths(trajectory, events, borders, length) for trajectory, borders in each]
         stretches: list[Paths] = []
         before: tuple[Path, ...] = ()
         for stretch in zip(*paths, strict=True):
@@ -179,25 +186,30 @@ class StretchTrajectories(PseudoTimeTrajectories):
 
 
 def _paths(
-    trajectory: EventTrajectory, events: Sequence[SystemEvent], borders: Array
+    trajectory: EventTrajectory, events: Sequence[SystemEvent], borders: Array, length: float
 ) -> list[Path]:
-    """A trajectory over each stretch: a path between two resets serves several."""
-    resets = [o for o in trajectory.occurrences if events[o.event].interrupts]
-    times = np.unique([o.time for o in resets])
+    """A trajectory over each stretch: a path between two resets serves several.
+
+    Resets at one instant may be a rounding apart; what is between them is on no stretch.
+    """
+    resets = [
+        [o for o in instant if events[o.event].interrupts]
+        for instant in instants_of(trajectory, length)
+    ]
+    first, last = (np.array([each[place].time for each in resets if each]) for place in (0, -1))
     pieces: dict[int, list[Path]] = {}
     for path in trajectory.paths:
-        if path.steps:
-            piece = int(np.searchsorted(times, path.breaks[0], side="right"))
+        piece = int(np.searchsorted(first, path.breaks[0], side="right"))
+        if path.steps and not (piece and path.breaks[0] < last[piece - 1]):
             pieces.setdefault(piece, []).append(path)
     whole = {piece: joined(paths) for piece, paths in pieces.items()}
-    for o in resets:  # where the next one is at once, the trajectory rests
-        piece = int(np.searchsorted(times, o.time, side="right"))
-        if piece not in pieces:
-            whole[piece] = Path.resting(o.time, o.after)
-    first = trajectory.paths[0]  # an event at its very start ends a stretch of no length
-    whole.setdefault(0, Path.resting(float(first.breaks[0]), first.state))
-    behind = (int(np.searchsorted(times, t, side="right")) for t in borders[1:-1])
-    return [whole[piece] for piece in (0, *behind)]
+    for piece, each in enumerate(filter(None, resets), 1):
+        # where the next one is at once, the trajectory rests
+        whole.setdefault(piece, Path.resting(each[-1].time, each[-1].after))
+    start = trajectory.paths[0]  # an event at its very start ends a stretch of no length
+    whole.setdefault(0, Path.resting(float(start.breaks[0]), start.state))
+    instant = SAME_INSTANT * length
+    return [whole[0], *(whole[int(k)] for k in np.searchsorted(first - instant, borders[1:-1]))]
 
 
 @dataclass(frozen=True)
