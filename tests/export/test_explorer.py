@@ -848,6 +848,19 @@ def test_colours_are_those_of_plots():
             assert hue(own) == pytest.approx(hue(colour), abs=0.01)
 
 
+@pytest.mark.parametrize(("count", "folded"), [(4, False), (9, True)])
+def test_many_equations_are_folded(tmp_path, count, folded):
+    """Curves and sliders come first then; the summary says what is below it."""
+    names = [f"x{i}" for i in range(count)]
+    rhs = {name: f"-k*{name}" for name in names}
+    problem = ro.Problem.from_strings(rhs, dict.fromkeys(names, 1), {"k": (0.5, 1)}, (0, 1))
+    text = ro.solve(problem, 1e-3).explore(tmp_path / "page.html").read_text()
+    before, _, after = text.partition('<section class="equations"')
+    assert before.count('<details class="folded">') == folded
+    assert (f"The {2 * count} equations and values</summary>" in before) == folded
+    assert after.partition("</section>")[2].lstrip().startswith("</details>") == folded
+
+
 # --- equations ---------------------------------------------------------------------------------
 
 

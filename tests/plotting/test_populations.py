@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,10 +32,20 @@ def test_subjects():
 def test_predictive_check():
     check = levels().predictive_check()
     (ax,) = plotting.plot_population(check)
-    assert legend(ax) == ["5 % quantile", "50 % quantile", "95 % quantile"]
+    assert legend(ax) == ["data", "quantiles of data: 5, 50, 95 %", "simulated: 95 %"]
     for (_, curve), quantile in zip(lines(ax), check.observed, strict=False):
         np.testing.assert_array_equal(curve, quantile)
     assert len(ax.collections) == 3
+
+
+def test_units():
+    fit = levels()
+    solution = fit.solution
+    metadata = replace(solution.metadata, units=(("u", "mg/l"), ("t", "h")))
+    check = replace(fit.predictive_check(), solution=ro.Solution(solution.outcome, metadata))
+    (ax,) = plotting.plot_population(check)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("t [h]", "u [mg/l]")
+    assert {ax.get_ylabel() for ax in plotting.plot_population(fit)} == {"u"}
 
 
 def test_what_is_refused():

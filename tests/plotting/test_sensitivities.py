@@ -28,7 +28,12 @@ def test_both_indices():
     ax = plotting.plot_sobol(populations(), t=TIMES, kind="both")
     wanted = np.concatenate([sobol.total[0], sobol.first[0]])
     np.testing.assert_allclose([values for _, values in lines(ax)], wanted)
-    assert legend(ax) == ["total", "first-order"]
+    assert legend(ax) == ["total", "first-order", "± half-width of 95 %"]
+    for row, kind in enumerate(("total", "first")):
+        half_width = getattr(sobol, f"{kind}_half_width")[0, 0]
+        known = np.isfinite(half_width)
+        _, lower, upper = band(ax, 2 * row)
+        np.testing.assert_allclose((upper - lower)[known], 2.0 * half_width[known], atol=1e-12)
 
 
 def test_first_order_indices_are_stacked():
@@ -53,6 +58,15 @@ def test_bars_at_one_time():
         when = "" if t is None else " at t = 1"
         assert ax.get_xlabel() == f"Sobol indices of u{when}"
         assert texts(ax) == [f"{share:.2f}" for share in sobol.total[0, :, 0]]
+        assert not ax.collections  # its half-widths are below a line
+
+
+def test_bars_have_whiskers_where_half_widths_are_seen():
+    sobol = populations().sobol(2.5)
+    ax = plotting.plot_sobol(populations(), "y", 2.5, kind="first")
+    (whiskers,) = ax.collections
+    lengths = sorted(float(np.ptp(path[:, 0])) for path in whiskers.get_segments())
+    np.testing.assert_allclose(lengths, sorted(2.0 * sobol.first_half_width[1].ravel()))
 
 
 def test_indices_below_the_error_are_left_out():

@@ -209,6 +209,29 @@ def test_surfaces_that_are_refused(options, error, message):
         plotting.plot_surface(populations(), **{"unknown": "x", **options})
 
 
+def test_fixed_values_are_named_while_they_hold():
+    solution = with_units()
+    ax = plotting.plot_trajectories(solution, x0=9, y0=[4, 5])
+    assert ax.get_title(loc="left") == "x0 = 9 1e3"
+    plotting.plot_trajectories(solution, x0=9, y0=6, ax=ax)
+    assert ax.get_title(loc="left") == ""
+    ax = plotting.plot_surface(solution, "x", x="t", y="y0", x0=9)
+    assert ax.get_title(loc="left") == "x0 = 9 1e3"
+    _, own = plt.subplots()
+    own.set_title("mine")
+    plotting.plot_trajectories(solution, x0=9, y0=5, ax=own)
+    assert (own.get_title(), own.get_title(loc="left")) == ("mine", "")
+
+
+def test_many_fixed_values_are_cut():
+    box = {f"p{i}": (1, 2) for i in range(20)}
+    problem = ro.Problem.from_strings({"x": " + ".join(box)}, {"x": "0"}, box, (0, 1))
+    ax = plotting.plot_trajectories(ro.solve(problem, 1e-3), dict.fromkeys(box, 1.5))
+    title = ax.get_title(loc="left")
+    assert title.endswith("p11 = 1.5, and 8 more")
+    assert max(map(len, title.splitlines())) < 80
+
+
 def test_curves_jump_at_events_and_end_with_time():
     problem = ro.Problem.from_strings(
         {"x": "1", "n": "0"},
@@ -227,6 +250,7 @@ def test_curves_jump_at_events_and_end_with_time():
     (times, values), (ticks, _) = lines(ax)
     drops = np.array([0.85, 1.8, 2.75])
     np.testing.assert_allclose(ticks, drops, atol=1e-3)
+    assert legend(ax) == ["at full, last"]
     steepest = np.flatnonzero(np.diff(values) < -0.9)
     np.testing.assert_allclose(times[steepest], drops[: steepest.size], atol=1e-3)
     assert steepest.size >= 2

@@ -167,16 +167,9 @@ def _legend(ax: Axes, colour: str, band: str | None) -> None:
     handles: dict[str, Artist] = {"measured": points, "fitted": Line2D([], [], color=colour)}
     if band:
         handles[band] = Patch(color=colour, alpha=0.2, linewidth=0)
-    ax.legend(
-        handles.values(),
-        handles.keys(),
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        borderaxespad=0.2,
-        ncols=len(handles),
-        frameon=False,
-        fontsize="small",
-    )
+    for word, handle in handles.items():
+        handle.set_label(word)
+    style.legend_above(ax, [*handles.values()])
 
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:

@@ -79,10 +79,11 @@ def plot_population(
     observed = fit.measured(observable)
     title = f"{observed.name}: data, fitted curves, and typical ones dashed"
     panels = style.several_axes(ax, len(names), title)
+    solution = cast("Solution", fit.solution)
     for name, panel in zip(names, panels, strict=True):
         _draw_subject(fit, name, observed.name, panel)
-    for panel in panels:
-        panel.set_xlabel(style.label_of(cast("Solution", fit.solution), fit.solution.metadata.time))
+        panel.set_xlabel(style.label_of(solution, solution.metadata.time))
+        panel.set_ylabel(style.label_of(solution, observed.name))
     return tuple(panels)
 
 
@@ -120,6 +121,9 @@ def _draw_subject(fit: PopulationFit, name: str, observable: str, ax: Axes) -> N
 
 
 def _draw_check(check: PredictiveCheck, ax: Axes) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     middle = len(check.quantiles) // 2
     for q, share in enumerate(check.quantiles):
         colour = style.PALETTE[1] if q == middle else style.PALETTE[0]
@@ -127,9 +131,19 @@ def _draw_check(check: PredictiveCheck, ax: Axes) -> None:
         label = f"{100 * share:g} % quantile"
         ax.fill_between(check.times, low, high, color=colour, alpha=0.25, linewidth=0)
         ax.plot(check.times, check.observed[q], color=colour, label=label)
-    ax.plot(*check.data, "o", color="0.6", markersize=2.5, zorder=1)
+    points = ax.plot(*check.data, "o", color="0.6", markersize=2.5, zorder=1, label="data")
     solution = cast("Solution", check.solution)
     ax.set_xlabel(style.label_of(solution, solution.metadata.time))
     corrected = ", predictions corrected" if check.corrected else ""
-    ax.set_ylabel(f"{check.observable}{corrected}")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_ylabel(f"{style.label_of(solution, check.observable)}{corrected}")
+    shares = [f"{100 * share:g}" for share in check.quantiles]
+    style.legend_above(
+        ax,
+        [
+            *points,
+            Line2D([], [], color="0.3", label=f"quantiles of data: {', '.join(shares)} %"),
+            Patch(
+                color="0.3", alpha=0.25, linewidth=0, label=f"simulated: {100 * check.level:g} %"
+            ),
+        ],
+    )

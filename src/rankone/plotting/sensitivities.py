@@ -17,6 +17,7 @@ from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import did_you_mean, quote, shown
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from rankone.interface.solution import Solution
@@ -25,6 +26,8 @@ _INDEX_TIMES = 201  # Times of indices over time
 _EFFECT_POINTS = 101  # Values of each parameter at which its main effect is drawn
 
 _WORDS = {"first": "first-order", "total": "total"}
+
+_LEAST_VISIBLE = 5e-3  # Half-widths of indices below which nothing would be seen: half a line
 
 Kind = Literal["total", "first", "both"]
 
@@ -41,7 +44,8 @@ def plot_sobol(
 ) -> Axes:
     """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
 
-    There are none where the standard deviation is below the measured error of the solution.
+    Bands around lines, and whiskers of bars, are the half-widths of 95 % of the indices. There are
+    no indices where the standard deviation is below the measured error of the solution.
 
     Parameters
     ----------
@@ -86,7 +90,7 @@ def plot_sobol(
     _needs_parameters(solution)
     times = sometimes_of(solution, t, _INDEX_TIMES)
     indices, _ = solution._indices(times, solution._statistics(under, correlation))
-    shares = _shares(indices, name, kind)
+    shares, halves = _shares(indices, name, kind)
     if not any(np.isfinite(table).any() for table in shares.values()):
         raise EvaluationError(
             f"{quote(name)} does not vary by more than its error: there are no Sobol indices",
@@ -96,16 +100,18 @@ def plot_sobol(
     axes = style.axes_for(ax)
     if times is None or times.size == 1:
         when = _at(solution, None if times is None else float(times[0]))
-        _draw_bars(axes, indices.parameters, {k: table[:, 0] for k, table in shares.items()})
+        _draw_bars(
+            axes, indices.parameters, {k: table[:, 0] for k, table in shares.items()}, halves
+        )
         axes.set_xlabel(_title(shares, name) + when)
         return axes
     axes.set(xlabel=style.label_of(solution, solution.metadata.time), ylabel=_title(shares, name))
+    axes.set_xlim(times.min(), times.max())
+    axes.set_ylim(0.0, 1.0 if kind == "first" else 1.02 * max(1.0, np.nanmax(shares["total"])))
     if kind == "first":
         _draw_stack(axes, indices.parameters, times, shares["first"])
     else:
-        _draw_lines(axes, indices.parameters, times, shares)
-    axes.set_xlim(times.min(), times.max())
-    axes.set_ylim(0.0, 1.0 if kind == "first" else 1.02 * max(1.0, np.nanmax(shares["total"])))
+        _draw_lines(axes, indices.parameters, times, shares, halves)
     return axes
 
 
@@ -188,15 +194,22 @@ def _at(solution: Solution, time: float | None) -> str:
     return "" if time is None else f" at {style.value_of(solution, solution.metadata.time, time)}"
 
 
-def _shares(indices: Sobol, name: str, kind: Kind) -> dict[str, Array]:
-    """Tables (parameters, times) of one unknown, by the kind of indices."""
-    tables = {"total": indices.total, "first": indices.first}
+def _shares(indices: Sobol, name: str, kind: Kind) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Tables (parameters, times) of one unknown and of their half-widths, by kind of indices."""
     row, count = indices.unknowns.index(name), len(indices.parameters)
-    return {
-        each: np.reshape(table[row], (count, -1))
-        for each, table in tables.items()
-        if kind in (each, "both")
-    }
+    shares, halves = {}, {}
+    for each in ("total", "first"):
+        if kind in (each, "both"):
+            shares[each] = np.reshape(getattr(indices, each)[row], (count, -1))
+            half_width = getattr(indices, f"{each}_half_width")[row]
+            halves[each] = np.reshape(half_width, (count, -1))
+    return shares, halves
+
+
+def _visible(half_widths: Array) -> Array | None:
+    """Half-widths, or None if none would be seen."""
+    half_widths = np.nan_to_num(half_widths)
+    return half_widths if half_widths.max(initial=0.0) > _LEAST_VISIBLE else None
 
 
 def _title(shares: Mapping[str, Array], name: str) -> str:
@@ -204,7 +217,12 @@ def _title(shares: Mapping[str, Array], name: str) -> str:
     return " ".join([*kinds, f"Sobol indices of {name}"])
 
 
-def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array]) -> None:
+def _draw_bars(
+    ax: Axes,
+    parameters: Sequence[str],
+    shares: Mapping[str, Array],
+    halves: Mapping[str, Array],
+) -> None:
     """Horizontal bars, the largest on top; first-order indices inside of total ones."""
     order = np.argsort(next(iter(shares.values())), kind="stable")
     longest = np.max([*shares.values()], axis=0)[order]
@@ -218,10 +236,15 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
             color=style.PALETTE[0] if inner or len(shares) == 1 else style.PALETTE[5],
             label=_WORDS[kind],
         )
-    for place, length in zip(places, longest, strict=True):
+        if (half := _visible(halves[kind][order, 0])) is not None:
+            apart = 0.26 * (kind == "total" and len(shares) > 1)
+            where = row[order], places - apart
+            ax.errorbar(*where, xerr=half, fmt="none", ecolor="0.3", elinewidth=1.2, capsize=2.5)
+    longest_end = longest + np.nan_to_num(np.max([each[order, 0] for each in halves.values()], 0))
+    for place, length, end in zip(places, longest, longest_end, strict=True):
         ax.annotate(
             f"{length:.2f}",
-            (length, place),
+            (end, place),
             xytext=(4, 0),
             textcoords="offset points",
             verticalalignment="center",
@@ -229,7 +252,7 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
     ax.set_yticks(places, [parameters[i] for i in order])
     ax.tick_params(axis="y", length=0)
     ax.grid(False, axis="y")
-    ax.set_xlim(0.0, max(1.0, 1.1 * float(longest.max())))
+    ax.set_xlim(0.0, max(1.0, 1.1 * float(longest_end.max())))
     if len(shares) > 1:
         ax.legend(loc="lower right", fontsize="small", framealpha=0.8)
 
@@ -249,20 +272,35 @@ def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array
 
 
 def _draw_lines(
-    ax: Axes, parameters: Sequence[str], times: Array, shares: Mapping[str, Array]
+    ax: Axes,
+    parameters: Sequence[str],
+    times: Array,
+    shares: Mapping[str, Array],
+    halves: Mapping[str, Array],
 ) -> None:
-    """A line for each parameter, first-order indices dashed."""
+    """A line with a band for each parameter, first-order indices dashed."""
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
-    lines = []
+    lines, banded = [], False
     colours = style.colours_for(ax, len(parameters))
     for kind, stroke in (("total", "-"), ("first", "--")):
-        for name, colour, row in zip(parameters, colours, shares.get(kind, ()), strict=False):
+        for position, (name, colour, row) in enumerate(
+            zip(parameters, colours, shares.get(kind, ()), strict=False)
+        ):
             label = name if kind == "total" else f"_{name}"
+            half = _visible(halves[kind][position])
+            if half is not None:
+                ax.fill_between(times, row - half, row + half, color=colour, alpha=0.2, linewidth=0)
+                banded = True
             (line,) = ax.plot(times, row, stroke, color=colour, label=label)
             lines += [line] if kind == "total" else []
+    handles: list[Artist] = []
     if len(shares) > 1:
         strokes = (("total", "-"), ("first-order", "--"))
-        handles = [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
+        handles += [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
+    if banded:
+        handles.append(Patch(color="0.3", alpha=0.2, linewidth=0, label="± half-width of 95 %"))
+    if handles:
         style.legend_inside(ax, handles)
     style.name_ends(ax, lines, parameters)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from rankone.ir.measures import LOG
@@ -34,7 +34,9 @@ _SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark
 _FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
 _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
 _WIDEST_GRID = 9.0  # Width of a figure of many small panels, in inches
-_LINE_HEIGHT = 1.25  # Height of a line of labels, in units of the size of their letters
+_MOST_FIXED = 12  # Values that are named above a plot
+_TITLE_WIDTH = 76  # Letters of a line of them: the width of a figure
+_FIXED = "fixed values"
 
 
 def several_axes(ax: object, count: int, title: str) -> NDArray[np.object_]:
@@ -158,6 +160,19 @@ def legend_inside(ax: Axes, handles: Sequence[Artist]) -> None:
     ax.legend(handles=handles, fontsize="small", framealpha=0.8)
 
 
+def legend_above(ax: Axes, handles: Sequence[Artist]) -> None:
+    """A legend above the axes, where it hides nothing."""
+    ax.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.2,
+        ncols=len(handles),
+        frameon=False,
+        fontsize="small",
+    )
+
+
 def legend_beside(ax: Axes, handles: Sequence[Artist]) -> None:
     """A legend to the right of the axes, where it hides nothing."""
     ax.legend(
@@ -172,37 +187,31 @@ def legend_beside(ax: Axes, handles: Sequence[Artist]) -> None:
 
 def name_ends(ax: Axes, lines: Sequence[Line2D], names: Sequence[str]) -> None:
     """Write names at the right ends of lines, moved apart; in a legend if there are many."""
-    from matplotlib.font_manager import FontProperties
+    from rankone.plotting.ends import EndNames
 
-    ends = np.array([[float(np.asarray(x)[-1]) for x in line.get_data()] for line in lines])
-    ax.autoscale_view()
-    heights = ax.transData.transform(ends)[:, 1] * 72.0 / figure_of(ax).dpi
-    if len(lines) > MOST_NAMED or not np.isfinite(heights).all():
+    last = [float(np.asarray(line.get_ydata())[-1]) for line in lines]
+    if len(lines) > MOST_NAMED or not np.isfinite(last).all():
         for line, name in zip(lines, names, strict=True):
             line.set_label(name)
         legend_beside(ax, lines)
         return
-    letter = FontProperties(size="medium").get_size_in_points()
-    places = _apart(heights, _LINE_HEIGHT * letter)
-    for line, name, end, move in zip(lines, names, ends, places - heights, strict=True):
-        ax.annotate(
-            name,
-            tuple(end),
-            xytext=(0.5 * letter, move),
-            textcoords="offset points",
-            color=line.get_color(),
-            verticalalignment="center",
-            annotation_clip=False,
-        )
+    EndNames(ax, lines, names)
 
 
-def _apart(heights: Array, gap: float) -> Array:
-    """Places with gaps that are closest to heights, in the mean square."""
-    order = np.argsort(heights, kind="stable")
-    steps = gap * np.arange(len(order))
-    places = np.empty(len(order))
-    places[order] = scipy.optimize.isotonic_regression(heights[order] - steps).x + steps
-    return places
+def name_fixed(ax: Axes, solution: Solution, values: Mapping[str, float]) -> None:
+    """Name the coordinates that have one value, above axes without a title.
+
+    A second drawing into the same axes with other values takes the first one's away.
+    """
+    texts = [value_of(solution, name, value) for name, value in values.items()]
+    if len(texts) > _MOST_FIXED:
+        texts[_MOST_FIXED:] = [f"and {len(texts) - _MOST_FIXED} more"]
+    text = textwrap.fill(", ".join(texts), _TITLE_WIDTH)
+    title = ax.findobj(lambda each: each.get_gid() == _FIXED, include_self=False)
+    if title and title[0].get_text() != text:  # type: ignore[attr-defined]
+        title[0].set(text="", gid=None)
+    elif text and not ax.has_data() and not ax.get_title() and not ax.get_title(loc="left"):
+        ax.set_title(text, fontsize="small", loc="left", color="0.3", gid=_FIXED)
 
 
 def label_of(solution: Solution, name: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from rankone.discretization.coordinates import name_of
 from rankone.ir.measures import evenly_on_scale
 from rankone.plotting.arguments import check_solution, state_of
-from rankone.plotting.style import axes_for, axis_scale, colour_scale, label_of, value_of
+from rankone.plotting.style import axes_for, axis_scale, colour_scale, label_of, name_fixed
 from rankone.solution.smaller import merged
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -85,13 +85,11 @@ def plot_surface(
     if [one for one in coordinates.names if one in lines] == [across, up]:
         heights = heights.T
     drawn = axes_for(ax)
+    name_fixed(drawn, solution, {one: float(at) for one, at in fixed_at.items()})
     _draw(drawn, lines[across], lines[up], heights, label_of(solution, name))
     drawn.set(xlabel=label_of(solution, across), ylabel=label_of(solution, up))
     if drawn.name != "3d":  # there ticks of logarithms would be wrong
         drawn.set(xscale=axis_scale(solution, across), yscale=axis_scale(solution, up))
-    if fixed_at:
-        where = (value_of(solution, name, float(at)) for name, at in fixed_at.items())
-        drawn.set_title(", ".join(where), fontsize="medium", loc="left")
     return drawn
 
 

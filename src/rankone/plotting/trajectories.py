@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,12 +28,14 @@ from rankone.support.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
     from matplotlib.typing import ColorType
 
     from rankone.interface.solution import Solution
 
 _BAND_TIMES = 201  # Times of a band, which is smoother than a curve
 _BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities at the ends of a band: 95 %
+_MOST_EVENTS = 3  # Events that the label of their ticks names
 _BAND_POINTS = 2**15  # Points over the box for quantiles
 # Strokes of the unknowns of a family of curves
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
@@ -62,6 +64,7 @@ def plot_trajectories(
     Arrays of values broadcast as in a call and give families of curves. Where one parameter varies,
     its value is the colour; several unknowns of a family have different strokes. Curves jump where
     events reset states, and end where time does; events of few curves are ticks on the time axis.
+    The title has the values of the parameters that do not vary.
 
     Parameters
     ----------
@@ -107,18 +110,25 @@ def plot_trajectories(
     shape = (*shape, times.size)
     curves = [np.broadcast_to(table, shape).reshape(-1, times.size) for table in tables]
     axes = style.axes_for(ax)
+    fixed = {n: np.ravel(array)[0] for n, array in arrays.items() if n not in family.names}
+    style.name_fixed(axes, solution, {n: float(x) for n, x in fixed.items()})
     axes.set(xlabel=style.label_of(solution, time), ylabel=style.labels_of(solution, names))
+    events: dict[str, Array] = {}
+    if family.points.shape[1] <= style.MOST_NAMED:
+        events = {
+            name: own[(own >= times[0]) & (own <= times[-1])]
+            for name, own in _event_times(solution, arrays)
+        }
     if not family.names:
         coloured = zip(names, curves, style.colours_for(axes, len(names)), strict=True)
         lines = [axes.plot(times, rows[0], color=c, label=name)[0] for name, rows, c in coloured]
         if len(lines) > 1:
             style.name_ends(axes, lines, names)
+        if ticks := _draw_events(axes, events):
+            style.legend_inside(axes, ticks)
     else:
-        _draw_family(axes, solution, names, times, curves, family)
+        _draw_family(axes, solution, names, times, curves, family, events)
     axes.margins(x=0.0)
-    if family.points.shape[1] <= style.MOST_NAMED:
-        events = _event_times(solution, arrays)
-        _draw_events(axes, events[(events >= times[0]) & (events <= times[-1])])
     return axes
 
 
@@ -130,23 +140,28 @@ def _with_borders(solution: Solution, values: Mapping[str, Any], times: Array) -
     return np.unique(np.concatenate([times, before, inside]))
 
 
-def _event_times(solution: Solution, values: Mapping[str, Any]) -> Array:
-    """The times of all events of some curves within the horizon."""
+def _event_times(solution: Solution, values: Mapping[str, Any]) -> Iterator[tuple[str, Array]]:
+    """The times of each event of some curves within the horizon."""
     timeline = solution.outcome.timeline
     if timeline is None:
-        return np.zeros(0)
-    names = [name for name in timeline.events if any(name in each for each in timeline.met)]
-    times = [solution.event_times(name, dict(values)).ravel() for name in names]
-    together = np.concatenate([np.zeros(0), *times])
-    return np.unique(together[~np.isnan(together)])
+        return
+    for name in timeline.events:
+        if any(name in each for each in timeline.met):
+            times = solution.event_times(name, dict(values)).ravel()
+            yield name, np.unique(times[~np.isnan(times)])
 
 
-def _draw_events(ax: Axes, times: Array) -> None:
-    """Ticks on the axis of time where events occur."""
-    if times.size:
-        along = ax.get_xaxis_transform()
-        ticks = ax.plot(times, np.zeros(times.size), "|", color="0.3", transform=along)[0]
-        ticks.set(markersize=10, markeredgewidth=1.2, label="_events", clip_on=False)
+def _draw_events(ax: Axes, times: Mapping[str, Array]) -> list[Line2D]:
+    """Ticks on the axis of time where events occur, with the names of these as a label."""
+    names = [name for name, own in times.items() if own.size]
+    if not names:
+        return []
+    every = np.unique(np.concatenate([*times.values()]))
+    along = ax.get_xaxis_transform()
+    ticks = ax.plot(every, np.zeros(every.size), "|", color="0.3", transform=along)[0]
+    label = f"at {', '.join(names)}" if len(names) <= _MOST_EVENTS else "at events"
+    ticks.set(markersize=10, markeredgewidth=1.2, label=label, clip_on=False)
+    return [ticks]
 
 
 def _family(solution: Solution, values: Mapping[str, Any]) -> _Family:
@@ -168,6 +183,7 @@ def _draw_family(
     times: Array,
     curves: Sequence[Array],
     family: _Family,
+    events: Mapping[str, Array],
 ) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, LogNorm, Normalize
@@ -194,6 +210,7 @@ def _draw_family(
         norm = LogNorm if style.axis_scale(solution, family.names[0]) == "log" else Normalize
         mappable = ScalarMappable(norm(row.min(), row.max()), ListedColormap(shades))
         style.colour_scale(ax, mappable, style.label_of(solution, family.names[0]))
+    handles += _draw_events(ax, events)
     if handles and few:
         style.legend_beside(ax, handles)
     elif handles:

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 __all__ = ["export_page", "page_target"]
 
 _FOLDER = Path(__file__).parent
+_MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
 _VENDOR = _FOLDER.parent / "vendor"
 # In an order in which each one needs only those before it
 _SCRIPTS = (
@@ -114,7 +115,8 @@ def _page(
 ) -> str:
     """Text of the page; ``full`` is the solution with its derivatives among the unknowns."""
     notation = Notation(solution.metadata)
-    data = content(full, model, notation)
+    data, groups = content(full, model, notation), notation.equations()
+    lines = sum(map(len, groups))
     sentences = quality(solution, model)
     errors = [u["error"] for u in data["unknowns"] if u["error"] is not None]
     distributed = any(parameter["distribution"] for parameter in data["parameters"])
@@ -134,8 +136,9 @@ def _page(
         ),
         "equations": "\n".join(
             "\n".join(["<ul>", *(f"<li>{line}</li>" for line in group), "</ul>"])
-            for group in notation.equations()
+            for group in groups
         ),
+        "folded": f"The {lines} equations and values" if lines > _MOST_LINES else "",
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
         "events": "yes" if model.events else "",
