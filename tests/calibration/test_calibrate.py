@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 import rankone as ro
 from tests.reference.designs import WIDE
@@ -164,6 +165,38 @@ def test_a_volume_that_the_data_do_not_tell_has_no_interval():
     for low, high in calibration.intervals.values():
         assert low > 0.0
         assert np.isfinite(high)
+
+
+def rise(design, k, name, value):
+    """How much the sum of squares rises with a parameter held, by SciPy from many starts."""
+    names = list(design.box)
+    j = names.index(name)
+
+    def residuals(z):
+        at = {each: design.value(each, float(place)) for each, place in zip(names, z, strict=True)}
+        return (design.curve(design.times, **at) - design.data(k)) / design.sigma
+
+    def least(free, held):
+        starts = np.random.default_rng(0).random((6, len(names) - len(held)))
+        costs = [least_squares(lambda z: free(z, *held), s, bounds=(0, 1)).cost for s in starts]
+        return 2.0 * min(costs)
+
+    whole = least(residuals, ())
+    return (
+        least(lambda z, place: residuals(np.insert(z, j, place)), (design.place(name, value),))
+        - whole
+    )
+
+
+@pytest.mark.parametrize(("k", "words"), [(15, ""), (0, "bounds of `ka` and `ke`")])
+def test_ends_of_intervals_are_those_of_whole_profiles(k, words):
+    """The sum of squares has two valleys over the rates, of which one is nearly flat in `ka`."""
+    calibration, design = calibrated("oral dose from wide bounds", k)
+    for name in ("ke", "V"):
+        for end in set(calibration.intervals[name]) - set(design.box[name]):
+            assert rise(design, k, name, end) == pytest.approx(1.96**2, rel=0.05)
+    assert calibration.limits["V"] == words
+    assert words in repr(calibration)
 
 
 def test_an_unknown_noise_widens_intervals_as_in_a_fit():
