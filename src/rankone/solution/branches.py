@@ -51,14 +51,15 @@ def box_of_branch(
     earlier = -np.diff([coefficients for _, coefficients in times], axis=0)
     start, end = timeline.horizon
     most = _BEYOND * (end - start) - earlier[:, 0]
-    box = list[Interval]()
-    for j, (lower, upper) in enumerate(whole):
-        along = np.eye(len(whole))[j]
+    box = list(whole)
+    for j in np.flatnonzero(earlier[:, 1:].any(axis=0)).tolist():
+        (lower, upper), along = whole[j], np.eye(len(whole))[j]
         ends = [linprog(sign * along, earlier[:, 1:], most, bounds=whole) for sign in (1, -1)]
         if not all(each.success for each in ends):
             return tuple(whole)
         low, high = (float(each.x[j]) for each in ends)
-        box.append((max(low, lower), min(high, upper)) if low < high else (lower, upper))
+        if low < high:
+            box[j] = max(low, lower), min(high, upper)
     return tuple(box)
 
 
