@@ -437,6 +437,35 @@ def test_an_integrator_that_is_wound_back_begins_in_saturation(limited):
         np.testing.assert_allclose(solution(t=times, Kp=gain, r=goal), exact, atol=20 * RTOL)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "rate",
+    [
+        "Piecewise((0, (Abs(v) > 12) & (e*v > 0)), (e, True))",
+        "Piecewise((0, ((v > 12) & (e > 0)) | ((v < -12) & (e < 0))), (e, True))",
+    ],
+)
+def test_the_sign_of_an_error_makes_no_orders_where_it_changes_nothing(rate):
+    """It counts while the limit is active alone, and some trajectories overshoot later."""
+    rates = {"w": "(10*Max(-12, Min(12, v)) - w)/0.2", "q": rate}
+    named = {"e": "r - w", "v": "0.16*e + 0.8*q"}
+    stopped = problem(rates, {"w": 0, "q": 0}, {"r": (60, 100)}, 2, definitions=named)
+    solution = ro.solve(stopped, RTOL)
+    assert solution.success
+    assert len(solution.timeline.branches) == 2
+    times = np.linspace(0, 2, 31)
+    for goal in (74.0, 97.0):
+
+        def motion(t, u, r=goal):
+            e = r - u[0]
+            v = 0.16 * e + 0.8 * u[1]
+            return [(10 * np.clip(v, -12, 12) - u[0]) / 0.2, 0 if abs(v) > 12 and e * v > 0 else e]
+
+        exact = scipy.integrate.solve_ivp(motion, (0, 2), [0, 0], t_eval=times, rtol=1e-8).y
+        error = np.abs(solution(t=times, r=goal) - exact).max(axis=1)
+        assert (error <= 3 * RTOL * np.abs(exact).max(axis=1)).all()
+
+
 def test_a_guard_against_a_division_by_zero_at_rest():
     """Until the dose, D and q/D are 0 and 0/0: the guard decides."""
     dose = {"when": "t - 1", "direction": "rising", "then": {"D": "1"}, "name": "dose"}

@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.interface.held import held_form, held_system
+from rankone.interface.held import held_form, held_system, with_sides
 from rankone.symbolic import first_order
 from rankone.symbolic.features import switching_term
 from rankone.symbolic.switches import held_switches
@@ -93,12 +93,8 @@ def test_held_rates_are_those_that_were_written(rate):
     assert sided is not None
     rng = np.random.default_rng(5)
     u, p, at = rng.normal(size=(2, 200)), rng.uniform(0.5, 1.5, (1, 200)), np.full(200, 0.7)
-    sides = np.concatenate([u, np.ones((sided.n_sides, 200))])
-    for i, event in enumerate(sided.events, 2):
-        sides[i] = np.sign(event.when(at, sides, p))
-    np.testing.assert_allclose(
-        sided.rhs(at, sides, p)[:2], written.rhs(at, u, p), rtol=1e-12, atol=1e-14
-    )
+    rates = sided.rhs(at, with_sides(sided, at, u, p), p)
+    np.testing.assert_allclose(rates[:2], written.rhs(at, u, p), rtol=1e-12, atol=1e-14)
 
 
 def test_a_side_is_where_a_trajectory_starts_or_goes_on_to():
@@ -109,6 +105,20 @@ def test_a_side_is_where_a_trajectory_starts_or_goes_on_to():
     np.testing.assert_array_equal(first(-v * sp.Abs(v) - x, (1, 0)), -1)  # it falls
     # friction of at most 1 holds it where k <= 1, and lets it go elsewhere
     np.testing.assert_array_equal(first(k - sp.sign(v), (0, 0)), [0, 1])
+
+
+def test_a_side_that_changes_no_rate_is_told_as_soon_as_it_does():
+    system = held(sp.Piecewise((-1, (x > 2) & (k * x + t > 3)), (-v, True)))
+    idle, other = system.functions[-2:]
+    passes, meets = system.events
+    beside = {x: 1, v: 0, k: 1, t: 1}
+    assert passes.when.xreplace({idle: 1, other: -1, **beside}) == 1  # x = 2 is no event
+    assert passes.when.xreplace({idle: 1, other: 1, **beside}) == -1
+    for place, side in ((1, -1), (3, 1)):
+        at = {idle: 1, other: -1, x: place, v: 1, k: 1, t: 1}
+        assert [each.xreplace(at) for each in meets.then[-2:]] == [side, 1]
+    left = {idle: -1, other: 1, x: 1, v: -1, k: 1, t: 1}
+    assert [each.xreplace(left) for each in meets.then[-2:]] == [1, -1]
 
 
 def test_a_reset_sets_the_side_of_what_it_moves_alone():

@@ -84,6 +84,15 @@ def held_system(held: FirstOrderSystem | None, system: System, name: str) -> Sys
     return loaded if _agrees(loaded, system) else None
 
 
+def with_sides(held: System, t: Array, u: Array, p: Array) -> Array:
+    """States (n, m) beside the surfaces of a held system, with the sides that they are on."""
+    sides = np.ones((held.n_sides, u.shape[1]))
+    for _ in range(2):  # inner surfaces come first; sides may tell which others count
+        for k, event in enumerate(held.events[-held.n_sides :]):
+            sides[k] *= np.sign(event.when(t, np.concatenate([u, sides]), p))
+    return np.concatenate([u, sides])
+
+
 def _agrees(held: System, system: System) -> bool:
     """Whether the rates of both are the same at states beside the initial ones.
 
@@ -95,9 +104,7 @@ def _agrees(held: System, system: System) -> bool:
     with np.errstate(all="ignore"):
         start = system.initial(p)
         beside = np.random.default_rng(0).standard_normal(start.shape)
-        u = np.concatenate([start + beside * _BESIDE, np.ones((held.n_sides, p.shape[1]))])
-        for k, event in enumerate(held.events[-held.n_sides :], n):  # inner surfaces come first
-            u[k] = np.sign(event.when(t, u, p))
+        u = with_sides(held, t, start + beside * _BESIDE, p)
         ours = np.broadcast_to(held.rhs(t, u, p), u.shape)[:n]
         theirs = np.broadcast_to(system.rhs(t, u[:n], p), ours.shape)
         factors = (held.parameter_factors(j, values) for j, values in enumerate(p))

@@ -348,6 +348,7 @@ class _Sliding:
     ) -> None:
         self.switches, self._system = switches, system
         held = [s for s in switches if s.side in self._speed(s.surface, rates).free_symbols]
+        rates_as_held = rates
         rates = [_mixed(rate, held) for rate in rates]
         self.speeds = [
             self._speed(s.surface, rates).xreplace(_sides_beside(s, switches)) for s in switches
@@ -365,7 +366,30 @@ class _Sliding:
             self.sides.update(self._effective(group))
             self._check_size(rates)
         self.slides = {s.side: s in sliding for s in switches}
+        self.idle = self._idle(rates_as_held)
         self.rates = [rate.xreplace(self.sides) for rate in rates]
+
+    def _idle(self, rates: Sequence[sp.Expr]) -> dict[_Switch, Boolean]:
+        """Where the side of a switch changes no rate, by the sides of those that always do.
+
+        There its surface is passed without an event: orders of what changes nothing are no orders.
+        """
+        where = dict[_Switch, Boolean]()
+        for switch in self.switches:
+            relied_on = any(idle.has(switch.state) for idle in where.values())
+            at_once = switch.at is not None or self.slides[switch.side]
+            if relied_on or at_once or _beside(switch, self.switches):
+                continue
+            others = _states_of([s for s in self.switches if s not in where], switch)
+            above, below = ({switch.side: sign} for sign in (sp.S.One, sp.S.NegativeOne))
+            changed = [rate for rate in rates if switch.side in rate.free_symbols]
+            changes = [rate.xreplace(above) - rate.xreplace(below) for rate in changed]
+            idle = sp.And(*(zero_where(change, others) for change in changes))
+            told_by = {*idle.atoms(AppliedUndef), *idle.free_symbols}
+            told_by -= {*others.values(), self._system.coordinates[0].symbol}
+            if idle not in (sp.true, sp.false) and not told_by:
+                where[switch] = idle
+        return where
 
     def _depends(self, a: _Switch, b: _Switch) -> bool:
         """Whether the speed at the surface of one depends on the side of the other."""
@@ -548,14 +572,28 @@ class _Sides:
     ) -> None:
         self._system, self._switches, self._sliding = system, switches, sliding
         self.states = [s.state for s in switches]
-        self._surfaces = [s.surface.xreplace(sliding.sides) for s in switches]
+        self._surfaces = list[sp.Expr]()
+        self._actual = dict[sp.Expr, sp.Expr]()  # Sides that change nothing now, where they count
+        for switch in switches:
+            surface = switch.surface.xreplace(sliding.sides).xreplace(self._actual)
+            self._surfaces.append(surface)
+            if switch in sliding.idle:
+                idle = _share(sliding.idle[switch])
+                actual = idle * sp.sign(surface) + (1 - idle) * switch.state
+                self._actual[switch.state] = actual
 
     def at_start(self) -> list[sp.Expr]:
         """The sides where trajectories begin."""
         clock = self._system.coordinates[0]
         start = dict(zip(self._system.functions, self._system.initial, strict=True))
         start[clock.symbol] = sp.sympify(clock.lower)
-        return self._sides_at(start)
+        sides = self._sides_at(start)
+        now = dict(zip(self.states, sides, strict=True))
+        for k, switch in enumerate(self._switches):
+            if switch in self._sliding.idle:
+                idle = _share(self._sliding.idle[switch]).xreplace(now)
+                sides[k] = idle + (1 - idle) * sides[k]
+        return sides
 
     def after(self, values: Sequence[sp.Expr]) -> list[sp.Expr]:
         """The sides after a reset to some values: as before where it leaves the surface alone."""
@@ -566,7 +604,26 @@ class _Sides:
         ):
             moved = sp.sign(surface - surface.xreplace(reset)) ** 2
             sides.append(moved * new + (1 - moved) * state)
-        return sides
+        return self._told_anew(sides, reset)
+
+    def _told_anew(
+        self, sides: Sequence[sp.Expr], values: Mapping[sp.Expr, sp.Expr]
+    ) -> list[sp.Expr]:
+        """The sides after an event, of which those that change nothing before or after are told.
+
+        They are 1 while they change nothing, and those of the states' values as soon as they do.
+        """
+        told, now = [*sides], dict(zip(self.states, sides, strict=True))
+        for k, switch in enumerate(self._switches):
+            idle = _share(self._sliding.idle.get(switch, sp.false))
+            after = idle.xreplace(now)
+            if after == idle and told[k] == switch.state:
+                continue
+            height = self._surfaces[k].xreplace(now).xreplace(values)
+            speed = self._sliding.speeds[k].xreplace(self._sliding.sides).xreplace(values)
+            side = _or_else(sp.sign(height), _or_else(sp.sign(speed), sp.S.One))
+            told[k] = after + (1 - after) * (idle * side + (1 - idle) * told[k])
+        return told
 
     def _sides_at(self, values: Mapping[sp.Expr, sp.Expr]) -> list[sp.Expr]:
         """The sides of the surfaces on which states have some values.
@@ -621,8 +678,12 @@ class _Sides:
             else:
                 other = -side
             other = other if switch.at is None else switch.behind
+            if switch.state not in self._actual:
+                height, other = (each.xreplace(self._actual) for each in (height, other))
+            if (idle := self._sliding.idle.get(switch)) is not None:
+                height = sp.Piecewise((sp.S.One, idle), (height, True))
             others = [other if state == side else state for state in self.states]
-            then = (*self._system.functions, *others)
+            then = (*self._system.functions, *self._told_anew(others, {}))
             # At one instant a rest ends by its speed before another switch ends what makes it one
             first = sp.S.One if self._rests_while(switch) else None
             yield EventForm(
@@ -633,6 +694,17 @@ class _Sides:
         """Whether trajectories rest at a surface as long as others are on some sides."""
         rests = self._sliding.rests.get(switch.side)
         return rests is not None and not {rests.above, rests.below} <= {sp.true, sp.false}
+
+
+def _share(condition: Boolean) -> sp.Expr:
+    """One where a condition on sides holds, zero elsewhere."""
+    if condition in (sp.true, sp.false):
+        return sp.S.One if condition == sp.true else sp.S.Zero
+    if isinstance(condition, sp.Or):
+        return 1 - sp.Mul(*(1 - _share(each) for each in condition.args))
+    if isinstance(condition, sp.And):
+        return sp.Mul(*map(_share, condition.args))
+    return sp.Heaviside(condition.gts - condition.lts, 0)
 
 
 def _or_else(side: sp.Expr, other: sp.Expr) -> sp.Expr:
