@@ -10,11 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rankone as ro
-from rankone.ir.events import ForcedOrder
+from rankone.ir.events import Beginning, ForcedOrder
 from rankone.ir.request import SolveRequest
 from rankone.outputs.check import CheckPoints
 from rankone.solvers.attempts import Stages
 from rankone.solvers.branches import order_search, solve_in_branches
+from rankone.solvers.branching import branches_of
 from rankone.solvers.registry import ENGINES
 from rankone.solvers.stretches import timed_system
 from rankone.support.budget import limited, work_done
@@ -215,6 +216,45 @@ BELT = problem(
     {"a": (0.6, 1.4), "mu": (0.3, 0.5)},
     5.0,
 )
+
+
+VALVE = problem(
+    {"h": "(0.04*Max(0, Min(1, K*(r - h))) - 0.02*sqrt(h))/0.5"},
+    {"h": 0.2},
+    {"K": (2.0, 8.0), "r": (0.5, 1.2)},
+    60.0,
+)
+
+
+def test_a_start_beyond_a_limit_is_left_wherever_it_is_moved_to():
+    """At a corner the tank would have been empty when the valve left its limit."""
+    parted = branches_of(searched(VALVE), RTOL)
+    (beyond,) = [branch for branch in parted.branches if branch.opened.turns]
+    assert isinstance(beyond.opened.turns[0], Beginning)
+    lower, upper = beyond.opened.root_bounds[0]
+    ends = np.array([[2.0, 0.5, upper], [2.0, 0.5, lower], [8.0, 1.2, upper], [8.0, 1.2, lower]])
+    times = searched(VALVE).forced(beyond.order, beyond.forced, ends).borders[:, 1]
+    assert (times[::2] > 0.0).all()
+    np.testing.assert_array_equal(times[1::2], 0.0)
+
+
+@pytest.mark.slow
+def test_a_valve_that_starts_beyond_its_limit_in_a_part_of_the_box():
+    solution = ro.solve(VALVE, RTOL)
+    assert solution.success
+    times = np.linspace(0.0, 60.0, 40)
+    rng = np.random.default_rng(9)
+    for gain, goal in zip(rng.uniform(2.0, 8.0, 6), rng.uniform(0.5, 1.2, 6), strict=True):
+        run = solve_ivp(
+            lambda t, h, K=gain, r=goal: 0.08 * np.clip(K * (r - h), 0, 1) - 0.04 * np.sqrt(h),
+            (0, 60),
+            [0.2],
+            "Radau",
+            times,
+            rtol=1e-9,
+            atol=1e-11,
+        )
+        np.testing.assert_allclose(solution["h"](t=times, K=gain, r=goal), run.y[0], atol=3 * RTOL)
 
 
 def test_a_slip_that_has_just_begun_is_no_further_stick():

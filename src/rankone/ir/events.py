@@ -169,12 +169,14 @@ class Beginning:
     """Where a stretch begins that is none where ``when`` of its event is not above zero there.
 
     So a mass sticks only where friction is larger than the force at a turning point. That is a
-    ``guard`` of the branch that goes on in another way.
+    ``guard`` of the branch that goes on in another way. Along the stretch the surface comes back
+    from where it is moved to, at a rate of ``fading`` times by how much.
     """
 
     stretch: int
     event: int
     guard: Guard
+    fading: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,8 @@ class _Branching:
         order = failed.order
         at = self.search, parent.continued, order, failed.places
         at_once = step and order.met[step - 1 : step] == parent.order.met[step - 1 : step]
-        if (at_once or not step) and failed.error.missed == step:
+        missed = failed.error.missed
+        if (at_once or not step) and missed is not None and missed >= step:
             return None if parent.is_opened_from(step) else opened_at_beginning(*at)
         stretch = step - 1
         if not 0 <= stretch < len(order.met) or parent.is_opened_from(stretch):

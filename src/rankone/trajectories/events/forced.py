@@ -22,7 +22,7 @@ from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Path, Paths
+from rankone.trajectories.paths import Paths
 from rankone.trajectories.shares import SeparateRun, share_paths
 
 _LOOKS = 65  # Places at which a root is looked for
@@ -31,6 +31,8 @@ _FINER = 3  # Looks at a turn, each between the neighbours of the highest place 
 _REFINEMENTS = 60  # Most steps towards a root
 _EXACT = 4e-16  # Width of the interval of a root, over its ends, that rounding makes
 _AT_ROOT = 1e-7  # Height at the beginning, over the largest one, where a stretch begins at a root
+_MOST_FADED = 20.0  # Logarithm of the factor by which a surface that was moved comes back
+_NOT_FINITE = "runs to where its rates are not finite"
 _SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of states
 
 
@@ -46,12 +48,38 @@ class ContinuationError(OrderError):
 
 
 @dataclass(frozen=True)
+class _Move:
+    """By how much the surface of an event is moved, (m,), perhaps from a ``start`` of heights.
+
+    What it is moved up by then, b, fades like exp(-b times the elapsed time), so that it is met;
+    what it is moved down by grows as fast, so that it is met no later.
+    """
+
+    by: Array
+    start: Array | None = None
+    fading: float = 0.0
+
+    def at_start(self, heights: Array) -> Array:
+        """The heights (m, K) at the beginning of the stretch, from those that are not moved.
+
+        A start of zero is a root, whatever the rounding of these.
+        """
+        return heights + self.by[:, None] if self.start is None else self.start[:, None]
+
+    def __call__(self, elapsed: Array) -> Array:
+        """The same after elapsed times (m, K): (m, K)."""
+        by = self.by[:, None]
+        exponents = np.clip(self.fading * by * elapsed, -_MOST_FADED, _MOST_FADED)
+        return np.asarray(by * np.exp(-exponents))
+
+
+@dataclass(frozen=True)
 class _Flow:
     """States along stretches that go on from their beginnings, forwards and backwards.
 
     ``starts`` are times (m,), ``points`` (m, d); ``ahead`` and ``behind`` are paths over the share
     of the way to times ``to_ahead``, ``to_behind`` (m,) from there, of which the second are
-    negative, or zero.
+    negative, or zero. Rates are finite between elapsed times ``first`` and ``last`` (m,).
     """
 
     starts: Array
@@ -60,6 +88,8 @@ class _Flow:
     behind: Paths | None
     to_ahead: Array
     to_behind: Array
+    first: Array
+    last: Array
 
     def __call__(self, elapsed: Array) -> Array:
         """States (n, m, K) after elapsed times (m, K)."""
@@ -79,17 +109,21 @@ class _Flow:
             None if self.behind is None else self.behind.chosen(places),
             self.to_ahead[places],
             self.to_behind[places],
+            self.first[places],
+            self.last[places],
         )
 
-    def heights(self, event: SystemEvent, elapsed: Array, moved: Array | float = 0.0) -> Array:
-        """What crosses zero at an event, ``moved`` by (m,), after elapsed times (m, K): (m, K)."""
+    def heights(self, event: SystemEvent, elapsed: Array, moved: _Move | None = None) -> Array:
+        """What crosses zero at an event, perhaps moved, after elapsed times (m, K): (m, K)."""
         states = self(elapsed)
         columns = np.repeat(self.points.T, elapsed.shape[1], axis=1)
         times = (self.starts[:, None] + elapsed).ravel()
         with np.errstate(all="ignore"):
             heights = event.when(times, states.reshape(len(states), -1), columns)
         heights = np.broadcast_to(heights, times.shape).reshape(elapsed.shape)
-        return np.asarray(heights + np.reshape(moved, (-1, 1)))
+        if moved is None:
+            return np.asarray(heights)
+        return np.where(elapsed == 0.0, moved.at_start(heights), heights + moved(elapsed))
 
 
 def _share(elapsed: Array, whole: Array) -> Array:
@@ -198,8 +232,8 @@ def forced_trajectories(
     return _Follower(system, clock, integrator, points, tolerances).trajectories()
 
 
-_Moved = dict[tuple[int, tuple[int, ...]], Array]
-"""By how much the surfaces of events are moved, on sides of switches: (m,) each."""
+_Moved = dict[tuple[int, tuple[int, ...]], _Move]
+"""By how much the surfaces of events are moved, on sides of switches."""
 
 
 @dataclass(frozen=True)
@@ -277,14 +311,15 @@ class _Follower:
             if isinstance(opened, Turn):
                 return self._to_opened(opened, column, times, states, expected, moved)
             begins = guard_heights(self.clock.system, first, None, times, states, self._parameters)
-            by = self.points[:, column] ** 2 - begins
-            return self._to_root(i, times, states, expected, np.zeros_like(at_root), by)
+            height = self.points[:, column] ** 2
+            move = _Move(height - begins, height, opened.fading)
+            return self._to_root(i, times, states, expected, np.zeros_like(at_root), move)
         if (
             first not in before[:1]
         ):  # at points that begin at the very event, it is the one expected
             at_root = np.abs(expected) > margin
         return self._to_root(
-            i, times, states, expected, at_root, moved.get((first, self.clock.order.sides[i]), 0.0)
+            i, times, states, expected, at_root, moved.get((first, self.clock.order.sides[i]))
         )
 
     def _reset(
@@ -330,19 +365,23 @@ class _Follower:
         ahead: Array,
         behind: Array | float = 0.0,
         stretch: int | None = None,
+        whole: bool = True,
     ) -> _Flow:
         """The flow from times (m,) and states, up to elapsed times (m,), and perhaps back.
 
-        It reaches around the turns of a ``stretch``.
+        It reaches around the turns of a ``stretch``. Unless it is wanted ``whole``, it ends where
+        its rates are not finite.
         """
         behind = np.broadcast_to(behind, times.shape)
         for turn in self._turns(stretch):
             expected = self._expected(turn)
             behind = np.minimum(np.minimum(behind, np.minimum(ahead, 0.0)), expected - turn.margin)
             ahead = np.maximum(np.maximum(ahead, 0.0), expected + turn.margin)
-        forwards = Paths.of(self._paths(times, states, ahead))
-        back = Paths.of(self._paths(times, states, behind)) if (behind < 0.0).any() else None
-        return _Flow(times, self._parameters, forwards, back, ahead, behind)
+        forwards, last = self._paths(times, states, ahead, whole)
+        back, first = None, behind
+        if (behind < 0.0).any():
+            back, first = self._paths(times, states, behind, whole)
+        return _Flow(times, self._parameters, forwards, back, ahead, behind, first, last)
 
     def _turns(self, stretch: int | None) -> list[Turn]:
         """The turns of a stretch at which heights are asked for."""
@@ -396,20 +435,23 @@ class _Follower:
             by = turn.sign * (self.points[:, column] ** 2 * rise - height)
             low = np.minimum(low, np.minimum(at_turn - factor * turn.margin, 0.0))
             never = np.zeros(times.shape, dtype=bool)
-            roots = _nearest_roots(flow, event, (low, at_turn), at_turn, never, by)
+            roots = _nearest_roots(flow, event, (low, at_turn), at_turn, never, _Move(by))
             if np.isfinite(roots).all():
-                moved.update({(k, sides): factor * by for k, sides, factor in turn.surface})
+                moved.update({(k, sides): _Move(scale * by) for k, sides, scale in turn.surface})
                 return flow, roots
         self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
         raise AssertionError
 
-    def _paths(self, times: Array, states: Array, elapsed: Array) -> Sequence[Path]:
+    def _paths(
+        self, times: Array, states: Array, elapsed: Array, whole: bool
+    ) -> tuple[Paths, Array]:
+        """The paths from times (m,) and states to elapsed times, and how far they come, (m,)."""
         spans = Spans(times, states, times + elapsed)
         run = cast(SeparateRun, self.integrator.run)
         paths = share_paths(run, self.clock.system, self._parameters, spans, self.tolerances)
         ends = np.array([path.end if path.steps else 0.0 for path in paths])
-        self._raise(ends < 1.0 - 1e-9, "runs to where its rates are not finite")
-        return paths
+        self._raise(ends < 1.0 - 1e-9 if whole else ends == 0.0, _NOT_FINITE)
+        return Paths.of(paths), ends * elapsed
 
     def _to_root(
         self,
@@ -418,16 +460,29 @@ class _Follower:
         states: Array,
         expected: Array,
         at_root: NDArray[np.bool_],
-        moved: Array | float,
+        moved: _Move | None,
     ) -> tuple[_Flow, Array]:
-        """The flow around the expected root of an event, and the elapsed times (m,) of roots."""
+        """The flow around the expected root of an event, and the elapsed times (m,) of roots.
+
+        They are at most a horizon before the start, or after the end: farther off, trajectories
+        that run backwards grow without bound, and take ever more work.
+        """
         event, margin = self.clock.system.events[self._forced.met[i][0]], self._forced.margins[i]
+        start, end = self.clock.horizon
+        earliest, latest = 2.0 * start - end - times, 2.0 * end - start - times
+        if moved is not None and moved.start is not None:
+            earliest, expected = np.zeros_like(times), np.maximum(expected, 0.0)
         for factor in _WIDER:
-            low, high = expected - factor * margin, expected + factor * margin
-            flow = self._flow(times, states, np.maximum(high, 0.0), np.minimum(low, 0.0), i)
-            roots = _nearest_roots(flow, event, (low, high), expected, at_root, moved)
+            low = np.clip(expected - factor * margin, earliest, latest)
+            high = np.clip(expected + factor * margin, earliest, latest)
+            to = np.maximum(high, 0.0), np.minimum(low, 0.0)
+            flow = self._flow(times, states, *to, i, whole=False)
+            between = np.maximum(low, flow.first), np.minimum(high, flow.last)
+            roots = _nearest_roots(flow, event, between, expected, at_root, moved)
             if np.isfinite(roots).all():
                 return flow, roots
+        ended = (low < flow.first) | (flow.last < high)
+        self._raise(~np.isfinite(roots) & ended, _NOT_FINITE, i)
         self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
         raise AssertionError
 
@@ -464,7 +519,7 @@ def _nearest_roots(
     between: tuple[Array, Array],
     expected: Array,
     at_root: NDArray[np.bool_],
-    moved: Array | float = 0.0,
+    moved: _Move | None = None,
 ) -> Array:
     """The roots of an event nearest to what is expected, (m,); NaN where there are none between.
 

@@ -99,7 +99,8 @@ def opened_at_beginning(
     if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
         return None
     upper = _ABOVE * float(np.sqrt(_highest_anywhere(parent.opened, heights)))
-    begins = Beginning(stretch, guard.event, guard)
+    longest = float(search.lengths(order, places)[:, stretch].max())
+    begins = Beginning(stretch, guard.event, guard, 1.0 / (upper**2 * longest))
     return _with_coordinate(search, parent.opened, begins, heights, (0.0, upper))
 
 

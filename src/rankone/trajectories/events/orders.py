@@ -50,6 +50,7 @@ _GROWTH = 0.5  # The same over the points to which it is continued
 _FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths
 _SAFETY = 4.0  # The same over the errors of what was expected before
 _MOST_ROOTS = 4  # Roots at which stretches of one order may end
+_CORNERED = 3  # Parameters up to which an order is continued to all corners of the box
 _FEWEST = 12  # Lengths of stretches that tell such roots apart
 _APART = 4.0  # Gap between lengths of stretches that end at different roots, over further gaps
 _LEAST_APART = 0.01  # About the least such gap, over the horizon, and over ``_APART``
@@ -405,8 +406,10 @@ class OrderSearch:
 
     @property
     def unopened(self) -> Opened:
-        """The points of the search, without opened events."""
-        return Opened((), self.points, self.bounds)
+        """The points of the search and corners of the box, without opened events."""
+        corners = np.array(list(itertools.product(*self.bounds.tolist())))
+        some = corners if len(self.bounds) <= _CORNERED else corners[:0]
+        return Opened((), np.concatenate([self.points, some]), self.bounds)
 
     def reached(
         self, order: Order, forced: ForcedOrder, points: Array, chunk: NDArray[np.intp]
