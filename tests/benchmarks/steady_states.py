@@ -72,8 +72,7 @@ def reported(of: object, message: str, parameters: list[str]) -> Named | None:
     texts = re.findall(rf"\b({'|'.join(map(re.escape, parameters))}) = {_NUMBER}", message)
     written = {name: float(number) for name, number in reversed(texts)}  # the first of each counts
     if told is not None:
-        others = {str(name): float(x) for name, x in dict(getattr(told, "point", {})).items()}
-        return Named(str(told.kind), {**written, **others, str(told.parameter): float(told.value)})
+        return Named(told.kind, {**written, **told.parameters})
     word = _NAMED.search(message) if not hasattr(of, "bifurcation") else None
     return Named(word[0].lower().replace("hopf", "Hopf"), written) if word else None
 

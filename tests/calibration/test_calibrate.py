@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 import rankone as ro
+from rankone.calibration import boxes
 from tests.reference.designs import WIDE
 
 TRUTH = {"k1": 0.04, "k2": 1e4, "k3": 3e7}
@@ -164,6 +166,72 @@ def test_a_volume_that_the_data_do_not_tell_has_no_interval():
     for low, high in calibration.intervals.values():
         assert low > 0.0
         assert np.isfinite(high)
+
+
+def rise(design, k, name, value):
+    """How much the sum of squares rises with a parameter held, by SciPy from many starts."""
+    names = list(design.box)
+    j = names.index(name)
+
+    def residuals(z):
+        at = {each: design.value(each, float(place)) for each, place in zip(names, z, strict=True)}
+        return (design.curve(design.times, **at) - design.data(k)) / design.sigma
+
+    def least(free, held):
+        starts = np.random.default_rng(0).random((6, len(names) - len(held)))
+        costs = [least_squares(lambda z: free(z, *held), s, bounds=(0, 1)).cost for s in starts]
+        return 2.0 * min(costs)
+
+    whole = least(residuals, ())
+    return (
+        least(lambda z, place: residuals(np.insert(z, j, place)), (design.place(name, value),))
+        - whole
+    )
+
+
+@pytest.mark.parametrize(("k", "words"), [(15, ""), (0, "bounds of `ka` and `ke`")])
+def test_ends_of_intervals_are_those_of_whole_profiles(k, words):
+    """The sum of squares has two valleys over the rates, of which one is nearly flat in `ka`."""
+    calibration, design = calibrated("oral dose from wide bounds", k)
+    for name in ("ke", "V"):
+        for end in set(calibration.intervals[name]) - set(design.box[name]):
+            assert rise(design, k, name, end) == pytest.approx(1.96**2, rel=0.05)
+    assert calibration.limits["V"] == words
+    assert words in repr(calibration)
+
+
+def decaying(scale, **options):
+    """A decay in units of which a scale is one, with noise of a deviation that is not told."""
+    times = np.linspace(0.2, 6.0, 30)
+    noise = np.random.default_rng(5).standard_normal(30)
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"},
+        {"x": "a"},
+        {"k": (0.01, 100, "log"), "a": (0.1 * scale, 100 * scale, "log")},
+        (0, 6),
+    )
+    data = scale * (2.0 * np.exp(-0.5 * times) + 0.02 * noise)
+    experiment = ro.Experiment(data, times, observe="x")
+    return ro.calibrate(problem, experiment, starts=4, seed=1, box=False, **options)
+
+
+@pytest.mark.parametrize(
+    ("scale", "search"), [(1e-9, "trajectories"), (1e6, "trajectories"), (1e-9, "boxes")]
+)
+def test_units_of_the_data_do_not_matter(scale, search):
+    usual, other = decaying(1.0, search=search), decaying(scale, search=search)
+    assert other.success, other.message
+    assert [s.iterations for s in other.starts] == [s.iterations for s in usual.starts]
+    assert other.x["k"] == pytest.approx(usual.x["k"], rel=1e-6)
+    assert other.intervals["k"] == pytest.approx(usual.intervals["k"], rel=1e-4)
+
+
+def test_every_start_has_boxes_of_its_own(monkeypatch):
+    monkeypatch.setattr(boxes, "_MOST_BOXES", 4)
+    calibration = decaying(1.0, search="boxes")
+    assert len(calibration.boxes) > 4
+    assert all(start.arrived and start.iterations for start in calibration.starts)
+    assert calibration.agreeing == 4
 
 
 def test_an_unknown_noise_widens_intervals_as_in_a_fit():

@@ -17,7 +17,7 @@ from rankone.ir.events import SystemEvent
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.timeline import BranchedTimeline
 from rankone.ir.verdict import Status
-from rankone.solution.branches import branch_evaluator
+from rankone.solution.branches import box_of_branch, branch_evaluator
 from rankone.solvers.branches import order_search
 from rankone.solvers.registry import ENGINES
 from rankone.solvers.stretches import timed_system
@@ -90,6 +90,56 @@ def test_two_doses_that_swap():
     decided = ~np.isnan(states)
     assert decided.mean() > 1.0 - 2.0 * solution.timeline.undecided - 1e-3
     assert np.abs(states - wanted)[decided & ~beside].max() < 2.0 * RTOL * wanted.max()
+
+
+@cache
+def cornered(rate, **further):
+    """Doses of 1 and 2 of which the second comes first in a corner of the box.
+
+    Over the whole box that order grows by exp(7 rate) back in time.
+    """
+    after = {"when": "t - b", "direction": "rising", "then": {"x": "x + 2"}, "name": "second"}
+    box = {"a": (4, 9), "b": (6, 11), **further}
+    return ro.solve(text({"x": f"-{rate}*x"}, {"x": 0}, box, 24, DOSE, after), RTOL)
+
+
+def cornered_exact(times, a, b, k=2.0):
+    elapsed = enumerate((times - a, times - b), 1)
+    return sum(n * (e >= 0) * np.exp(-k * np.maximum(e, 0)) for n, e in elapsed)
+
+
+@pytest.mark.parametrize(
+    "solve",
+    [
+        partial(cornered, 2.0),
+        pytest.param(partial(cornered, "k", k=(0.5, 2)), marks=pytest.mark.slow),
+    ],
+)
+def test_doses_that_swap_in_a_corner_of_the_box(solve):
+    solution = solve()
+    assert solution.success, solution.message
+    own = [box_of_branch(solution.timeline, k, solution.metadata.box)[:2] for k in (0, 1)]
+    assert own[0] == ((4, 9), (6, 11))
+    assert own[1] == (pytest.approx((5.52, 9)), pytest.approx((6, 9.48)))
+    at, times = points(solution, 2000, 7), np.linspace(0, 24, 25)[:, None]
+    beside = np.minimum(abs(times - at["a"]), abs(times - at["b"])) < RTOL * 24
+    wrong = np.abs(values(solution, times, at)[0] - cornered_exact(times, **at))[~beside]
+    assert np.nanmax(wrong) < 6 * RTOL
+    assert np.isnan(wrong).mean() < 1e-3
+    decided = (branch := solution.branch(at)) >= 0
+    np.testing.assert_array_equal(branch[decided], (at["a"] > at["b"])[decided])
+    corner, inside = solution.restrict(a=(8, 8.5), b=(6.5, 7)), {**at, "a": 8.2, "b": 6.8}
+    np.testing.assert_allclose(corner["x"](9.0, inside), solution["x"](9.0, inside), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_output_of_doses_that_swap_in_a_corner_of_the_box():
+    solution = cornered("k", k=(0.5, 2))
+    total = solution.output({"total": "integral(x, 0, 12)"})
+    assert total.success, total.message
+    at = points(solution, 300, 8)
+    doses = (n * -np.expm1(-at["k"] * (12 - at[name])) / at["k"] for n, name in enumerate("ab", 1))
+    np.testing.assert_allclose(total["total"](at), sum(doses), atol=5e-3)
 
 
 def test_times_of_events_swap_with_them():

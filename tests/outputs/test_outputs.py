@@ -11,6 +11,7 @@ import sympy as sp
 import rankone as ro
 from rankone.codegen import long_sums
 from rankone.outputs import sampling
+from rankone.outputs.interpolation import _is_out_of_sight as out_of_sight
 from rankone.support.errors import EvaluationError, OptionError, RankoneError
 from tests.problems import EXAMPLES
 
@@ -187,6 +188,31 @@ def test_an_output_that_is_not_resolved_says_so():
     output = prey().output({"kink": abs(x0 + 0.3 * y0 - 11.12345)}, rtol=1e-9, effort=0.05)
     assert not output.success
     assert output.error > 1e-9
+
+
+def test_attempts_end_where_none_would_reach_the_tolerance():
+    """Cheap ones go on; dear ones have to promise that their gain reaches it."""
+    level = 1e-5
+    assert not out_of_sight([0.1, 0.05], [1e10, 9.999e9, 9.99e9], level)  # cheap
+    assert out_of_sight([0.02, 0.007], [1e10, 9.95e9, 9.2e9], level)  # four more, each 15 times
+    assert not out_of_sight([0.02, 1e-4], [1e10, 9.95e9, 9.2e9], level)  # one more will do
+    assert out_of_sight([0.02, 0.03, 0.04], [1e10, 9.8e9, 9.5e9, 9.1e9], level)  # no gain
+    assert not out_of_sight([0.1], [1e10, 1e9], level)
+
+
+@pytest.mark.parametrize(
+    "rhs",
+    ["a - k*x", pytest.param("-k*x + Piecewise((a, t < b), (0, True))", marks=pytest.mark.slow)],
+)
+def test_durations_that_begin_inside_the_box_are_refused_soon(rhs):
+    """The time above a level has a kink, or a root, where it is touched."""
+    box = {"k": (0.5, 2), "a": (0.5, 2)} | ({"b": (1, 2)} if "b" in rhs else {})
+    solution = ro.solve(ro.Problem.from_strings({"x": rhs}, {"x": "0"}, box, (0, 4)), 1e-5)
+    output = solution.output({"q": "duration(x-0.5)"})
+    assert not output.success
+    assert "raise effort" not in output.message
+    assert "restrict the solution to where it is smooth" in output.message
+    assert max(output.nodes) < 600
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,18 @@ def test_a_tolerance_that_an_attempt_meets_is_offered():
     assert "try rtol" not in jumping.message
 
 
+@pytest.mark.parametrize("latest", [0.01, 0.04, 0.11, 0.6, 1.9])
+def test_an_end_that_is_offered_is_at_least_half_of_what_is_solved(latest):
+    solution = ro.solve(REFERENCE["decay"](), rtol=1e-3, method="cross")
+
+    def trial(request):
+        return solution.outcome if request.domain.horizon[1] <= latest else None
+
+    request = SolveRequest(1e-6, Domain((0.0, 2.0), ((1.0, 2.0),)))
+    end = Trials(request, ("k",), trial).end()
+    assert 0.5 * latest <= end <= latest
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two wells, shifted", "toggle switch"])
 def test_a_refusal_takes_a_part_of_the_budget(name):

@@ -36,7 +36,7 @@ _SHRINKING, _GROWING = 0.5, 1.5
 _AGREEMENT = 0.02  # Accepted difference of -2 log L between a solution and trajectories
 _TIGHTENING = 0.1  # Factor on the tolerance where they differ by more
 _LEAST_TOLERANCE = 1e-8
-_MOST_BOXES = 30
+_MOST_BOXES = 30  # Of one start
 _MOST_END_BOXES = 6  # Boxes around an optimum that are tried
 SETTLED = 0.02
 """Decrease of -2 log L that all parameters promise below which a search has arrived."""
@@ -65,16 +65,18 @@ class BoxSearch:
 
     def search(self, most_parameters: int = MOST_PARAMETERS) -> bool:
         """Go from box to box; whether nothing promises a better likelihood in the end."""
-        factor = 1.0
-        while len(self.boxes) < _MOST_BOXES and factor > _LEAST_FACTOR:
-            if self.boxes and bounded_step(self.at, 1.0)[1] <= SETTLED:
+        factor, before = 1.0, len(self.boxes)
+        while True:
+            taken = len(self.boxes) - before
+            if taken and bounded_step(self.at, 1.0)[1] <= SETTLED:
                 return True
+            if taken == _MOST_BOXES or factor <= _LEAST_FACTOR:
+                return False
             chosen = self._chosen(most_parameters, factor)
             half = {name: 0.5 * factor * self._unit(name) for name in chosen}
             box = self._taken({name: (each, each) for name, each in half.items()})
             grows = box.solved and not box.inside
             factor = min(factor * (_GROWING if grows else _SHRINKING), _MOST_FACTOR)
-        return False
 
     def around(self, of: Mapping[str, Reach]) -> None:
         """A box around the optimum that holds the intervals ``of`` some parameters.

@@ -28,6 +28,7 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
 _LEVEL = 0.95  # Of intervals
+_RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
 
@@ -84,12 +85,19 @@ class OfExperiments:
     def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
         """At z (n,); see :class:`~rankone.calibration.descent.Expandable`.
 
-        Coordinates that are ``held`` (n,) do not move to their best values.
+        Coordinates that are ``held`` (n,) do not move to their best values. A deviation that is
+        unknown is at its best: the cost is N log S for a sum of squares S, and residuals are
+        relative to the deviation, so that no unit of the data matters.
         """
         kept = None if held is None else held[None]
         with np.errstate(all="ignore"):
             every = self.likelihood.linearised(z[None], kept)
         z, cost, residuals, jacobian = (each[0] for each in every)
+        if not self.likelihood.unit_known:
+            squares, size = cost + self._unresolved, self.likelihood.size
+            factor = math.sqrt(size / squares)
+            cost = size * np.log(squares)
+            residuals, jacobian = factor * residuals, factor * jacobian
         finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
         return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
 
@@ -105,13 +113,16 @@ class OfExperiments:
         """The logarithm of the density of the data with all constants, by trajectories."""
         if not np.isfinite(at.cost):
             return -np.inf
-        return self.likelihood.largest_log_likelihood(at.z, at.cost)
+        return self.likelihood.largest_log_likelihood(at.z, self._squares(at))
 
     def comparisons(self, at: Expansion) -> tuple[Comparison, ...]:
         """Measurements and predictions at z (n,); none without trajectories."""
         if not np.isfinite(at.cost):
             return ()
-        covariance, unit = covariance_at(at, self.variance(at)), np.sqrt(self.variance(at))
+        variance, unit = self.variance(at), 1.0
+        covariance = covariance_at(at, variance)
+        if not self.likelihood.unit_known:
+            unit = math.sqrt(self._squares(at) / self._freedom)
         each = self.likelihood.predictions(self.likelihood.free.values(at.z[None]))
         predictions = dict(zip(map(id, self.likelihood.trials), each, strict=True))
         comparisons = []
@@ -129,7 +140,7 @@ class OfExperiments:
                     (observations.times[here], observations.values[here]),
                     predicted,
                     sigma * unit,
-                    spread_of(at.jacobian[rows], covariance) / unit,
+                    spread_of(at.jacobian[rows], covariance) / math.sqrt(variance),
                     "log" if noise.distribution == "log-normal" else "lin",
                 )
             )
@@ -137,7 +148,26 @@ class OfExperiments:
 
     def variance(self, at: Expansion) -> float:
         """The variance of the residuals; one where standard deviations are known or estimated."""
-        return 1.0 if self.likelihood.unit_known else at.cost / self._freedom
+        return 1.0 if self.likelihood.unit_known else self.likelihood.size / self._freedom
+
+    def _squares(self, at: Expansion) -> float:
+        """The cost where standard deviations are known, else the sum of squares."""
+        if self.likelihood.unit_known:
+            return at.cost
+        return math.exp(at.cost / self.likelihood.size) - self._unresolved
+
+    @cached_property
+    def _unresolved(self) -> float:
+        """The sum of squares that accurate trajectories may leave of data without noise."""
+        squares = 0.0
+        for trial, i, _ in self.likelihood.blocks:
+            noise, values = trial.observations.noises[i], trial.observations.values
+            here = values[trial.observations.of(i)]
+            scale = (
+                np.ones(here.size) if noise.distribution == "log-normal" else here / noise.spread
+            )
+            squares += float(scale @ scale)
+        return max(_RESOLVED**2 * squares, 1e-300)
 
     @property
     def _freedom(self) -> int:
@@ -152,6 +182,6 @@ class OfExperiments:
 
     def rise(self, at: Expansion) -> float:
         """By how much the cost is larger at the ends of intervals; see :meth:`.Intervals.rise`."""
-        if self.likelihood.levels:
+        if self.likelihood.levels or not self.likelihood.unit_known:
             return self.likelihood.size * math.log1p(self.quantile**2 / self._freedom)
         return self.quantile**2 * self.variance(at)

@@ -100,6 +100,9 @@ class Calibration(Labelled):
         Where each identified parameter is with 95 %, whatever the others are within their bounds.
     limited : dict of str to str
         Which ends of these are bounds, not set by the data: ``"lower"`` or ``"upper"``.
+    limits : dict of str to str
+        In words what but the data these depend on: those ends, or bounds of other parameters
+        without which they would be longer.
     not_identified : tuple of str
         Parameters that the data leave free over a good part of their bounds.
     at_bounds : dict of str to str
@@ -120,6 +123,7 @@ class Calibration(Labelled):
     boxes: tuple[Box, ...] = ()
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     limited: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, str] = field(default_factory=dict)
     not_identified: tuple[str, ...] = ()
     at_bounds: Mapping[str, str] = field(default_factory=dict)
     fit: Fit | None = None
@@ -156,6 +160,7 @@ class Calibration(Labelled):
             starts,
             intervals={n: _interval(problem, at.z, n, of[n]) for n in of if not of[n].free},
             limited={n: each.limited for n, each in of.items() if each.limited and not each.free},
+            limits={n: _limits(each) for n, each in of.items() if not each.free},
             not_identified=tuple(name for name, each in of.items() if each.free),
             at_bounds=ends_at_bounds(problem.names, at.z),
             **further,
@@ -228,10 +233,9 @@ class Calibration(Labelled):
             if name in self.intervals:
                 low, high = self.intervals[name]
                 cell = f"[{low:.6g}, {high:.6g}]"
-            side = self.limited.get(name)
-            rows.append([name, f"{x:.6g}", cell, f"{side} bound" if side else ""])
+            rows.append([name, f"{x:.6g}", cell, self.limits.get(name, "")])
         header = ["parameter", "estimate", "95 % interval", "limited by"]
-        if not self.limited:
+        if not any(self.limits.values()):
             header, rows = header[:-1], [row[:-1] for row in rows]
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {_SAME:g}"
@@ -251,7 +255,7 @@ class Calibration(Labelled):
             "lower": np.array([low for low, _ in ends]),
             "upper": np.array([high for _, high in ends]),
             "identified": np.array([name not in self.not_identified for name in names]),
-            "limited": np.array([self.limited.get(name, "") for name in names], dtype=object),
+            "limited": np.array([self.limits.get(name, "") for name in names], dtype=object),
         }
         arrays = {name: (("parameter",), column) for name, column in columns.items()}
         likelihoods = np.array([start.log_likelihood for start in self.starts])
@@ -259,6 +263,13 @@ class Calibration(Labelled):
             {**arrays, "log_likelihood": (("start",), likelihoods)},
             {"parameter": names, "start": list(range(len(self.starts)))},
         )
+
+
+def _limits(reach: Reach) -> str:
+    """What but the data an interval depends on, in words."""
+    if reach.limited:
+        return f"{reach.limited} bound"
+    return f"bounds of {listing(reach.others)}" if reach.others else ""
 
 
 def _interval(problem: Calibrated, z: Array, name: str, reach: Reach) -> tuple[float, float]:

@@ -19,13 +19,14 @@ class Reach(NamedTuple):
     """The interval of a parameter in z, and what ends it.
 
     ``limited`` are the ends that are its bounds, ``""``, ``"lower"``, ``"upper"`` or ``"both"``;
-    a ``free`` one is not identified.
+    a ``free`` one is not identified. Beyond the bounds of ``others`` it would be longer.
     """
 
     lower: float
     upper: float
     limited: str = ""
     free: bool = False
+    others: tuple[str, ...] = ()
 
 
 def limited_by(lower: bool, upper: bool) -> str:

@@ -258,7 +258,7 @@ class Basis1D(ABC):
         return basis.to_modal @ (np.sqrt(basis.weights)[:, None] * at_nodes), basis
 
     def restricted(self, lower: float, upper: float) -> Self:
-        """The basis on a part of the interval, with the ends of elements that are inside of it."""
+        """The basis on another interval, with the ends of elements that are inside of it."""
         near = 1e-12 * (self.upper - self.lower)
         inside = [float(e) for e in self.edges if lower + near < e < upper - near]
         breaks = tuple(inside)

@@ -15,7 +15,12 @@ from rankone.ir.verdict import OutputError, Remedy, Status, UndecidedShare
 from rankone.outputs.check import spread_over
 from rankone.outputs.interpolation import Asked, OutputInterpolation
 from rankone.outputs.quantities import Quantities, Source
-from rankone.solution.branches import branch_evaluator, slabs_of_branches
+from rankone.solution.branches import (
+    box_of_branch,
+    branch_evaluator,
+    slabs_of_branches,
+    slabs_over,
+)
 from rankone.solution.core import SolutionCore
 from rankone.solvers.branches import one_after_the_other
 from rankone.support.arrays import Array
@@ -37,7 +42,7 @@ _SIZE_POINTS, _SIZE_TIMES = 256, 25  # Points and times that tell the sizes of q
 
 
 class BranchPart(SolutionCore):
-    """One branch of a solution, whose guards are states behind the others.
+    """One branch of a solution over its own box, whose guards are states behind the others.
 
     The roots of heights of its opened events are parameters behind the others.
     """
@@ -50,9 +55,10 @@ class BranchPart(SolutionCore):
         measured = solution.outcome.measured
         if measured is not None:
             measured = replace(measured, interior=(*measured.interior, *(0.0 for _ in guards)))
+        box = box_of_branch(timeline, branch, metadata.box)
         outcome = replace(
             solution.outcome,
-            slabs=slabs_of_branches(solution.outcome.slabs, timeline)[branch],
+            slabs=slabs_over(slabs_of_branches(solution.outcome.slabs, timeline)[branch], box),
             timeline=timeline.branches[branch],
             measured=measured,
         )
@@ -63,7 +69,7 @@ class BranchPart(SolutionCore):
             states=(*metadata.states, *guards),
             roles=(*metadata.roles, *(Role.LIFTED for _ in guards)),
             parameters=(*metadata.parameters, *turns),
-            box=(*metadata.box, *roots),
+            box=(*box, *roots),
         )
         super().__init__(outcome, metadata)
 
@@ -84,7 +90,7 @@ def over_branches(
 ) -> tuple[Outcome, float, Quantities]:
     """Quantities as an outcome in branches, the tolerance, and those of the first branch.
 
-    Each branch is interpolated over the whole box, and measured where it holds. Errors are relative
+    Each branch is interpolated over its own box, and measured where it holds. Errors are relative
     to the largest values there, or to larger ``sizes``. Workers of a ``pool`` take part.
     """
     timeline = solution.outcome.timeline
@@ -100,7 +106,7 @@ def over_branches(
             part, guarded, least_sizes=tuple(sizes), pool=pool, report=report
         )
         outcome, tolerance = interpolation.solve(asked.share(len(parts)))
-        outcomes.append(outcome)
+        outcomes.append(replace(outcome, slabs=slabs_over(outcome.slabs, solution.metadata.box)))
         tolerances.append(tolerance)
     rtol, quantities = max(tolerances), every[0]
     least = np.zeros(len(quantities.names))

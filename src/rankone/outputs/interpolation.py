@@ -6,8 +6,9 @@ of the interpolation, measured at further points, plus the effect of the solutio
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -56,10 +57,8 @@ from rankone.tensors.slab import SlabTrain, slab_trains
 from rankone.tensors.timeline import TimelineEvaluator
 
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
-_OF_INTERPOLATION = Remedy(
-    "raise effort, loosen rtol or restrict the solution; what jumps or kinks as parameters change "
-    "is hardly resolved"
-)
+_HARDLY = "what jumps or kinks as parameters change is hardly resolved"
+_OF_INTERPOLATION = Remedy(f"raise effort, loosen rtol or restrict the solution; {_HARDLY}")
 
 # Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up
 _AIMED_SHARE = 0.1
@@ -69,6 +68,8 @@ _BASIS_SHARE = 0.1  # Error of the basis of the columns, relative to the error a
 # Tolerances are tightened only when no nodes are added: attempts are cheap
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
 _MAX_ATTEMPTS = 8  # Most interpolations: errors that do not fall by then belong to jumps
+_DEAR_SHARE = 0.02  # Share of the budget from which on an attempt has to promise something
+_ROUNDED_UP = 1.2  # Tolerance that is offered over the error that was measured
 _TRAIN_SHARE = 0.7  # Share of the remaining budget for the interpolation
 _TIME_PROBES = 12  # Points whose functions of time are resolved, besides the corners
 _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
@@ -160,7 +161,7 @@ class OutputInterpolation:
                 rtol = min(default, max(_LARGEST_DEFAULT, solution.rtol))
             target = self._check(sampler, np.concatenate([points.aimed, critical]))
             with limited(_TRAIN_SHARE * budget_left(), _TRAIN_SHARE * seconds_left()):
-                slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
+                slabs, hopeless = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
         missed = np.maximum(missed, hidden_errors(slabs, finer, check, _AIMED_SHARE * rtol))
@@ -169,7 +170,8 @@ class OutputInterpolation:
             missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
         if isinstance(finer, StretchSampler) and not self.quantities.timeless:
             missed = self._missed_over_clock_time(missed, slabs, finer, check)
-        return self._outcome(slabs, missed, from_solution, points.corners, rtol), rtol
+        outcome = self._outcome(slabs, missed, from_solution, points.corners, rtol)
+        return _with_honest_remedy(outcome) if hopeless else outcome, rtol
 
     def _errors_of_sources(self, sampler: Sampler, points: Array) -> tuple[Array, Array]:
         """The largest errors of sources that the solution's tolerance allows, and measured shares.
@@ -302,8 +304,13 @@ class OutputInterpolation:
         rounding = _BORDER_ROUNDING * float(np.ptp(self.domain.horizon))
         return [float(np.median(row)) for row in borders if np.ptp(row) <= rounding]
 
-    def _best_trains(self, sampler: Sampler, check: Check, level: float) -> tuple[SlabTrain, ...]:
-        """Interpolate until the error at the points of a check is small; the best trains."""
+    def _best_trains(
+        self, sampler: Sampler, check: Check, level: float
+    ) -> tuple[tuple[SlabTrain, ...], bool]:
+        """Interpolate until the error at the points of a check is small; the best trains.
+
+        And whether they were left because no effort would reach the level.
+        """
         options, domain = self.options, self.domain
         columns = QuantityColumns(sampler, check.sizes, _BASIS_SHARE * level)
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
@@ -311,6 +318,7 @@ class OutputInterpolation:
         adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING, scales)
         known_elements = [KnownElements(borders) for borders in self.quantities.cuts[1:]]
         best: tuple[float, tuple[SlabTrain, ...]] | None = None
+        errors, left, hopeless = list[float](), [budget_left()], False
         for attempt in range(_MAX_ATTEMPTS):
 
             def begun(done: int, total: int, rank: int, attempt: int = attempt) -> None:
@@ -333,13 +341,16 @@ class OutputInterpolation:
             error = float(missed.max())
             if best is None or error < best[0]:
                 best = error, slabs
-            if error <= level or not domain.box:
+            errors.append(error)
+            left.append(budget_left())
+            hopeless = error > level and _is_out_of_sight(errors, left, level)
+            if error <= level or not domain.box or hopeless:
                 break
             worst = check.points[np.argsort(-missed.max(axis=0))[:FIRST_LEFT_POINTS]]
             adaptive.steep = adaptive.doubtful = worst
             adaptive.refine(error)
         assert best is not None
-        return best[1]
+        return best[1], hopeless
 
     def _outcome(
         self,
@@ -375,6 +386,37 @@ class OutputInterpolation:
             remedy = _OF_SOLUTION if error.solution > error.interpolation else _OF_INTERPOLATION
             notes = (replace(error, worst=worst), remedy)
         return Outcome(slabs, status, measured, (), notes=notes, timeline=self._timeline)
+
+
+def _with_honest_remedy(outcome: Outcome) -> Outcome:
+    """An outcome whose remedy is not more effort."""
+    if outcome.measured is None or _OF_INTERPOLATION not in outcome.notes:
+        return outcome
+    enough = _ROUNDED_UP * outcome.measured.error
+    looser = f"give rtol={enough:.1e}, or " if enough <= _LARGEST_DEFAULT else ""
+    remedy = Remedy(f"{looser}restrict the solution to where it is smooth; {_HARDLY}")
+    notes = (remedy if note is _OF_INTERPOLATION else note for note in outcome.notes)
+    return replace(outcome, notes=tuple(notes))
+
+
+def _is_out_of_sight(errors: Sequence[float], left: Sequence[float], level: float) -> bool:
+    """Whether attempts with these errors will not reach a level with what is left of the budget.
+
+    They are expected to gain as much as the best of them, and to cost more and more as they did. As
+    long as the next one is cheap it is worth a try. ``left`` is the budget before the first attempt
+    and after each.
+    """
+    if len(errors) < 2 or not math.isfinite(left[0]):
+        return False
+    costs = [before - after for before, after in itertools.pairwise(left)]
+    growth = max((costs[-1] / max(costs[0], 1.0)) ** (1.0 / (len(costs) - 1)), 1.0)
+    if growth * costs[-1] <= _DEAR_SHARE * left[-1]:
+        return False
+    gain = max(before / after for before, after in itertools.pairwise(errors))
+    further = math.log(min(errors) / level) / math.log(gain) if gain > 1.0 else math.inf
+    if further > _MAX_ATTEMPTS - len(errors):
+        return True
+    return bool(costs[-1] * growth**further > left[-1])
 
 
 class QuantityColumns:

@@ -1,4 +1,4 @@
-"""The evaluator of a solution in branches."""
+"""The evaluator of a solution in branches, and the box over which each is solved."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+from scipy.optimize import linprog
+
+from rankone.ir.measures import Interval
 from rankone.ir.timeline import CLOCK_STATES, BranchedTimeline, Opening
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.decisions import Decider
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, restricted
 from rankone.tensors.timeline import HeightRoot, TimelineEvaluator
+
+_BEYOND = 0.02  # Reach of a branch beyond the part of the box where it holds, in horizons
 
 
 def slabs_of_branches(
@@ -28,6 +34,42 @@ def slabs_of_branches(
         every.append(tuple(own))
         start = end
     return every
+
+
+def box_of_branch(
+    timeline: BranchedTimeline, branch: int, whole: Sequence[Interval]
+) -> tuple[Interval, ...]:
+    """The box around the part of the whole one where a branch holds, and some way beyond.
+
+    The whole one unless times of events that are affine in the parameters alone tell where.
+    """
+    times = timeline.branches[branch].affine_times
+    guarded = any(timeline.guards) or any(fork.guard is not None for fork in timeline.forks)
+    known = all(len(b.affine_times) == len(b.instants) for b in timeline.branches)
+    if guarded or not known or len(times) < 2:
+        return tuple(whole)
+    earlier = -np.diff([coefficients for _, coefficients in times], axis=0)
+    start, end = timeline.horizon
+    most = _BEYOND * (end - start) - earlier[:, 0]
+    box = list(whole)
+    for j in np.flatnonzero(earlier[:, 1:].any(axis=0)).tolist():
+        (lower, upper), along = whole[j], np.eye(len(whole))[j]
+        ends = [linprog(sign * along, earlier[:, 1:], most, bounds=whole) for sign in (1, -1)]
+        if not all(each.success for each in ends):
+            return tuple(whole)
+        low, high = (float(each.x[j]) for each in ends)
+        if low < high:
+            box[j] = max(low, lower), min(high, upper)
+    return tuple(box)
+
+
+def slabs_over(slabs: Sequence[SlabTrain], box: Sequence[Interval]) -> tuple[SlabTrain, ...]:
+    """Slabs over another box of the parameters, constant beyond the one they are solved over."""
+    slabs = tuple(slabs)
+    for j, interval in enumerate(box):
+        if slabs and (slabs[0].bases[j].lower, slabs[0].bases[j].upper) != interval:
+            slabs = restricted(slabs, j, interval)
+    return slabs
 
 
 def branch_evaluator(slabs: Sequence[SlabTrain], timeline: BranchedTimeline) -> BranchEvaluator:

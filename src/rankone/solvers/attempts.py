@@ -64,6 +64,8 @@ STALLED_RATIO = 0.7
 """An attempt has stalled if its error is above this fraction of the best error before it."""
 PAYING_FACTOR = 1.5
 """Factor by which a recent attempt must have lowered the error to go on in any case."""
+CLOSE_ERROR_RATIO = 5.0
+"""An error of less than this many rtol is close to the goal."""
 RECENT_ATTEMPTS = 3
 """Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
 LEAST_COST_RATIO = 0.9
@@ -163,10 +165,12 @@ class Progress:
     def going_on(self, work: float, rtol: float) -> AbstractContextManager[None]:
         """What another attempt of so much work runs in, after one that took as much.
 
-        It may take all of the budget where the tolerance is reached within it if the error goes on
-        to fall as it did.
+        It may take all of the budget where the error is close to the tolerance, or this is reached
+        within the budget if the error goes on to fall as it did.
         """
         first, last = (self._least or (math.inf,))[0], min(self._least, default=math.inf)
+        if rtol < last <= CLOSE_ERROR_RATIO * rtol and not self.stalls:
+            return persisting()
         if not self.pays or not rtol < last < first < math.inf:
             return nullcontext()
         fall = math.log(first / last) / (len(self._least) - 1)

@@ -1,8 +1,9 @@
 """Solves where the order of events changes inside the box: each order is a branch of its own.
 
-A branch is continued over the whole box with its order forced, so that it is smooth. Which one
-holds is decided by the times of the events in which they differ, and by guards. The solution is
-then measured against trajectories that follow their own order.
+A branch is continued over the whole box with its order forced, so that it is smooth; where known
+times alone tell in which part of the box it holds, over that part. Which one holds is decided by
+the times of the events in which they differ, and by guards. The solution is then measured against
+trajectories that follow their own order.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 from rankone.ir.measures import LINEAR, Interval
 from rankone.ir.outcome import Outcome
 from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.system import System
+from rankone.ir.system import Clock, System
 from rankone.ir.timeline import BranchedTimeline, Timeline
 from rankone.ir.verdict import MemoryNeeded, Note, OrderSearchLimit, Remedy, Status
+from rankone.solution.branches import box_of_branch, slabs_over
 from rankone.solvers.attempts import Stages, out_at_reference
 from rankone.solvers.branch_check import MOST_MISSED, BranchCheck
 from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches_of
@@ -143,18 +145,21 @@ class _Solves:
         With points (m, d) at which other orders hold than those of the branches.
         """
         search, parted = self._parted(search)
-        outcomes, timelines = list[Outcome](), list[Timeline]()
-        whole = budget_left()
+        clocks = [
+            branch.order.clock(search.system, search.horizon, branch.forced)
+            for branch in parted.branches
+        ]
+        branched = self._timeline(parted, list(map(Timeline.of, clocks)), search.sizes)
+        outcomes, whole = list[Outcome](), budget_left()
         for k, branch in enumerate(parted.branches):
             of_rest = 1.0 / (len(parted.branches) - k)
             most = whole * (MOST_OF_OPENED if branch.opened.turns else _MOST_OF_ONE)
             with limited(min(of_rest * budget_left(), most), of_rest * seconds_left()):
-                outcome, timeline = self._solved_branch(search, branch, share)
+                box = box_of_branch(branched, k, self.request.domain.box)
+                outcome = self._solved_branch(clocks[k], branch, box, share)
             if not outcome.slabs or outcome.status not in _SOLVED:
                 raise _unresolved(search.named(branch.order), outcome)
             outcomes.append(outcome)
-            timelines.append(timeline)
-        branched = self._timeline(parted, timelines, search.sizes)
         check = BranchCheck(search, self.request, parted.orders, len(outcomes))
         with self.stages.of("check"):
             outcome, further = check.outcome(_joined(outcomes, branched), branched)
@@ -172,21 +177,19 @@ class _Solves:
                 return search, branches_of(search, self.request.rtol)
 
     def _solved_branch(
-        self, search: OrderSearch, branch: Branch, share: float
-    ) -> tuple[Outcome, Timeline]:
-        """The outcome of one branch over the whole box, and its timeline."""
+        self, clock: Clock, branch: Branch, box: Sequence[Interval], share: float
+    ) -> Outcome:
+        """The outcome of one branch, which is solved over a box and constant beyond it."""
         request = self.request
-        clock = branch.order.clock(search.system, search.horizon, branch.forced)
         stretched = in_stretches(replace(clock, cuts=self.cuts))
         roots = tuple(map(tuple, branch.opened.root_bounds.tolist()))
-        box = (*request.domain.box, *roots)
         scales = (*request.domain.scales, *(LINEAR for _ in roots))
-        domain = Domain(stretched.horizon, box, scales)
+        domain = Domain(stretched.horizon, (*box, *roots), scales)
         tighter = replace(request, domain=domain, rtol=share * request.rtol)
         with self.stages.if_it_fails("reference"):
             outcome = self.solve(stretched, tighter)
         self.stages.add(outcome.timings, outcome.work)
-        return outcome, Timeline.of(clock)
+        return replace(outcome, slabs=slabs_over(outcome.slabs, request.domain.box))
 
     def _timeline(
         self, parted: Branches, timelines: Sequence[Timeline], sizes: Array

@@ -225,12 +225,13 @@ def differentiated(slabs: Sequence[SlabTrain], parameter: int) -> tuple[SlabTrai
 def restricted(
     slabs: Sequence[SlabTrain], parameter: int, interval: tuple[float, float]
 ) -> tuple[SlabTrain, ...]:
-    """The states for a smaller interval of one parameter."""
+    """The states for a smaller interval of one parameter, or a larger one: constant beyond."""
 
     def change(core: Array, basis: Basis1D) -> tuple[Array, Basis1D]:
-        smaller = basis.restricted(*interval)
-        at_nodes = np.sqrt(smaller.weights)[:, None] * basis.modal_values(smaller.nodes)
-        return np.matmul(smaller.to_modal @ at_nodes, core), smaller
+        other = basis.restricted(*interval)
+        nodes = np.clip(other.nodes, basis.lower, basis.upper)
+        at_nodes = np.sqrt(other.weights)[:, None] * basis.modal_values(nodes)
+        return np.matmul(other.to_modal @ at_nodes, core), other
 
     return _changed(slabs, parameter, change)
 

@@ -27,7 +27,6 @@ CHEAP_TRAJECTORIES = 80_000
 # Below this many times the cheap trajectories, tolerances that were never tightened are tightened
 # once, even if the error did not fall
 UNTIGHTENED_RATIO = 3
-FAR_ERROR_RATIO = 5.0  # An error above this many rtol is far from the goal
 # A costly attempt with an error far from the goal must have lowered it to this part
 FAST_ERROR_RATIO = 0.2
 WORST_POINTS = 12  # Latest worst points, near which left points are

@@ -22,7 +22,7 @@ from rankone.ir.verdict import (
     SteepParameter,
     TrajectoryStops,
 )
-from rankone.solvers.attempts import Attempt, Progress
+from rankone.solvers.attempts import CLOSE_ERROR_RATIO, Attempt, Progress
 from rankone.solvers.cross import constants
 from rankone.solvers.cross.cost import AttemptCost
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
@@ -309,7 +309,7 @@ class CrossMarcher:
         self.error = attempt.error
         if not patient:
             return False
-        close = attempt.error < constants.FAR_ERROR_RATIO * self.rtol
+        close = attempt.error < CLOSE_ERROR_RATIO * self.rtol
         tighten = close or (progress.stalls > 0 and not grows)
         lines = self._worst_lines(attempt)
         if self.worst:
@@ -346,7 +346,7 @@ class CrossMarcher:
         affordable = constants.UNTIGHTENED_RATIO * constants.CHEAP_TRAJECTORIES
         if self.adaptive.share == 1.0 and self.integrated < affordable:
             return True
-        far, fast = constants.FAR_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
+        far, fast = CLOSE_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
         return stalls < constants.MAX_COSTLY_STALLS and attempt.error < max(far, fast)
 
     def _halve_slabs(self) -> None:

@@ -141,7 +141,10 @@ class EventTrajectory:
     def happen(self, event: int, time: float, before: Array, after: Array) -> None:
         """Keep an event at a time."""
         self.occurrences.append(Occurrence(event, time, before, after))
-        self.put_off(event, self.due.get(event, [])[1:])
+        if times := self.due.get(event):
+            self.put_off(event, times[1:])
+        else:
+            self.ahead[event] = math.inf
 
     def put_off(self, event: int, times: list[float]) -> None:
         """Let an event with a delay be due at times, and at no others."""

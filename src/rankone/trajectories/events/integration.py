@@ -27,6 +27,7 @@ from rankone.trajectories.integrator import Spanning, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, Paths
 
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
+_OCCURRENCE_COST = 3e3  # Operations of keeping an event that changes nothing
 _COPIES = 2  # Copies of a path: alone, and joined with those before it
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
@@ -289,6 +290,7 @@ class _Search:
         most = max(map(len, passed))
         if not most:
             return
+        charge(_OCCURRENCE_COST * sum(map(len, passed)))
         times = np.stack([np.full(most, path.breaks[0]) for path in paths])
         for row, each in zip(times, passed, strict=True):
             row[: len(each)] = [time for time, _ in each]
