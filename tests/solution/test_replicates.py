@@ -1,5 +1,6 @@
 """Densities, quantiles, probabilities and their half-widths against closed forms."""
 
+import functools
 import pickle
 import warnings
 
@@ -8,6 +9,7 @@ import pytest
 from scipy.special import ndtri
 
 import rankone as ro
+from rankone.statistics import line_averages, timeline_statistics
 from rankone.statistics.densities import density_of
 from rankone.statistics.replicates import SETS, even_shares, half_width, sets_of_shares, share_of
 
@@ -179,3 +181,42 @@ def test_outputs_and_main_effects_tell_their_progress(dosed):
     assert all(0.0 <= event.fraction <= 1.0 for event in events)
     dosed.main_effects(2.5, count=2, progress=lambda *step: steps.append(step))
     assert steps == [(1, 2), (2, 2)]
+    for statistic in (dosed.mean, dosed.std, dosed.var, dosed.cov):
+        steps.clear()
+        statistic([1.0, 2.5], progress=lambda *step: steps.append(step))
+        assert [done for done, _ in steps] == sorted(done for done, _ in steps)
+        assert steps[-1][0] == steps[-1][1] > 1
+
+
+def test_half_widths_of_main_effects_hold_the_exact_means(dosed):
+    """Against lines on each face, which are divided where the solution jumps."""
+    effects = dosed.main_effects([1.0, 2.5], count=3)
+    for name, values in effects.values.items():
+        for k, value in enumerate(values):
+            exact = dosed.fix({name: value}).mean([1.0, 2.5])
+            apart = np.abs(effects.means[name][:, k] - exact)
+            assert (apart <= 1.5 * effects.half_widths[name][:, k] + 1e-4).all()
+            assert effects.half_widths[name][:, k].max() < 2e-2
+
+
+def test_many_times_take_fewer_lines_and_warn_once(dosed, monkeypatch):
+    """The points of all times together are bounded, and one warning says what they are good for."""
+    taken, kind = [], type(dosed._evaluator)
+    curves = kind.curves
+
+    def counted(self, times, points, rows):
+        taken.append(times.size * points.shape[1])
+        return curves(self, times, points, rows)
+
+    monkeypatch.setattr(kind, "curves", counted)
+    monkeypatch.setattr(timeline_statistics, "_EVALUATIONS", 2**18)
+    monkeypatch.setattr(line_averages, "_MOST_POINTS", 2**14)
+    times = np.linspace(0.5, 2.9, 40)
+    effects = functools.partial(dosed.main_effects, count=11)
+    for statistic, most in ((dosed.mean, 4 * 2**14), (effects, 2**18)):
+        taken.clear()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            statistic(times)
+        assert len(caught) <= 1
+        assert 0 < sum(taken) < most

@@ -138,13 +138,13 @@ def _on_each(count: int, shares: Array) -> tuple[NDArray[np.intp], Array]:
     return np.tile(np.arange(count), shares.size), np.repeat(shares, count)
 
 
-def refinements(dimensions: int, most: int) -> Iterator[Lines]:
+def refinements(dimensions: int, most: int, first: int = FIRST_LINES) -> Iterator[Lines]:
     """Lines whose averages are averaged one after the other: as many as before, up to ``most``."""
     if dimensions < 2:
         for segments in _SEGMENTS_OF_ONE:  # there is no other line
             yield Lines.between(0, 1, dimensions, segments)
         return
-    count = FIRST_LINES
+    count = first
     yield Lines.between(0, count, dimensions)
     while 2 * count <= most:
         yield Lines.between(count, 2 * count, dimensions)

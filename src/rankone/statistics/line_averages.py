@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.statistics.closed_lines import FIRST_LINES, Lines, Pieces, refinements
+from rankone.statistics.solution_statistics import Report, quiet
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
@@ -21,6 +22,8 @@ PointsOf = Callable[[Array], Array]
 Weighted = Callable[[Array, Array], tuple[Array, Array]]
 """A statistic, and the unit of its changes, of states (rows, M) with weights (M,) of sum one."""
 
+_MOST_POINTS = 2**18  # Points of lines, each at one time: about 5 s
+_POINTS_OF_LINE = 240  # About as many are on a line when the nodes have been found
 _POINTS_AT_ONCE = 2**14
 # Chebyshev points of a segment, between which what decides about pieces is a polynomial
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
@@ -43,8 +46,6 @@ class Accuracy:
 
 MOMENTS = Accuracy(1e-4, 1e-3, 512)
 """Of means, relative to the standard deviation, and of variances, relative to themselves."""
-EFFECTS = Accuracy(1e-3, 1e-2, 4 * FIRST_LINES)
-"""Of means given one parameter, relative to the standard deviation."""
 
 
 @dataclass
@@ -63,6 +64,11 @@ class _Average:
     share: float = 1.0
     nodes: int = 0
     unresolved: float = 0.0
+
+    @property
+    def points(self) -> int:
+        """Points so far."""
+        return sum(each.size for each in self.weights)
 
     @property
     def change(self) -> float:
@@ -135,6 +141,7 @@ class LineAverages:
 
     evaluator: TimelineEvaluator | BranchEvaluator | PieceEvaluator
     rows: NDArray[np.intp]
+    report: Report = quiet
 
     def __call__(
         self,
@@ -146,14 +153,24 @@ class LineAverages:
     ) -> tuple[Array, Array]:
         """A statistic over a unit cube, (..., times), and the share (times,) that still runs.
 
-        It is NaN where nothing runs. A warning says how accurate it is if it does not settle.
+        It is NaN where nothing runs. A warning says how accurate it is if it does not settle, or
+        if settling would take too many points.
         """
         averages = [_Average(of) for _ in range(times.size)]
-        for lines in refinements(dimensions, accuracy.most_lines):
+        fitting = min(max(_MOST_POINTS // (_POINTS_OF_LINE * max(times.size, 1)), 2), FIRST_LINES)
+        first = 2 ** (fitting.bit_length() - 1)
+        rounds = list(refinements(dimensions, accuracy.most_lines, first))
+        for step, lines in enumerate(rounds):
             left = [k for k, each in enumerate(averages) if each.change > accuracy.settled]
-            self._add(lines, times[left], points_of, [averages[k] for k in left], accuracy.settled)
-            for k in left:
-                averages[k].refine()
+            ours = [averages[k] for k in left]
+            twice = sum(each.points for each in (*averages, *ours))
+            if not left or (step > 1 and twice > _MOST_POINTS):
+                break
+            self._add(lines, times[left], points_of, ours, accuracy.settled)
+            for each in ours:
+                each.refine()
+            self.report(step + 1, len(rounds))
+        self.report(len(rounds), len(rounds))
         _warn_of_changes(max((each.error for each in averages), default=0.0), accuracy.warned)
         shape = of(np.zeros((self.rows.size, 1)), np.ones(1))[0].shape
         nothing = np.full(shape, np.nan)

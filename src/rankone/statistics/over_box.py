@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -26,12 +27,15 @@ from rankone.statistics.piece_statistics import PieceStatistics
 from rankone.statistics.replicates import SETS
 from rankone.statistics.solution_statistics import (
     ROUNDING_ERROR,
+    Effect,
     MainEffects,
     Report,
     Sobol,
     Statistics,
     changed_shares,
     doubtful_shares,
+    quiet,
+    warn_of_ends,
 )
 from rankone.statistics.timeline_statistics import TimelineStatistics
 from rankone.support.arrays import Array
@@ -49,6 +53,8 @@ Times = ArrayLike | None
 Progress = bool | Report
 """A bar or none, or what is called with the numbers of finished and of all steps."""
 
+# Half-widths of main effects, in shares of the spread, above which a user is told
+_VISIBLE_HALF_WIDTH = 1e-2
 _SIZE_TIMES = 25  # Times at which the size of an unknown is measured: a size need not be exact
 # Truncation of a train for higher moments, in shares of the tolerance of the solution
 _TRUNCATION_SHARE = 0.1
@@ -63,10 +69,6 @@ def checked_probabilities(q: ArrayLike) -> Array:
     if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
         raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
     return probabilities
-
-
-def _quiet(done: int, total: int) -> None:
-    """Ignore progress."""
 
 
 class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
@@ -103,7 +105,12 @@ class StatisticsOverBox(SolutionCore):
     """A solution whose parameters are random: moments, sensitivities, quantiles."""
 
     def mean(
-        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+        self,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        progress: Progress = False,
     ) -> Array:
         """Means of the unknowns over the box at times.
 
@@ -126,12 +133,15 @@ class StatisticsOverBox(SolutionCore):
             fit, or of the problem. Up to three correlated parameters are integrated by a
             quadrature, refined until mean and covariance change by less than 1e-6, relative to the
             spread; more by evenly spread points, good to about 1e-3 of the standard deviation.
+        progress : bool or callable
+            True shows a bar over solutions with events; a function is called with the numbers of
+            finished and of all rounds.
 
         Over solutions with events, which jump over the parameters at a time, averages are over
         lines through the box that are divided where the solution jumps. The nodes of Gauss's rule
         on each smooth piece, and the lines, are doubled until that changes the statistic by less
         than 1e-4 of the spread. A warning says how much it changes still if 64 nodes or 512 lines
-        are not enough and that is more than 1e-3.
+        are not enough, or more would take longer than about 5 s, and that is more than 1e-3.
 
         Returns
         -------
@@ -145,25 +155,44 @@ class StatisticsOverBox(SolutionCore):
             If a parameter is unknown, a distribution has no probability in its interval, or
             correlations are not inside (-1, 1) or contradict each other.
         """
-        return self._at(t, self._statistics(under, correlation).mean)
+        with self._reporting(under, correlation, progress, "mean") as statistics:
+            return self._at(t, statistics.mean)
 
     def var(
-        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+        self,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        progress: Progress = False,
     ) -> Array:
         """Variances; arguments and shape as for :meth:`mean`."""
-        return self._at(t, self._statistics(under, correlation).variance)
+        with self._reporting(under, correlation, progress, "variance") as statistics:
+            return self._at(t, statistics.variance)
 
     def std(
-        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+        self,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        progress: Progress = False,
     ) -> Array:
         """Standard deviations; arguments and shape as for :meth:`mean`."""
-        return np.asarray(np.sqrt(self.var(t, under=under, correlation=correlation)))
+        variances = self.var(t, under=under, correlation=correlation, progress=progress)
+        return np.asarray(np.sqrt(variances))
 
     def cov(
-        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+        self,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        progress: Progress = False,
     ) -> Array:
         """Covariances of the unknowns at the same time, (unknowns, unknowns, *shape of t)."""
-        return self._at(t, self._statistics(under, correlation).covariance)
+        with self._reporting(under, correlation, progress, "covariance") as statistics:
+            return self._at(t, statistics.covariance)
 
     def moment(
         self,
@@ -284,8 +313,9 @@ class StatisticsOverBox(SolutionCore):
     ) -> MainEffects:
         """Means of the unknowns as functions of each parameter, over all others.
 
-        Exact for the tensor train. Correlated parameters follow the given one: the mean is what is
-        observed, not the effect of changing this parameter alone.
+        Exact for the tensor train; over solutions with events from points of the other parameters,
+        as many as take about 5 s, with ``half_widths`` of 95 %. Correlated parameters follow the
+        given one: the mean is what is observed, not the effect of changing this parameter alone.
 
         Parameters
         ----------
@@ -386,7 +416,7 @@ class StatisticsOverBox(SolutionCore):
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
     def _indices(
-        self, t: Times, statistics: Statistics, count: int | None = None, report: Report = _quiet
+        self, t: Times, statistics: Statistics, count: int | None = None, report: Report = quiet
     ) -> tuple[Sobol, list[str]]:
         """Sobol indices, and sentences on those that are not certain."""
         statistics.parameters.require_independent(
@@ -464,7 +494,7 @@ class StatisticsOverBox(SolutionCore):
         return sizes, sizes * np.maximum(errors, ROUNDING_ERROR)
 
     def _main_effects(
-        self, t: Times, count: int, statistics: Statistics, report: Report = _quiet
+        self, t: Times, count: int, statistics: Statistics, report: Report = quiet
     ) -> MainEffects:
         count = checked_count("count", count, 2, self._numbers_each())
         ranges = {
@@ -472,15 +502,28 @@ class StatisticsOverBox(SolutionCore):
             for name, ends in self.parameters.items()
         }
 
-        def mean_given(j: int, points: Array) -> Array:
-            return self._at(t, lambda times: statistics.main_effect(times, j, points))
+        effects = list[Effect]()
 
-        means = dict[str, Array]()
+        def mean_given(j: int, points: Array) -> Array:
+            def both(times: Array) -> Array:
+                effects.append(statistics.effect(times, j, points))
+                return np.stack(effects[-1][:2])
+
+            return self._at(t, both)
+
+        means, half_widths = dict[str, Array](), dict[str, Array]()
         for j, name in enumerate(ranges):
-            means[name] = mean_given(j, ranges[name])
+            means[name], half_widths[name] = mean_given(j, ranges[name])
             report(j + 1, len(ranges))
+        warn_of_ends(min((effect.running for effect in effects), default=1.0))
+        least = max((effect.relative for effect in effects), default=0.0)
+        if least > _VISIBLE_HALF_WIDTH:
+            warn(
+                f"main effects have half-widths of 95 % of up to {least:.1e} of the spread",
+                remedy="ask for fewer times, or fewer values by `count`",
+            )
         times = np.asarray([] if t is None else t, dtype=float)
-        return MainEffects(tuple(ranges), self.unknowns, times, ranges, means)
+        return MainEffects(tuple(ranges), self.unknowns, times, ranges, means, half_widths)
 
     def _numbers_each(self) -> int:
         """Numbers in memory for each evenly spread point."""
@@ -518,6 +561,19 @@ class StatisticsOverBox(SolutionCore):
         copula = copula_of(names, correlation)
         measures = measures_of(names, box, under, self._problem_distributions)
         return JointDistribution(measures, copula)
+
+    @contextmanager
+    def _reporting(
+        self, under: Under, correlation: Correlations, progress: Progress, what: str
+    ) -> Iterator[Statistics]:
+        """The statistics, which tell their progress inside."""
+        statistics = self._statistics(under, correlation)
+        with counting_bar(progress, 1, what, "round") as report:
+            statistics.report = report
+            try:
+                yield statistics
+            finally:
+                statistics.report = quiet
 
     def _statistics(self, under: Under = None, correlation: Correlations = None) -> Statistics:
         """The statistics for a joint distribution; the latest are kept for the next call."""

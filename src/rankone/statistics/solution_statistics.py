@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.moments import ConditionalMoments, TrainMoments
 from rankone.statistics.replicates import SETS, share_of
 from rankone.support.arrays import Array
+from rankone.support.errors import warn
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
@@ -21,6 +22,34 @@ from rankone.tensors.slab import SlabTrain
 _Moments = TypeVar("_Moments")
 Report = Callable[[int, int], object]
 """Called with the numbers of finished and of all steps."""
+
+
+class Effect(NamedTuple):
+    """Means given one parameter, (states, points, times), and what is known of their errors.
+
+    ``half_widths`` are those of 95 %, and ``relative`` is the largest in standard deviations.
+    ``running`` is the least share of the trajectories that have not ended.
+    """
+
+    means: Array
+    half_widths: Array
+    relative: float = 0.0
+    running: float = 1.0
+
+
+def quiet(done: int, total: int) -> None:
+    """Ignore progress."""
+
+
+def warn_of_ends(running: float) -> None:
+    """Warn if some trajectories alone still run at some time."""
+    if running < 1.0:
+        warn(
+            f"statistics are over the trajectories that are still running: {100 * running:.3g} % "
+            "of the box at the latest time",
+            remedy="ask for earlier times, or for what is left by `end`",
+        )
+
 
 _POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
 _SLABS_REMEMBERED = 4  # Latest slabs whose moments may serve a later slab that shares their cores
@@ -113,6 +142,8 @@ class MainEffects(Labelled):
     values : dict of str to ndarray (count,)
         Values of each parameter, from one end of its interval to the other.
     means : dict of str to ndarray (unknowns, count, *shape of the times)
+    half_widths : dict of str to ndarray (unknowns, count, *shape of the times)
+        Half-widths of 95 % of the means, zero where nothing is sampled.
     """
 
     parameters: tuple[str, ...]
@@ -120,6 +151,7 @@ class MainEffects(Labelled):
     times: Array
     values: dict[str, Array]
     means: dict[str, Array]
+    half_widths: dict[str, Array]
 
     @property
     def _stacked(self) -> tuple[Array, Array]:
@@ -183,8 +215,11 @@ class VarianceParts:
 class Statistics:
     """Moments of the states ``rows`` of consecutive slabs.
 
-    Means, covariances and points know correlations; other statistics need independence.
+    Means, covariances and points know correlations; other statistics need independence. ``report``
+    is called while statistics that take points are computed.
     """
+
+    report: Report = staticmethod(quiet)
 
     def __init__(
         self, slabs: Sequence[SlabTrain], rows: Sequence[int], parameters: JointDistribution
@@ -252,6 +287,11 @@ class Statistics:
         parts = self.first(times), self.total(times), self.second(times)
         nothing = tuple(np.zeros_like(part) for part in parts)
         return VarianceParts(self.variance(times), parts, (nothing[0], nothing[1], nothing[2]))
+
+    def effect(self, times: Array, j: int, points: Array) -> Effect:
+        """Means given one parameter at some of its values."""
+        means = self.main_effect(times, j, points)
+        return Effect(means, np.zeros_like(means))
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""

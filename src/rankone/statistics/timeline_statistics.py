@@ -9,23 +9,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
+from warnings import catch_warnings
 
 import numpy as np
 
 from rankone.statistics.joint_distribution import JointDistribution
-from rankone.statistics.line_averages import EFFECTS, MOMENTS, LineAverages, Weighted
+from rankone.statistics.line_averages import MOMENTS, LineAverages, Weighted
 from rankone.statistics.replicates import SETS, even_shares, half_width
-from rankone.statistics.solution_statistics import Report, Statistics, VarianceParts, when
+from rankone.statistics.solution_statistics import (
+    Effect,
+    Report,
+    Statistics,
+    VarianceParts,
+    warn_of_ends,
+    when,
+)
 from rankone.support.arrays import Array
-from rankone.support.errors import warn
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
 
+_LEAST_SPREAD = 1e-12  # Of a mean, below which nothing but rounding varies
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 # Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time
-_EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 10
+_EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 20
 _FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
+_FEWEST_OF_FACE = 2**3  # Points of a set where one parameter has a value
 _HELD = 2**22  # Numbers of states that are held together for them
 _SEED = 20145  # Of these points
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
@@ -125,22 +134,33 @@ class TimelineStatistics(Statistics):
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""
-        table = np.empty((len(self.rows), points.size, times.size))
-        spread = np.sqrt(self.variance(times)).max(axis=1, initial=0.0)
-        on_hyperplane = self.parameters.points_given
+        return self.effect(times, j, points).means
 
-        def mean(states: Array, weights: Array) -> tuple[Array, Array]:
-            return states @ weights, spread
-
-        others = len(self.parameters.measures) - 1
-        for k, place in enumerate(points.tolist()):
-
-            def on_face(shares: Array, place: float = place) -> Array:
-                return on_hyperplane(j, place, shares)
-
-            table[:, k], share = self._averages(times, others, on_face, mean, EFFECTS)
-            _warn_of_ends(share)
-        return table
+    def effect(self, times: Array, j: int, points: Array) -> Effect:
+        """Means given one parameter, from sets of points of the others that all values share."""
+        d = len(self.parameters.measures)
+        faces = max(d * points.size, 1)
+        each = _EVALUATIONS // (SETS * faces * (times.size + _EVALUATIONS_TO_BEGIN))
+        each = 2 ** int(np.clip(each, _FEWEST_OF_FACE, _MOST_EACH)).bit_length() // 2
+        others = np.hstack([even_shares(each, d - 1, (_SEED, k)) for k in range(SETS)])
+        shape = len(self.rows), points.size, times.size
+        means, widths, squares = np.empty(shape), np.empty(shape), np.zeros((2, *shape[::2]))
+        running = np.ones(times.size)
+        for p, place in enumerate(points.tolist()):
+            at = self.parameters.points_given(j, place, others)
+            for k, states in self._at_all(times, at, self.rows):
+                with np.errstate(all="ignore"), catch_warnings(action="ignore"):
+                    of_sets = np.nanmean(states.reshape(len(self.rows), SETS, -1), axis=2)
+                    means[:, p, k] = of_sets.mean(axis=1)
+                    widths[:, p, k] = half_width(of_sets, 1)
+                    squares[:, :, k] += np.nanmean(states, 1), np.nanmean(states**2, 1)
+                running[k] = min(running[k], np.isfinite(states).all(axis=0).mean())
+        mean, square = squares / points.size
+        spread = np.sqrt(np.maximum(square - mean**2, 0.0))[:, None]
+        varies = spread > _LEAST_SPREAD * np.abs(mean)[:, None]
+        relative = np.divide(widths, spread, out=np.zeros(shape), where=varies)
+        largest = float(np.nanmax(relative, initial=0.0))
+        return Effect(means, widths, largest, float(running.min(initial=1.0)))
 
     def higher(self, times: Array, central: bool, tolerance: float) -> Array:
         """Root mean squares, and third and fourth moments over their powers, (3, states, times).
@@ -177,7 +197,7 @@ class TimelineStatistics(Statistics):
             share[k] = runs.mean()
             if runs.any():
                 table[..., k] = of(np.where(runs, states, np.nan))
-        _warn_of_ends(share)
+        warn_of_ends(float(share.min(initial=1.0)))
         return table
 
     def _at_all(
@@ -197,13 +217,13 @@ class TimelineStatistics(Statistics):
 
     @property
     def _averages(self) -> LineAverages:
-        return LineAverages(self.evaluator, np.array(self.rows, dtype=np.intp))
+        return LineAverages(self.evaluator, np.array(self.rows, dtype=np.intp), self.report)
 
     def _over_box(self, times: Array, of: Weighted) -> Array:
         """A statistic over the box, (..., times)."""
         points, count = self.parameters.points, len(self.parameters.measures)
         table, share = self._averages(times, count, points, of, MOMENTS)
-        _warn_of_ends(share)
+        warn_of_ends(float(share.min(initial=1.0)))
         return table
 
     def _at_even(self, times: Array, shares: Array) -> Array:
@@ -252,17 +272,6 @@ def _parts(states: Array) -> Array:
         second[:, :, i, j] = second[:, :, j, i] = both - first[:, :, i] - first[:, :, j]
     every = [variance, first, total, second.reshape(*states.shape[:2], -1)]
     return np.concatenate(every, axis=2).swapaxes(1, 2)
-
-
-def _warn_of_ends(share: Array) -> None:
-    """Warn if some trajectories alone still run at some time."""
-    least = float(share.min(initial=1.0))
-    if least < 1.0:
-        warn(
-            f"statistics are over the trajectories that are still running: {100 * least:.3g} % "
-            "of the box at the latest time",
-            remedy="ask for earlier times, or for what is left by `end`",
-        )
 
 
 def _apart(states: Array, weights: Array) -> Array:
