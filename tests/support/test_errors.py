@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import pickle
+from pathlib import Path
 
 import pytest
 
 import rankone as ro
+from rankone.support import errors
 from rankone.support.errors import OptionError, ProblemError, optional_module, warn
 from tests.problems import REFERENCE
 
@@ -53,3 +56,19 @@ def test_a_failure_has_its_remedy_as_data() -> None:
 def test_a_missing_package_is_named() -> None:
     with pytest.raises(OptionError, match="tea needs leaves, which is not installed; remedy: pick"):
         optional_module("no_such_package", "tea needs leaves", "pick some", OptionError)
+
+
+def test_the_reference_names_all_errors_that_users_may_see():
+    """Classes of errors by their bases, whatever module they are in."""
+    source = Path(errors.__file__).parents[1]
+    trees = (ast.parse(path.read_text()) for path in source.rglob("*.py"))
+    classes = [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    bases = {n.name: {b.id for b in n.bases if isinstance(b, ast.Name)} for n in classes}
+    known = {"RankoneError"}
+    while more := {name for name, own in bases.items() if own & known} - known:
+        known |= more
+    docs = source.parents[1] / "docs"
+    reference, api = (docs / name for name in ("reference.md", "api/errors.rst"))
+    for name in known:
+        assert f"`{name}`" in reference.read_text()
+        assert name in errors.__all__ or f".{name}\n" in api.read_text()
