@@ -116,10 +116,10 @@ def test_of_a_fit():
 
 def test_signatures_can_be_inspected():
     names = {
-        "fit": "times data observe sigma noise weights fixed start bounds prior starts effort "
-        "level missing",
-        "posterior": "times data observe sigma noise prior fixed bounds weights missing seed steps "
-        "chains executor",
+        "fit": "times data observe sigma noise weights fixed doses start bounds prior starts "
+        "effort level missing",
+        "posterior": "times data observe sigma noise prior fixed doses bounds weights missing seed "
+        "steps chains executor",
         "minimize": "objective t sense fixed start bounds constraints starts effort",
     }
     for method, wanted in names.items():

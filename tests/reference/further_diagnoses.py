@@ -7,7 +7,9 @@ import functools
 
 import numpy as np
 
+import rankone as ro
 from tests.reference.diagnoses import (
+    CLOCK,
     SIGMA,
     Diagnosis,
     calibrated,
@@ -80,7 +82,94 @@ def no_box(seed, cause):
     return calibrated({"x": "x**2"}, {"x": "a"}, box, t, data, "x", box=True, end=end, rtol=1e-3)
 
 
+ONCE = np.ones(2)
+VALLEY = {"f": np.zeros(2), "g": np.array([1.0, 1.02])}
+"""Data at the time 1, twice, of how far b is from the square of a, and of a."""
+
+
+def valley(steepness):
+    """What is observed: the sum of squares is a valley that bends, as steep as asked for."""
+    return {"f": f"{steepness:.6g}*(y - x**2)", "g": "x"}
+
+
+@functools.cache
+def ramps(low):
+    """x = a t and y = b t."""
+    box = {"a": (low, 3), "b": (-9, 9)}
+    return strings({"x": "a", "y": "b"}, {"x": "0", "y": "0"}, box, 2)
+
+
+def unsettled(seed, cause):
+    """A valley too steep for the steps of a search; or steps that shrink slowly, and far enough.
+
+    The last ones are of a large residual whose curvature is nearly that of the model.
+    """
+    a = -2.0 + 0.05 * seed
+    times, start = {"f": ONCE, "g": ONCE}, {"a": a, "b": a**2}
+    if cause or seed < 5:
+        steepness = 10.0 ** (5.0 + 0.1 * seed if cause else 0.5 * seed)
+        return ramps(-3).fit(
+            times, VALLEY, observe=valley(steepness), sigma=0.02, start=start, starts=0
+        )
+    bend, once = 0.88 + 0.01 * seed, {"f": ONCE[:1], "g": ONCE[:1]}
+    data = {"f": np.array([-1.0]), "g": np.array([1.0])}
+    observe, start = {"f": "x", "g": f"{bend:.2f}*x**2 + x"}, {"a": 0.1 * seed}
+    return ramps(-0.02).fit(once, data, observe=observe, fixed={"b": 1.0}, start=start, starts=0)
+
+
+def on_its_way(seed, cause):
+    """The same valley for a calibration; and a decay from box to box."""
+    if not cause and seed >= 5:
+        t = np.linspace(0.2, 6.0, 30)
+        data = 1e-5 * (2.0 * np.exp(-0.1 * seed * t) + SIGMA * tame(seed, 30))
+        box = {"k": (0.01, 100, "log"), "a": (1e-6, 1e-3, "log")}
+        options = {"sigma": None, "search": "boxes", "starts": 8, "seed": seed}
+        return calibrated({"x": "-k*x"}, {"x": "a"}, box, t, data, "x", **options)
+    steepness = 10.0 ** (5.0 + 0.1 * seed if cause else 0.6 * seed)
+    times, rates, box = {"f": ONCE, "g": ONCE}, {"x": "a", "y": "b"}, {"a": (-3, 3), "b": (-9, 9)}
+    problem = ro.Problem.from_strings(rates, {"x": "0", "y": "0"}, box, (0, 2))
+    experiment = ro.Experiment(VALLEY, times, observe=valley(steepness), sigma=0.02)
+    return ro.calibrate(problem, experiment, starts=1, seed=1, box=False)
+
+
+def decayed(seed, cause):
+    """Decays that are nearly over before the first value, by one deviation; or that are seen."""
+    t, noise = np.linspace(0.2, 2.0, 10), tame(seed, 10)
+    noise[:2] = 0.0
+    return t, np.exp(-(20.0 + 0.3 * seed if cause else 3.0 + 0.1 * seed) * t) + SIGMA * noise
+
+
+def one_side(seed, cause):
+    """A rate that may be as large as one likes."""
+    solution = strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 60, "log")}, 2, 1e-5)
+    return solution.fit(*decayed(seed, cause), sigma=SIGMA)
+
+
+def calibrated_side(seed, cause):
+    """The same in a calibration."""
+    box = {"k": (0.1, 1000, "log")}
+    return calibrated({"x": "-k*x"}, {"x": "1"}, box, *decayed(seed, cause), "x")
+
+
+def held(seed, cause):
+    """The fit in the last box, beside rates of which the data tell the product alone."""
+    data = {"x": np.exp(-CLOCK), "y": np.exp(-(1.0 + 0.05 * seed) * CLOCK)}
+    data = {
+        name: row + SIGMA * tame(seed, 20, salt=k) for k, (name, row) in enumerate(data.items())
+    }
+    box = dict.fromkeys("pqr", (0.03, 30, "log"))
+    problem = ro.Problem.from_strings({"x": "-p*q*x", "y": "-r*y"}, {"x": 1, "y": 1}, box, (0, 2))
+    experiment = ro.Experiment(data, dict.fromkeys(data, CLOCK), sigma=SIGMA)
+    fixed = {} if cause else {"q": 1.0}
+    return ro.calibrate(problem, experiment, starts=3, seed=1, fixed=fixed, rtol=1e-3).fit
+
+
 CASES = {
+    "search": (r"the search did not converge", unsettled),
+    "on its way": (r"still on its way", on_its_way),
+    "one side": (r"no upper bound, only a lower one", one_side),
+    "calibration: one side": (r"no upper bound, only a lower one", calibrated_side),
+    "held": (r"the solution holds `p` and `q`, which the data do not determine", held),
     "kink": (r"at a kink of the sum of squares", kink),
     "zeros": (r"^the solution itself is not a success", zeros),
     "no dose": (r"has data and no dose", lambda seed, cause: dosed(seed, eliminated(True), cause)),

@@ -21,6 +21,8 @@ _MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where 
 _SETTLED_SHARE = 1e-13
 # Promised share below which a search also ends if the step did not decrease the cost
 _ROUNDING_SHARE = 1e-9
+# Promised decrease, in mean squares of the residuals, below which a search that creeps has arrived
+_NEGLIGIBLE = 1e-6
 # Change of the residuals across the cube, in units of their mean, that counts as zero
 _UNSEEN_CHANGE = 1e-2
 # Damping at the start, in squares of the largest singular value: close to a Newton step
@@ -87,6 +89,8 @@ def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
         ended = (promised <= _SETTLED_SHARE * squares) | small
         rounding = promised <= _ROUNDING_SHARE * squares
         ended |= ~better & (rounding | (damping[going] > _LARGEST_DAMPING))
+        last = turn == _MOST_ITERATIONS - 1
+        ended |= last & (promised <= _NEGLIGIBLE * squares / problem.size)
         at = going[better]
         z[at], cost[at] = trial.z[better], trial.cost[better]
         residuals[at], jacobian[at] = trial.residuals[better], trial.jacobian[better]
@@ -95,7 +99,7 @@ def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
         exact = squares <= _EXACT**2 * problem.magnitude
         more = ~exact & (promised > _STUCK_SHARE * squares / problem.size)
         slow = ~better | (before - cost[going] <= _SLOW_SHARE * promised)
-        blocked = more & ((ended & ~better) | (slow & (turn == _MOST_ITERATIONS - 1)))
+        blocked = more & ((ended & ~better) | (slow & last))
         converged[going[ended & ~blocked]], stuck[going[blocked]] = True, True
         going = going[~ended]
         if not going.size:
@@ -123,18 +127,21 @@ def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
     rows = np.flatnonzero(ends.stuck)
     if not rows.size:
         return ends
-    near, jumps = _jump_ahead(problem, ends.selected(rows))
-    ends.stuck[rows], ends.kinked[rows] = jumps, ~jumps
+    near, jumps, kinks = _jump_ahead(problem, ends.selected(rows))
+    ends.stuck[rows], ends.kinked[rows] = jumps, kinks
     best = int(np.argmin(ends.cost))
     if not ends.stuck[best]:
         return ends
     return ends.joined(_at_jump(problem, near[rows == best]))
 
 
-def _jump_ahead(problem: Likelihood, stuck: Minima) -> tuple[Array, NDArray[np.bool_]]:
+def _jump_ahead(
+    problem: Likelihood, stuck: Minima
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """The last points (K, n) that are no worse than ends, on the ways of their steps.
 
-    Beside them whether the cost jumps behind them.
+    Beside them whether the cost jumps behind them, and whether it has a kink there: then nothing is
+    gained on the way, as there is in a valley that bends.
     """
     z, free = stuck.z, np.zeros(stuck.z.shape, dtype=bool)
     step, _ = _step(z, stuck.residuals, stuck.jacobian, free, np.zeros(len(z)))
@@ -144,7 +151,10 @@ def _jump_ahead(problem: Likelihood, stuck: Minima) -> tuple[Array, NDArray[np.b
 
     near, far = bisected(z, np.clip(z + step, 0.0, 1.0), before, _BISECTIONS)
     rise = problem.costs(far)[1] - problem.costs(near)[1]
-    return near, rise > _STUCK_SHARE * squares_of(stuck.residuals) / problem.size
+    gain = stuck.cost - problem.costs(0.5 * (z + near))[1]
+    unit = squares_of(stuck.residuals) / problem.size
+    jumps = rise > _STUCK_SHARE * unit
+    return near, jumps, ~jumps & (gain <= _NEGLIGIBLE * unit)
 
 
 def _at_jump(problem: Likelihood, near: Array) -> Minima:
