@@ -172,6 +172,7 @@ def test_another_domain_and_options_reach_the_solver(
         (["--options", "rtol=1e-3"], "--options: `rtol` is not an option of the engine"),
         (["--tol", "1e-3"], "unrecognized arguments: --tol 1e-3 (did you mean `--rtol`?)"),
         (["--t-finl=3"], "unrecognized arguments: --t-finl=3 (did you mean `--t-final`?)"),
+        (["--profile"], "unrecognized arguments: --profile (see"),
         (["--options", "self=1"], "--options: `self` is not an option of the engine"),
     ],
 )

@@ -106,7 +106,7 @@ def test_noise_bounds_and_posterior(saved, tmp_path, capsys):
     assert answer["x"]["scale"] == pytest.approx(3.0, rel=0.1)
     low, high = answer["interval"]["k"]
     assert low < answer["x"]["k"] < high
-    assert not any(answer["limited"].values())
+    assert not any(answer["limits"].values())
     assert answer["posterior"]["mean"]["k"] == pytest.approx(answer["x"]["k"], rel=0.02)
     assert answer["aic"] < 0
     assert main(["fit", saved, data, *options, *more]) == 0

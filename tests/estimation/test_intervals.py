@@ -50,7 +50,7 @@ def test_a_level_that_only_its_box_knows():
     assert fit.limits["k"] == "bounds of `c`"
     assert any(line.split()[:1] == ["k"] and line.endswith("bounds of `c`")
                for line in repr(fit).splitlines())  # fmt: skip
-    assert fit.to_dataframe()["limited"]["k"] == "bounds of `c`"
+    assert fit.to_dataframe()["limits"]["k"] == "bounds of `c`"
     assert not fit.success
 
 

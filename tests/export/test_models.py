@@ -257,7 +257,10 @@ def test_python_states(tmp_path):
     wanted = np.array([solution[name](where) for name in model.UNKNOWNS])
     np.testing.assert_allclose(model.value(where), wanted, atol=1e-12)
     np.testing.assert_allclose(model.gradient(where)[0, 0], wanted[1], atol=1e-5)
-    with pytest.raises(OptionError, match="states='some' is unknown"):
+    with pytest.raises(
+        OptionError,
+        match="states='some' is unknown; remedy: use 'unknowns', 'all' or a list of names",
+    ):
         solution.export(tmp_path / "some.py", states="some")
 
 

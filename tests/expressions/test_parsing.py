@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import sympy as sp
 
+from rankone.expressions.parsing import parse_expression
 from rankone.frontend.problem import Problem
 from rankone.support.errors import ProblemError
 from rankone.symbolic import first_order, separate
@@ -52,6 +53,35 @@ def test_equals_the_sympy_problem():
     assert found.parameters == wanted.parameters
     assert found.time == wanted.time
     assert separate(found) == separate(wanted)
+
+
+@pytest.mark.parametrize(
+    ("condition", "other"),
+    [
+        ("~(x > 1)", "x <= 1"),
+        ("~((x > 1) & ~(k < 2))", "(x <= 1) | (k < 2)"),
+        ("Not(x > 1)", "x <= 1"),
+        ("And(x > 1, k < 2, t > 3)", "(x > 1) & (k < 2) & (t > 3)"),
+        ("Or(x > 1, Not(k < 2))", "(x > 1) | (k >= 2)"),
+    ],
+)
+def test_conditions_by_operators_and_functions(condition, other):
+    names = {name: sp.Symbol(name, real=True) for name in "xkt"}
+    one, two = (
+        parse_expression(f"Piecewise((1, {text}), (0, True))", names, where="rate")
+        for text in (condition, other)
+    )
+    assert sp.simplify_logic(sp.Equivalent(one.args[0][1], two.args[0][1])) == sp.true
+
+
+@pytest.mark.parametrize("condition", ["~x", "Not(x > 1, k < 2)", "Xor(x > 1, k < 2)", "And(x)"])
+def test_what_is_no_condition(condition):
+    with pytest.raises(ProblemError, match="is not a condition"):
+        parse_expression(
+            f"Piecewise((1, {condition}), (0, True))",
+            dict.fromkeys("xk", sp.Symbol("x")),
+            where="rate",
+        )
 
 
 def test_any_name_is_a_plain_name():

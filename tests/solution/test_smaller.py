@@ -296,6 +296,10 @@ def test_some_unknowns_are_a_part_of_the_solution(tmp_path):
     assert module["UNKNOWNS"] == ("z",)
     with pytest.raises(ro.OptionError, match="no unknown `zz`"):
         whole.export(tmp_path / "other.py", states=["zz"])
+    with pytest.raises(ro.OptionError, match=r"\[\] names no output; remedy"):
+        whole.output([])
+    with pytest.raises(ro.OptionError, match="unknown name `q` in the output `q`; remedy"):
+        whole.output(["x", "q"])
 
 
 def test_some_unknowns_may_be_accurate_enough_where_others_are_not():

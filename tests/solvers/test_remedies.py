@@ -12,7 +12,7 @@ import rankone as ro
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.verdict import MeasuredError, NarrowBox, Remedy, Status, SteepParameter, Verdict
 from rankone.solvers.attempts import Progress
-from rankone.solvers.remedies import Trials, with_remedy
+from rankone.solvers.remedies import Trials, remedied
 from rankone.support.budget import (
     NORMAL,
     OutOfWorkError,
@@ -60,12 +60,12 @@ def test_a_tolerance_that_an_attempt_meets_is_offered():
         solution.outcome, status=Status.TOLERANCE, measured=measured, notes=(vague,)
     )
     request = SolveRequest(1e-6, Domain((0.0, 2.0), ((1.0, 2.0),)))
-    told = with_remedy(missed, request, Trials(request, ("k",), lambda request: None))
+    told = remedied(missed, request, Trials(request, ("k",), lambda request: None))
     assert told.verdict.remedy == "try rtol=3e-03: predicted error 1.7e-03"
     assert told.slabs == missed.slabs
     front = SteepParameter("k", "x", 1.5, 1.5000001, 1.0, jump=True, at_end=True)
     jumps = dataclasses.replace(missed, status=Status.STEEP, cause=front)
-    jumping = with_remedy(jumps, request, Trials(request, ("k",), lambda request: None))
+    jumping = remedied(jumps, request, Trials(request, ("k",), lambda request: None))
     assert "try rtol" not in jumping.message
 
 

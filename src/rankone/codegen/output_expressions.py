@@ -168,8 +168,10 @@ def _by_name(outputs: object, metadata: SolutionMetadata) -> Mapping[str, object
     elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
         outputs = {name: name for name in outputs} or outputs
     if not isinstance(outputs, Mapping) or not outputs:
+        empty = isinstance(outputs, Mapping | list | tuple) and not outputs
+        wrong = "names no output" if empty else "is not a mapping from names to expressions"
         raise OptionError(
-            f"{shown(outputs)} is not a mapping from names to expressions",
+            f"{shown(outputs)} {wrong}",
             term=outputs,
             remedy='give for example {"energy": x**2 / 2}, or the name of a definition',
         )

@@ -207,7 +207,7 @@ def _plain(fit: Fit, posterior: Posterior | None) -> dict[str, object]:
         "level": fit.level,
         "std": {name: finite_or_none(deviation) for name, deviation in fit.std.items()},
         "identifiable": fit.identifiable,
-        "limited": fit.limits,
+        "limits": fit.limits,
         "combinations": {
             text: {
                 "value": fit.value_of(text),

@@ -49,7 +49,7 @@ def findings_of(fit: Intervals) -> Iterator[str]:
     if fit.held:
         yield with_remedy(
             f"the solution holds {listing(fit.held)}, which the data do not determine: intervals "
-            "are conditional on it",
+            f"are conditional on {'it' if len(fit.held) == 1 else 'them'}",
             "take those of the calibration",
         )
     for minimum in fit.others:

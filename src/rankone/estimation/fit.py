@@ -157,7 +157,7 @@ class Fit(Intervals, Labelled):
             "lower": low,
             "upper": high,
             "identified": np.array(list(self.identifiable.values())),
-            "limited": np.array(list(self.limits.values()), dtype=object),
+            "limits": np.array(list(self.limits.values()), dtype=object),
         }
         arrays = {name: (("parameter",), column) for name, column in columns.items()}
         names = list(self.parameters)

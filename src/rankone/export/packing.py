@@ -248,7 +248,10 @@ def _scales(slabs: Sequence[SlabTrain]) -> tuple[Scale, ...]:
 def check_states(states: States) -> None:
     """Raise an OptionError if there is no such choice of states."""
     if states not in ("unknowns", "all"):
-        raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
+        raise OptionError(
+            f"states={states!r} is unknown",
+            remedy="use 'unknowns', 'all' or a list of names",
+        )
 
 
 def checked_rtol(rtol: float | None) -> float | None:

@@ -67,6 +67,7 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
     ast.BitAnd: sp.And,
     ast.BitOr: sp.Or,
 }
+_LOGICAL: dict[str, Callable[..., sp.Basic]] = {"And": sp.And, "Or": sp.Or, "Not": sp.Not}
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any float needs
@@ -194,8 +195,10 @@ class _Translator(ast.NodeVisitor):
         return expression
 
     def error(self, message: str, remedy: str | None = None) -> ProblemError:
+        text = quote(self.text)
+        place = self.where if self.where.endswith(text) else f"{self.where}, {text}"
         return ProblemError(
-            f"{message} in the {self.where}, {quote(self.text)}",
+            f"{message} in the {place}",
             equation=self.equation,
             term=self.text,
             remedy=remedy,
@@ -373,11 +376,17 @@ class _Translator(ast.NodeVisitor):
         return sp.Piecewise(*pairs)
 
     def _condition(self, node: ast.expr) -> sp.Basic:
-        """Comparisons, joined by ``&`` and ``|``; ``True``."""
+        """Comparisons, with ``&``, ``|`` and ``~`` or as arguments of functions; ``True``."""
         if isinstance(node, ast.Name) and node.id.removesuffix(_KEYWORD_SUFFIX) == "True":
             return sp.true
         if isinstance(node, ast.BinOp) and type(node.op) in _LOGIC:
             return _LOGIC[type(node.op)](self._condition(node.left), self._condition(node.right))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert):
+            return sp.Not(self._condition(node.operand))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in _LOGICAL and not node.keywords:
+            conditions = [self._condition(argument) for argument in node.args]
+            if ast.unparse(node.func) != "Not" or len(conditions) == 1:
+                return _LOGICAL[ast.unparse(node.func)](*conditions)
         if isinstance(node, ast.Compare) and all(type(op) in _COMPARED for op in node.ops):
             sides = [self.visit(side) for side in (node.left, *node.comparators)]
             pairs = zip(node.ops, itertools.pairwise(sides), strict=True)

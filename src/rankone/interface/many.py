@@ -31,13 +31,13 @@ from rankone.support.executors import Pool, checked_executor, open_pool
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import refuse_positional
 from rankone.support.parcels import Parcel, packed, unpacked
-from rankone.support.progress import counting_bar
+from rankone.support.progress import StepReport, counting_bar
 from rankone.support.tasks import Tasks
 from rankone.support.wording import count, shown
 
 Box = Mapping[Any, Any]
 """Intervals of parameters, and numbers of constants, by symbols or names."""
-Progress = bool | Callable[[int, int], object]
+Progress = bool | StepReport
 """Whether a bar is shown, or what is called with the numbers of finished and of all boxes."""
 _BOXES_REMEDY = "give [{k: (1, 2)}, {k: (2, 3)}], or problem.split(k=2)"
 

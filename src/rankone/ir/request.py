@@ -39,8 +39,8 @@ SOLVE_ARGUMENTS = (
     "markers",
 )
 """Arguments of every ``solve``, beside the options of an engine."""
-# Smallest tolerance: the reference, three digits better, comes close to rounding errors there
 _MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memory is given
+# Smallest tolerance: the reference, three digits better, comes close to rounding errors there
 _TIGHTEST_RTOL = 1e-10
 _LOOSEST_RTOL = 0.1  # Largest tolerance: beyond it a solution says little
 # Interior check points for ``check=True``: a twentieth of the box is missed with probability below

@@ -29,7 +29,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Trial:
+class SlabTrial:
     """A slab that was tried, solved if ``record.accepted``, and the limits that it met.
 
     If one of them was the memory, ``memory_needed`` says how much it needs.
@@ -41,9 +41,9 @@ class Trial:
 
 
 SomeSpan = TypeVar("SomeSpan", bound=Span)
-SomeTrial = TypeVar("SomeTrial", bound=Trial)
+SomeTrial = TypeVar("SomeTrial", bound=SlabTrial)
 AcceptedSpan = TypeVar("AcceptedSpan", bound=Span, contravariant=True)
-AcceptedTrial = TypeVar("AcceptedTrial", bound=Trial, contravariant=True)
+AcceptedTrial = TypeVar("AcceptedTrial", bound=SlabTrial, contravariant=True)
 
 
 class Lengths(Protocol[SomeSpan, AcceptedTrial]):

@@ -50,12 +50,12 @@ _RAISED = (
     Status.TRAJECTORY_LIMIT,
 )
 
-Trial = Callable[[SolveRequest], Outcome | None]
+TriedSolve = Callable[[SolveRequest], Outcome | None]
 """The outcome of another request; None if that ends in an error."""
 Intervals = Mapping[int, Interval]
 
 
-def with_remedy(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outcome:
+def remedied(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outcome:
     """The outcome of a request with a remedy that holds, if one is found.
 
     Where no attempt came to its end, with the slabs of a looser solve that succeeds. A box that is
@@ -68,10 +68,10 @@ def with_remedy(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outc
     looser = _looser(outcome.error)
     if not jumps and request.rtol < looser and outcome.error <= _WORST and outcome.slabs:
         advice = f"try rtol={looser:.0e}: predicted error {outcome.error:.1e}"
-        return _with(outcome, Remedy(advice))
+        return _with_notes(outcome, Remedy(advice))
     if front is None and request.rtol < _LOOSER and (found := trials.looser()) is not None:
         advice = f"try rtol={_LOOSER:.0e}: it was solved to {found.error:.1e}"
-        outcome = _with(outcome, Remedy(advice), NothingInterpolated)
+        outcome = _with_notes(outcome, Remedy(advice), NothingInterpolated)
         return replace(
             outcome,
             slabs=found.slabs,
@@ -81,13 +81,13 @@ def with_remedy(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outc
         )
     box, fails = trials.smaller(outcome)
     if box is not None:
-        return _with(outcome, box, NarrowBox)
-    outcome = _without(outcome, NarrowBox) if fails else outcome
+        return _with_notes(outcome, box, NarrowBox)
+    outcome = _without_notes(outcome, NarrowBox) if fails else outcome
     end = trials.end()
-    return outcome if end is None else _with(outcome, Remedy(_end_text(end)))
+    return outcome if end is None else _with_notes(outcome, Remedy(_end_text(end)))
 
 
-def with_tried_remedy(error: ConvergenceError, trials: Trials) -> ConvergenceError:
+def remedied_error(error: ConvergenceError, trials: Trials) -> ConvergenceError:
     """An error that was raised in place of an outcome, with a remedy that holds if one is found."""
     if isinstance(error, OrderError) and not isinstance(error, TrajectoryEndError):
         domain, whole = trials.request.domain, error.part is None
@@ -110,7 +110,7 @@ class Trials:
 
     request: SolveRequest
     names: Sequence[str]
-    trial: Trial
+    trial: TriedSolve
 
     def looser(self) -> Outcome | None:
         """The outcome at a looser tolerance; None without success."""
@@ -223,13 +223,13 @@ def _end_text(end: float) -> str:
     return f"end the horizon before t = {end:g}: it was solved up to there"
 
 
-def _with(outcome: Outcome, told: Note, *instead: type[Note]) -> Outcome:
+def _with_notes(outcome: Outcome, told: Note, *instead: type[Note]) -> Outcome:
     """The outcome with a remedy in place of others, and of those that say less than it."""
     vague = () if outcome.status in _RAISED else (Remedy,)
-    kept = _without(outcome, *vague, *instead)
+    kept = _without_notes(outcome, *vague, *instead)
     return replace(kept, notes=(*kept.notes, told))
 
 
-def _without(outcome: Outcome, *kinds: type[Note]) -> Outcome:
+def _without_notes(outcome: Outcome, *kinds: type[Note]) -> Outcome:
     """The outcome without notes of some kinds."""
     return replace(outcome, notes=tuple(n for n in outcome.notes if not isinstance(n, kinds)))

@@ -16,7 +16,7 @@ from rankone.ir.request import Limits, SolveRequest, check_factors
 from rankone.ir.system import System
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.engine import Engine, sums, without_last
-from rankone.solvers.remedies import Trials, with_remedy, with_tried_remedy
+from rankone.solvers.remedies import Trials, remedied, remedied_error
 from rankone.support.budget import (
     REMEDIES,
     OutOfBudgetError,
@@ -79,9 +79,9 @@ def solve_with(
                 outcome, method = _best_outcome(engines, system, request, report)
         except ConvergenceError as error:
             with _remedying(limits):
-                raise with_tried_remedy(error, trials) from None
+                raise remedied_error(error, trials) from None
         with _remedying(limits):
-            outcome = with_remedy(outcome, request, trials)
+            outcome = remedied(outcome, request, trials)
         outcome = _without_lifted(outcome, system, request, truth)
     box, horizon, rtol = domain.box, domain.horizon, request.rtol
     intervals = dict(zip(metadata.parameters, box, strict=True))

@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri
 
 from rankone.discretization.coordinates import name_of
 from rankone.statistics.distributions import Distribution, Measure, PointMeasure
-from rankone.statistics.replicates import even_shares, sets_of_shares
+from rankone.statistics.replicates import SEED, even_shares, sets_of_shares
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote, shown
@@ -64,7 +64,6 @@ _MOST_GRID_POINTS = 2**17  # Most points of a grid, to bound time and memory
 _EVEN_POINTS = 2**14  # Evenly spread points, which are good to about 1e-3 of the standard deviation
 # Least eigenvalue of a correlation matrix that counts as positive definite
 _LEAST_EIGENVALUE = 1e-10
-_SEED = 20144  # Of all points: the same call has the same answer
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def _normals(shares: Array) -> Array:
 def _normal(count: int) -> list[tuple[Array, Array]]:
     """Quadratures for independent standard normal numbers."""
     if count > _MOST_GRID_DIMENSIONS:
-        shares = even_shares(_EVEN_POINTS, count, _SEED)
+        shares = even_shares(_EVEN_POINTS, count, SEED)
         return [(ndtri(np.clip(shares, 1e-15, 1.0)), np.full(_EVEN_POINTS, 1.0 / _EVEN_POINTS))]
     rules = []
     for step in _GRID_STEPS:
@@ -334,12 +333,12 @@ class JointDistribution:
 
     def even_points(self, count: int) -> Array:
         """Evenly spread values of the parameters, (d, count)."""
-        return self.points(even_shares(count, len(self.measures), _SEED))
+        return self.points(even_shares(count, len(self.measures), SEED))
 
     def sets_of_points(self, count: int) -> Array:
         """About ``count`` values in sets of :mod:`~rankone.statistics.replicates`, one after the
         other, (d, SETS * each)."""
-        shares = sets_of_shares(count, len(self.measures), _SEED)
+        shares = sets_of_shares(count, len(self.measures), SEED)
         return np.hstack([self.points(each) for each in shares])
 
     def require_independent(self, message: str, remedy: str) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.statistics.closed_lines import FIRST_LINES, Lines, Pieces, refinements
-from rankone.statistics.solution_statistics import Report, quiet
+from rankone.statistics.solution_statistics import quiet
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
+from rankone.support.progress import StepReport
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
@@ -141,7 +142,7 @@ class LineAverages:
 
     evaluator: TimelineEvaluator | BranchEvaluator | PieceEvaluator
     rows: NDArray[np.intp]
-    report: Report = quiet
+    report: StepReport = quiet
 
     def __call__(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +30,6 @@ from rankone.statistics.solution_statistics import (
     ROUNDING_ERROR,
     Effect,
     MainEffects,
-    Report,
     Sobol,
     Statistics,
     changed_shares,
@@ -41,7 +41,7 @@ from rankone.statistics.timeline_statistics import TimelineStatistics
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
-from rankone.support.progress import counting_bar
+from rankone.support.progress import StepReport, counting_bar
 from rankone.support.wording import shown
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.evaluator import TrainEvaluator
@@ -50,7 +50,7 @@ from rankone.tensors.timeline import TimelineEvaluator
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""
-Progress = bool | Report
+Progress = bool | StepReport
 """A bar or none, or what is called with the numbers of finished and of all steps."""
 
 # Half-widths of main effects, in shares of the spread, above which a user is told
@@ -74,21 +74,25 @@ def checked_probabilities(q: ArrayLike) -> Array:
 class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
     """Quantiles as an array, with half-widths of 95 % of their probabilities.
 
-    What is computed of it, or taken from it, is a plain array.
+    What is computed of it, or an index takes from it, is a plain array. Only it itself, and what
+    ``pickle`` and ``copy`` make of it, has half-widths.
 
     Attributes
     ----------
-    half_width : ndarray
-        Of the same shape.
+    half_width : ndarray or None
+        Of the same shape; None of other views and copies, such as ``.T``.
     """
 
-    half_width: Array
+    half_width: Array | None
 
-    def __new__(cls, values: Array, half_width: Array) -> Quantiles:
+    def __new__(cls, values: Array, half_width: Array | None) -> Quantiles:
         """Quantiles of an array."""
         quantiles = np.asarray(values, dtype=float).view(cls)
         quantiles.half_width = half_width
         return quantiles
+
+    def __array_finalize__(self, obj: Any) -> None:
+        self.half_width = None
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         plain = np.asarray(array)
@@ -99,6 +103,12 @@ class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Quantiles, (np.asarray(self), self.half_width)
+
+    def __copy__(self) -> Quantiles:
+        return self.__deepcopy__({})
+
+    def __deepcopy__(self, memo: Any) -> Quantiles:
+        return Quantiles(np.array(self), deepcopy(self.half_width, memo))
 
 
 class StatisticsOverBox(SolutionCore):
@@ -416,7 +426,7 @@ class StatisticsOverBox(SolutionCore):
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
     def _indices(
-        self, t: Times, statistics: Statistics, count: int | None = None, report: Report = quiet
+        self, t: Times, statistics: Statistics, count: int | None = None, report: StepReport = quiet
     ) -> tuple[Sobol, list[str]]:
         """Sobol indices, and sentences on those that are not certain."""
         statistics.parameters.require_independent(
@@ -494,7 +504,7 @@ class StatisticsOverBox(SolutionCore):
         return sizes, sizes * np.maximum(errors, ROUNDING_ERROR)
 
     def _main_effects(
-        self, t: Times, count: int, statistics: Statistics, report: Report = quiet
+        self, t: Times, count: int, statistics: Statistics, report: StepReport = quiet
     ) -> MainEffects:
         count = checked_count("count", count, 2, self._numbers_each())
         ranges = {

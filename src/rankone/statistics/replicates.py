@@ -17,14 +17,15 @@ from rankone.support.arrays import Array
 
 SETS = 16
 """Sets of points that are scrambled independently."""
-_MOST_DIMENSIONS = 21201  # Of Sobol sequences; beyond it points are random
+SEED = 20144
+"""Of all points: the same call has the same answer."""
 _FEW = 3.0  # Points that may lie elsewhere at 95 % although no set says so: the rule of three
 
 
 def even_shares(count: int, d: int, seed: int | tuple[int, int]) -> Array:
     """Scrambled Sobol points of the unit cube, (d, count): best for a power of two."""
     generator = np.random.default_rng(seed)
-    if d > _MOST_DIMENSIONS:
+    if d > scipy.stats.qmc.Sobol.MAXDIM:
         return generator.random((d, count))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The balance properties of Sobol' points")

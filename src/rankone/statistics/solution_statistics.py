@@ -16,12 +16,11 @@ from rankone.statistics.replicates import SETS, share_of
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
 from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.progress import StepReport
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
 _Moments = TypeVar("_Moments")
-Report = Callable[[int, int], object]
-"""Called with the numbers of finished and of all steps."""
 
 
 class Effect(NamedTuple):
@@ -219,7 +218,7 @@ class Statistics:
     is called while statistics that take points are computed.
     """
 
-    report: Report = staticmethod(quiet)
+    report: StepReport = staticmethod(quiet)
 
     def __init__(
         self, slabs: Sequence[SlabTrain], rows: Sequence[int], parameters: JointDistribution
@@ -282,7 +281,7 @@ class Statistics:
         variances[:, i, j] = variances[:, j, i] = pairs
         return variances
 
-    def variance_parts(self, times: Array, count: int | None, report: Report) -> VarianceParts:
+    def variance_parts(self, times: Array, count: int | None, report: StepReport) -> VarianceParts:
         """The variance and its parts; ``count`` is of points where any are taken."""
         parts = self.first(times), self.total(times), self.second(times)
         nothing = tuple(np.zeros_like(part) for part in parts)

@@ -7,6 +7,7 @@ closed lines through the box instead, more and more of them until they settle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from warnings import catch_warnings
@@ -15,16 +16,16 @@ import numpy as np
 
 from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.line_averages import MOMENTS, LineAverages, Weighted
-from rankone.statistics.replicates import SETS, even_shares, half_width
+from rankone.statistics.replicates import SEED, SETS, even_shares, half_width
 from rankone.statistics.solution_statistics import (
     Effect,
-    Report,
     Statistics,
     VarianceParts,
     warn_of_ends,
     when,
 )
 from rankone.support.arrays import Array
+from rankone.support.progress import StepReport
 from rankone.tensors.branches import BranchEvaluator
 from rankone.tensors.pieces import PieceEvaluator
 from rankone.tensors.timeline import TimelineEvaluator
@@ -36,7 +37,6 @@ _EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 20
 _FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
 _FEWEST_OF_FACE = 2**3  # Points of a set where one parameter has a value
 _HELD = 2**22  # Numbers of states that are held together for them
-_SEED = 20145  # Of these points
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
 
@@ -92,7 +92,7 @@ class TimelineStatistics(Statistics):
                 table[:, k] = np.sqrt(np.mean(states[:, runs] ** 2, axis=1))
         return table
 
-    def variance_parts(self, times: Array, count: int | None, report: Report) -> VarianceParts:
+    def variance_parts(self, times: Array, count: int | None, report: StepReport) -> VarianceParts:
         """The variance and its parts, from points in pairs that share some parameters.
 
         NaN where some trajectory has ended: the parameters of the others are not independent.
@@ -101,13 +101,13 @@ class TimelineStatistics(Statistics):
         d, n = len(self.parameters.measures), len(self.rows)
         if count is None:
             each = _EVALUATIONS // (SETS * (2 * d + 2) * (times.size + _EVALUATIONS_TO_BEGIN))
-            each = 2 ** int(np.clip(each, _FEWEST_EACH, _MOST_EACH)).bit_length() // 2
+            each = 2 ** int(math.log2(min(max(each, _FEWEST_EACH), _MOST_EACH)))
         else:
             each = -(-count // SETS)
         of_sets = np.empty((SETS, n, 1 + d * (d + 2), times.size))
         at_once = max(_HELD // (n * (2 * d + 2) * each), 1)
         for k in range(SETS):
-            shares = _sharing_pairs(even_shares(each, 2 * d, (_SEED, k)))
+            shares = _sharing_pairs(even_shares(each, 2 * d, (SEED, k)))
             for begin in range(0, times.size, at_once):
                 block = slice(begin, begin + at_once)
                 states = self._at_even(times[block], shares)
@@ -141,8 +141,8 @@ class TimelineStatistics(Statistics):
         d = len(self.parameters.measures)
         faces = max(d * points.size, 1)
         each = _EVALUATIONS // (SETS * faces * (times.size + _EVALUATIONS_TO_BEGIN))
-        each = 2 ** int(np.clip(each, _FEWEST_OF_FACE, _MOST_EACH)).bit_length() // 2
-        others = np.hstack([even_shares(each, d - 1, (_SEED, k)) for k in range(SETS)])
+        each = 2 ** int(math.log2(min(max(each, _FEWEST_OF_FACE), _MOST_EACH)))
+        others = np.hstack([even_shares(each, d - 1, (SEED, k)) for k in range(SETS)])
         shape = len(self.rows), points.size, times.size
         means, widths, squares = np.empty(shape), np.empty(shape), np.zeros((2, *shape[::2]))
         running = np.ones(times.size)

@@ -27,7 +27,7 @@ NORMAL = 2.5e10
 PATIENCE = 0.43 * NORMAL
 """Operations of the normal effort after which a solve ends unless its attempts still improve."""
 REMEDIES = 0.14
-"""Share of a budget that trials of remedies may take at least."""
+"""Share of a budget that is kept for trials of remedies; after a short solve they take less."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""

@@ -51,6 +51,8 @@ class ProgressEvent:
     rank: int
 
 
+StepReport = Callable[[int, int], object]
+"""Called with the numbers of finished and of all steps."""
 Report = Callable[[ProgressEvent], object]
 """Called with each event; an exception stops the solve."""
 
@@ -89,8 +91,8 @@ def _tqdm() -> Any:
 
 @contextmanager
 def counting_bar(
-    progress: object, total: int, what: str = "solving", unit: str = "box"
-) -> Iterator[Callable[[int, int], object]]:
+    progress: object, total: int, description: str = "solving", unit: str = "box"
+) -> Iterator[StepReport]:
     """What is called with the numbers of finished and of all solves, or other units of work.
 
     True is a bar on standard error, False nothing; a callable is called; or an OptionError.
@@ -108,7 +110,7 @@ def counting_bar(
     if progress is False:
         yield lambda done, total: None
         return
-    with _tqdm()(total=total, leave=False, desc=what, unit=unit) as bar:
+    with _tqdm()(total=total, leave=False, desc=description, unit=unit) as bar:
 
         def show(done: int, total: int) -> None:
             bar.update(done - bar.n)

@@ -15,7 +15,6 @@ from sympy.core.function import AppliedUndef
 from sympy.logic.boolalg import Boolean
 
 _MOST_SIDES = 5  # Most sides of others of which all combinations are looked at
-_HALF = sp.Rational(1, 2)
 _ROUNDING = 1e-9  # Value at a random place, from which an expression is not zero
 
 Sides = Mapping[sp.Dummy, sp.Expr]
@@ -35,7 +34,8 @@ def zero_where(expression: sp.Expr, sides: Sides) -> Boolean:
     return sp.Or(
         *(
             sp.And(
-                zero, *(sign * sides[side] > _HALF for side, sign in zip(used, signs, strict=True))
+                zero,
+                *(sign * sides[side] > sp.S.Half for side, sign in zip(used, signs, strict=True)),
             )
             for zero, signs in where
         )

@@ -48,7 +48,6 @@ _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
 _MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one rate
 _MOST_COPIES = 81  # Most pieces of a rate that is not linear in its sides
 _MOST_NODES = 20_000  # Of all rates with sides written out: compiling more takes minutes
-_HALF = sp.Rational(1, 2)
 _LEAST = sp.Float("1e-300")  # Beside the square of a divisor that may be zero
 
 
@@ -315,7 +314,10 @@ def _between_levels(rate: sp.Expr, levels: Sequence[_Switch]) -> sp.Expr:
     cases = []
     for switch, sign, below, above in zip(levels, signs, pieces, pieces[1:], strict=False):
         share, state = (1 + sign * switch.side) / 2, sign * switch.state
-        cases += [(below, state < -_HALF), ((1 - share) * below + share * above, state < _HALF)]
+        cases += [
+            (below, state < -sp.S.Half),
+            ((1 - share) * below + share * above, state < sp.S.Half),
+        ]
     return sp.Piecewise(*cases, (pieces[-1], True))
 
 
@@ -545,7 +547,7 @@ def _slope(speed: sp.Expr, side: sp.Symbol) -> sp.Expr:
 
 def _on_side(switch: _Switch) -> Boolean:
     """Whether a trajectory does not slide along the surface."""
-    return sp.Abs(switch.state) > _HALF
+    return sp.Abs(switch.state) > sp.S.Half
 
 
 def _in_order(

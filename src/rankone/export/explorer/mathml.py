@@ -250,6 +250,8 @@ class Notation:
             case ast.BinOp(left=left, op=ast.BitAnd() | ast.BitOr() as op, right=right):
                 word = f"{_SPACE}<mtext>{_LOGIC[type(op)]}</mtext>{_SPACE}"
                 return f"{self._condition(left)}{word}{self._condition(right)}"
+            case ast.UnaryOp(op=ast.Invert(), operand=inner):
+                return f"<mtext>not</mtext>{_SPACE}<mo>(</mo>{self._condition(inner)}<mo>)</mo>"
             case ast.Compare(left=left, ops=signs, comparators=sides):
                 text = self._written(left)[0]
                 for sign, side in zip(signs, sides, strict=True):

@@ -35,7 +35,7 @@ from rankone.solvers.greedy.options import (
     GreedyOptions,
 )
 from rankone.solvers.interpolation import PlainNodes, interpolated, interpolated_initial
-from rankone.solvers.march import Span, Trial
+from rankone.solvers.march import SlabTrial, Span
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum, element_trains
 from rankone.tensors.slab import SlabTrain
@@ -240,7 +240,7 @@ def compressed(
 
 
 @dataclass(frozen=True)
-class GreedyTrial(Trial):
+class GreedyTrial(SlabTrial):
     """The lagged iteration on one slab, accepted or rejected."""
 
     space: ShapeSpace

@@ -12,7 +12,7 @@ import numpy as np
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.discretization.time_grid import times_within
 from rankone.ir.verdict import Status
-from rankone.solvers.march import Span, Trial
+from rankone.solvers.march import SlabTrial, Span
 from rankone.solvers.train.options import (
     DIVERGED_FACTOR,
     FAST_FACTOR,
@@ -68,7 +68,7 @@ class TrainSpan(Span):
 
 
 @dataclass(frozen=True)
-class TrainTrial(Trial):
+class TrainTrial(SlabTrial):
     """A swept slab; ``spectra`` holds the norms of the modes by parameter."""
 
     sweeper: Sweeper

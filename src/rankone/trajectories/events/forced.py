@@ -314,9 +314,8 @@ class _Follower:
             height = self.points[:, column] ** 2
             move = _Move(height - begins, height, opened.fading)
             return self._to_root(i, times, states, expected, np.zeros_like(at_root), move)
-        if (
-            first not in before[:1]
-        ):  # at points that begin at the very event, it is the one expected
+        begins_at_it = first in before[:1]
+        if not begins_at_it:  # at points that do, it is the one expected
             at_root = np.abs(expected) > margin
         return self._to_root(
             i, times, states, expected, at_root, moved.get((first, self.clock.order.sides[i]))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.linalg
 
 from rankone.support.arrays import Array
 
@@ -39,6 +40,7 @@ _NAMES = {
     "transcritical": "a transcritical point",
     "pitchfork": "a pitchfork",
 }
+_ROUNDINGS = 10.0  # Of a matrix, in units of the last place of its norm
 _ZERO = 1e-4  # Coefficients of normal forms below this share of what they are made of vanish
 
 
@@ -181,7 +183,7 @@ class BranchLine:
         branch point, where nothing can be corrected, the cubic is the branch.
         """
         a, b, low, high = first, last, sign(first), sign(last)
-        while True:
+        for _ in range(_MOST_STEPS):
             length, share = float(np.linalg.norm(b.z - a.z)), low / (low - high)
             guess, tangent = _cubic(a, b, length, share)
             near = length * min(share, 1.0 - share)
@@ -196,13 +198,14 @@ class BranchLine:
                 b, high, low = there, value, 0.5 * low
             else:
                 a, low, high = there, value, 0.5 * high
+        raise ArithmeticError
 
     def _named(self, before: _At, at: _At) -> Bifurcation:
         """The bifurcation at a point, with its kind."""
         states, p = self._values(at.z)
         rounding = _CLOSE * (np.abs(self.start) + np.abs(self.direction))
         values = np.where(np.abs(p[:, 0]) > rounding, p[:, 0], 0.0)
-        frequency = abs(at.leading.imag)
+        frequency = frequency_of(self.steady.perturbations(states, p.T)[0][0])
         kind = "Hopf" if frequency else self._of_zero_eigenvalue(before, at)
         system = self.steady.system
         return Bifurcation(
@@ -229,6 +232,20 @@ class BranchLine:
         third = (plus2 - 2.0 * plus + 2.0 * minus - minus2) / (2.0 * _BENT**3)
         bent = max(np.linalg.norm(second), np.linalg.norm(third))
         return "transcritical" if np.linalg.norm(w @ second) > _ZERO * bent else "pitchfork"
+
+
+def frequency_of(matrix: Array) -> float:
+    """The imaginary part of the leading eigenvalue of a matrix (n, n); 0 if it may be rounding.
+
+    Rounding moves an eigenvalue by as much as its condition says, the inverse of the cosine between
+    its left and right vectors, and divides a double one into a pair.
+    """
+    values, left, right = scipy.linalg.eig(matrix, left=True)
+    first = int(np.argmax(values.real))
+    rounding = _ROUNDINGS * np.finfo(float).eps * np.linalg.norm(matrix)
+    cosine = abs(left[:, first].conj() @ right[:, first])
+    size = abs(float(values[first].imag))
+    return size if size * cosine > rounding else 0.0
 
 
 def _cubic(a: _At, b: _At, length: float, share: float) -> tuple[Array, Array]:

@@ -148,6 +148,15 @@ class SteadyStates:
         They are those of perturbations that keep to what no rate changes, and to the constraints:
         -inf where there are none, inf where the Jacobian is not finite.
         """
+        matrices, finite = self.perturbations(states, points)
+        if not matrices.shape[1]:
+            return np.where(finite, -np.inf, np.inf).astype(complex)
+        rates = np.linalg.eigvals(matrices)
+        first = np.argmax(rates.real, axis=1)
+        return np.where(finite, rates[np.arange(len(first)), first], np.inf)
+
+    def perturbations(self, states: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The matrices (m, k, k) of those of :meth:`leading`, and where they are finite (m,)."""
         n, m = states.shape
         columns = np.ascontiguousarray(points.T)
         jacobian = np.broadcast_to(self.system.jacobian(0.0, states, columns), (n, n, m))
@@ -160,11 +169,7 @@ class SteadyStates:
         matrices = np.where(finite[:, None, None], matrices, 0.0)
         across = np.where(finite[:, None, None], np.moveaxis(kept * sizes, 2, 0), 0.0)
         along = np.linalg.svd(across)[2][:, len(kept) :]  # rows that span what is left
-        if not along.size:
-            return np.where(finite, -np.inf, np.inf).astype(complex)
-        rates = np.linalg.eigvals(along @ matrices @ np.swapaxes(along, 1, 2))
-        first = np.argmax(rates.real, axis=1)
-        return np.where(finite, rates[np.arange(m), first], np.inf)
+        return along @ matrices @ np.swapaxes(along, 1, 2), finite
 
     def growth(self, states: Array, points: Array) -> Array:
         """The largest growth rate (m,) of perturbations of states (n, m) at points (m, d)."""
