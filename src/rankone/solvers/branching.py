@@ -101,6 +101,14 @@ class _Failed:
     places: NDArray[np.intp]
     error: ContinuationError
 
+    def raise_for(self, order: Order, places: NDArray[np.intp]) -> None:
+        """Raise the error for an order with the stretch that fails, if it holds at fewer places."""
+        missed = self.error.missed
+        if missed is None or len(places) > len(self.places):
+            return
+        if order.steps[: missed + 2] == self.order.steps[: missed + 2]:
+            raise self.error
+
 
 @dataclass(frozen=True)
 class Branches:
@@ -167,6 +175,8 @@ class _Branching:
             if any(self._is_part_of(other, order, places) for other in branches):
                 continue
             try:
+                for other in failed:
+                    other.raise_for(order, places)
                 forced = search.continued(order, places)
                 branches.append(Branch(order, forced, places, search.unopened))
             except ContinuationError as error:

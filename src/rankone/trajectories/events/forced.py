@@ -587,7 +587,8 @@ def _nearest_turns(
 
 def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Array:
     """Heights (m, K) without the root at the beginning of some stretches (m,)."""
-    divided = heights / np.where(elapsed == 0.0, 1e-300, elapsed)
+    with np.errstate(over="ignore"):  # where it is not deflated
+        divided = heights / np.where(elapsed == 0.0, 1e-300, elapsed)
     return np.where(deflated[:, None], divided, heights)
 
 

@@ -34,6 +34,7 @@ _NEAR = 0.1  # Share of the points that tell how many are next to the border
 _SLIVER = 0.003  # Share of the box, about, in which a height is as good as zero
 _ABOVE = 1.1  # Largest root of a relative height over that at the points
 _TO_START = 0.5  # Share of what is left to the start by which it may be larger
+_FADING = 0.2  # Rate at which a surface moved at a beginning comes back, over height and length
 _MOST_SIDES = 8  # Coordinates up to which it is predicted at the corners too
 
 
@@ -100,7 +101,7 @@ def opened_at_beginning(
         return None
     upper = _ABOVE * float(np.sqrt(_highest_anywhere(parent.opened, heights)))
     longest = float(search.lengths(order, places)[:, stretch].max())
-    begins = Beginning(stretch, guard.event, guard, 1.0 / (upper**2 * longest))
+    begins = Beginning(stretch, guard.event, guard, _FADING / (upper**2 * longest))
     return _with_coordinate(search, parent.opened, begins, heights, (0.0, upper))
 
 
