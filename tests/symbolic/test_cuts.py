@@ -111,6 +111,22 @@ def test_what_switches_too_often_is_refused():
         ro.solve(problem)
 
 
+@pytest.mark.parametrize("pulse", ["1/cosh((t - a)/0.01)", "sech((t - a)/0.01)**2"])
+def test_moving_pulses_of_hyperbolic_cosines_divide_time(pulse):
+    """As exponentials of squares do: a chain behind one needs few trajectories."""
+    rhs = {"x": f"{pulse} - k*x", "y": "k*(x - y)"}
+    box = {"a": (1, 2), "k": (1, 3)}
+    problem = ro.Problem.from_strings(rhs, {"x": 0, "y": 0}, box, (0, 3))
+    compiled = ro.compile(problem)
+    assert compiled.system.features.moving_cuts([1.5, 2.0]) == pytest.approx([1.5])
+    solution = compiled.solve(1e-4)
+    assert solution.success, solution.message
+    assert solution.rank < 60
+    gentle = {name: text.replace("0.01", "0.5") for name, text in rhs.items()}
+    wide = ro.compile(ro.Problem.from_strings(gentle, {"x": 0, "y": 0}, box, (0, 3)))
+    assert not wide.system.features.n_moving_cuts
+
+
 MOVING_PEAK = "-x + 1e5*exp(-((t - 60*k)/1e-5)**2)"
 MOVING_STEPS = {
     "pulse": "-x + 1000*Heaviside(t - 60*k)*Heaviside(60*k + 0.001 - t)",

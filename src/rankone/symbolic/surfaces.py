@@ -45,7 +45,7 @@ def moving_cuts(
     """Times, as functions of the parameters, of jumps and peaks of functions of both, then kinks.
 
     Boundaries are linear in time, or periodic functions of what is. Peaks are those of narrow
-    exponentials of squares.
+    exponentials of squares, and of hyperbolic cosines.
     """
     steps = _moving_boundaries(coordinates, rates, DISCONTINUOUS)
     steps |= {*_moving_peaks(coordinates, rates)}
@@ -94,12 +94,16 @@ def _wholes(expression: sp.Expr, coordinates: Sequence[Coordinate]) -> range:
 
 
 def _moving_peaks(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> Iterator[sp.Expr]:
-    """Times, as functions of the parameters, of the peaks of narrow exponentials of squares."""
+    """Times, as functions of the parameters, of the peaks of narrow exponentials of squares.
+
+    Hyperbolic cosines are taken as the exponentials of their squares that they are in the middle.
+    """
     clock, *parameters = coordinates
     t, symbols = clock.symbol, {c.symbol for c in coordinates}
     centre = {p.symbol: sp.Float(0.5 * (p.lower + p.upper)) for p in parameters}
-    for node in subexpressions(rates, sp.exp):
-        exponent, involved = node.exp, node.exp.free_symbols
+    for node in subexpressions(rates, sp.exp, sp.cosh, sp.sech):
+        exponent = node.exp if isinstance(node, sp.exp) else -(node.args[0] ** 2) / 2
+        involved = exponent.free_symbols
         if len(involved) < 2 or not involved <= symbols or exponent.has(AppliedUndef):
             continue
         rate = slope(exponent, t)
