@@ -78,19 +78,19 @@ class BoxSearch:
             grows = box.solved and not box.inside
             factor = min(factor * (_GROWING if grows else _SHRINKING), _MOST_FACTOR)
 
-    def around(self, of: Mapping[str, Reach]) -> None:
-        """A box around the optimum that holds the intervals ``of`` some parameters.
+    def around(self, reaches: Mapping[str, Reach]) -> None:
+        """A box around the optimum that holds the intervals of some parameters.
 
         It shrinks until it is solved, and moves where the fit ends at one of its sides.
         """
         factor = 1.0
         for _ in range(_MOST_END_BOXES):
-            box = self._taken({n: self._end_sides(n, each, factor) for n, each in of.items()})
+            box = self._taken({n: self._end_sides(n, each, factor) for n, each in reaches.items()})
             if box.solved and box.inside:
                 break
             factor *= 1.0 if box.solved else _SHRINKING
         if self.fit is not None:
-            held = [name for name in self.likelihood.dynamic if name not in of]
+            held = [name for name in self.likelihood.dynamic if name not in reaches]
             at = self.likelihood.named(self.at.z)
             self.fit = replace(self.fit, held={name: at[name] for name in held})
 

@@ -10,7 +10,7 @@ import numpy as np
 from rankone.calibration.boxes import SETTLED, BoxSearch
 from rankone.calibration.descent import Descent
 from rankone.calibration.of_experiments import OfExperiments
-from rankone.calibration.profiles import reaches
+from rankone.calibration.profiles import profile_reaches
 from rankone.calibration.result import Calibration
 from rankone.calibration.starts import MOST_STARTS, descents, random_starts
 from rankone.calibration.uncertainty import Reach, deviations_at, unidentified
@@ -153,17 +153,17 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
     """What is said of the best way, with a box around its end."""
     likelihood, boxes.at = boxes.likelihood, ways[0].at
     boxes.fit = boxes.solution = None
-    remark, of = "", dict[str, Reach]()
+    remark, reaches = "", dict[str, Reach]()
     if np.isfinite(boxes.at.cost):
-        of = reaches(likelihood, boxes.at)
-        remark = _around(boxes, of) if box else ""
+        reaches = profile_reaches(likelihood, boxes.at)
+        remark = _around(boxes, reaches) if box else ""
         if boxes.at.cost < ways[0].at.cost - SETTLED:
-            of = reaches(likelihood, boxes.at)
+            reaches = profile_reaches(likelihood, boxes.at)
     ways[0].at = boxes.at
     return Calibration.of(
         likelihood,
         ways,
-        of,
+        reaches,
         boxes=tuple(boxes.boxes),
         fit=boxes.fit,
         solution=boxes.solution,
@@ -172,12 +172,15 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
     )
 
 
-def _around(boxes: BoxSearch, of: Mapping[str, Reach]) -> str:
+def _around(boxes: BoxSearch, reaches: Mapping[str, Reach]) -> str:
     """Take a box around the optimum; a sentence that says why there is none."""
     likelihood = boxes.likelihood
     deviations = deviations_at(boxes.at, likelihood.variance(boxes.at))
-    free = {*unidentified(likelihood.names, deviations), *(n for n in of if of[n].free)}
-    inside = {name: of[name] for name in likelihood.dynamic if name not in free}
+    free = {
+        *unidentified(likelihood.names, deviations),
+        *(n for n, reach in reaches.items() if reach.free),
+    }
+    inside = {name: reaches[name] for name in likelihood.dynamic if name not in free}
     if not inside:
         return "there is no box around the optimum: the data identify no parameter"
     if len(inside) > MOST_END_PARAMETERS:

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.special
 
+from rankone.estimation.intervals import quantile_of
+from rankone.statistics.replicates import LEVEL
 from rankone.support.arrays import Array
-
-_LEVEL = 0.95  # Of the band of a prediction
 
 
 class Comparison(NamedTuple):
@@ -81,7 +80,7 @@ def compared(
     order = np.argsort(times, kind="stable")
     times, measured, predicted = times[order], measured[order], predicted[order]
     noise, root = noise[order], root[order]
-    half = float(scipy.special.ndtri(0.5 + 0.5 * _LEVEL)) * noise * root
+    half = quantile_of(LEVEL, True, 0.0) * noise * root
     signs = np.array([[-1.0], [1.0]])
     to, back = SCALES[scale]
     with np.errstate(all="ignore"):

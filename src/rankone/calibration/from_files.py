@@ -28,8 +28,8 @@ def calibrated(
     ways = descents(likelihood, starts, seed, _SCREENED, wanted)
     comparisons = comparisons_of(records, likelihood, ways[0].at)
     at = ways[0].at
-    of = linear_reaches(likelihood.names, at, 1.0) if np.isfinite(at.cost) else {}
-    return Calibration.of(likelihood, ways, of, comparisons=comparisons)
+    reaches = linear_reaches(likelihood.names, at, 1.0) if np.isfinite(at.cost) else {}
+    return Calibration.of(likelihood, ways, reaches, comparisons=comparisons)
 
 
 def comparisons_of(records: Records, likelihood: OfFiles, at: Expansion) -> tuple[Comparison, ...]:

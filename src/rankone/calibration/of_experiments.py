@@ -23,11 +23,11 @@ from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.ranges import with_linear_ranges
 from rankone.estimation.search import Options, problem_of
 from rankone.interface.compiled import CompiledProblem
+from rankone.statistics.replicates import LEVEL
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-_LEVEL = 0.95  # Of intervals
 _RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
@@ -178,7 +178,7 @@ class OfExperiments:
     def quantile(self) -> float:
         """Half the length of an interval in standard deviations, with 95 %."""
         noise_given = self.likelihood.unit_known and not self.likelihood.levels
-        return quantile_of(_LEVEL, noise_given, self._freedom)
+        return quantile_of(LEVEL, noise_given, self._freedom)
 
     def rise(self, at: Expansion) -> float:
         """By how much the cost is larger at the ends of intervals; see :meth:`.Intervals.rise`."""

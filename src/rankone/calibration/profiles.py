@@ -45,7 +45,7 @@ class _End(NamedTuple):
     others: tuple[str, ...] = ()
 
 
-def reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
+def profile_reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
     """How far each parameter can go from an optimum with 95 %; levels of noise by linearisation.
 
     Not identified are those whose variance the data hardly reduce and that only bounds stop. An
@@ -55,7 +55,7 @@ def reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
     variance = problem.variance(at)
     covariance = covariance_at(at, variance)
     wide = unidentified(problem.names, np.sqrt(np.diag(covariance)))
-    each = linear_reaches(problem.names, at, variance)
+    reaches = linear_reaches(problem.names, at, variance)
     inside = [at]
     ways = [
         (j, sign)
@@ -77,8 +77,8 @@ def reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
             free = limited == "both" or (name in wide and boxed)
             others = {*low.others, *high.others}
             names = tuple(name for name in problem.names if name in others)
-            each[name] = Reach(low.z, high.z, limited, free, names)
-    return each
+            reaches[name] = Reach(low.z, high.z, limited, free, names)
+    return reaches
 
 
 def _end(

@@ -136,12 +136,12 @@ class Calibration(Labelled):
         cls,
         problem: Calibrated,
         ways: Sequence[Descent],
-        of: Mapping[str, Reach],
+        reaches: Mapping[str, Reach],
         **further: Any,
     ) -> Calibration:
         """The result of descents, the best of them first.
 
-        ``of`` is how far each parameter can go; see the attributes for the others.
+        ``reaches`` are how far each parameter can go; see the attributes for the others.
         """
         starts = tuple(
             Start(
@@ -154,14 +154,15 @@ class Calibration(Labelled):
             for way in ways
         )
         at = ways[0].at
+        told = {name: reach for name, reach in reaches.items() if not reach.free}
         return cls(
             starts[0].x,
             starts[0].log_likelihood,
             starts,
-            intervals={n: _interval(problem, at.z, n, of[n]) for n in of if not of[n].free},
-            limited={n: each.limited for n, each in of.items() if each.limited and not each.free},
-            limits={n: _limits(each) for n, each in of.items() if not each.free},
-            not_identified=tuple(name for name, each in of.items() if each.free),
+            intervals={n: _interval(problem, at.z, n, each) for n, each in told.items()},
+            limited={n: each.limited for n, each in told.items() if each.limited},
+            limits={n: _limits(each) for n, each in told.items()},
+            not_identified=tuple(name for name, each in reaches.items() if each.free),
             at_bounds=ends_at_bounds(problem.names, at.z),
             **further,
         )

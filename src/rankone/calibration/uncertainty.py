@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rankone.calibration.descent import Expansion
+from rankone.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
+from rankone.estimation.intervals import quantile_of
+from rankone.statistics.replicates import LEVEL
 from rankone.support.arrays import Array
-
-_NORMAL_95 = 1.959963985  # Standard deviations to either side of a mean that hold 95 %
-_UNIFORM_VARIANCE = 1.0 / 12.0  # Of a parameter that may be anywhere between its bounds
-_NOT_REDUCED = 0.5  # Share of that standard deviation above which the data say too little
 
 
 class Reach(NamedTuple):
@@ -39,7 +38,7 @@ def linear_reaches(names: Sequence[str], at: Expansion, variance: float) -> dict
     deviations = deviations_at(at, variance)
     free = unidentified(names, deviations)
     reaches = {}
-    for name, z, half in zip(names, at.z, _NORMAL_95 * deviations, strict=True):
+    for name, z, half in zip(names, at.z, quantile_of(LEVEL, True, 0.0) * deviations, strict=True):
         ends = float(z - half), float(z + half)
         limited = limited_by(ends[0] <= 0.0, ends[1] >= 1.0)
         free_one = name in free or limited == "both"
@@ -58,7 +57,7 @@ def covariance_of(jacobian: Array, variance: float = 1.0) -> Array:
     ``variance`` is that of the residuals.
     """
     information = jacobian.T @ jacobian / variance
-    information[np.diag_indices_from(information)] += 1.0 / _UNIFORM_VARIANCE
+    information[np.diag_indices_from(information)] += UNIFORM_PRECISION
     return np.asarray(np.linalg.inv(information))
 
 
@@ -73,6 +72,6 @@ def spread_of(rows: Array, covariance: Array) -> Array:
 
 
 def unidentified(names: Sequence[str], deviations: Array) -> tuple[str, ...]:
-    """Parameters whose standard deviation the data reduce by less than half."""
-    most = _NOT_REDUCED * np.sqrt(_UNIFORM_VARIANCE)
-    return tuple(name for name, each in zip(names, deviations, strict=True) if each > most)
+    """Parameters whose variance between the bounds the data hardly reduce."""
+    lost = deviations**2 > BOX_SHARE / UNIFORM_PRECISION
+    return tuple(name for name, is_lost in zip(names, lost, strict=True) if is_lost)

@@ -278,26 +278,26 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
 
 def _trials_of_table(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
     """A trial for each block of a table."""
-    table, known, by_subject = experiment.data, experiment.fixed, None
+    table, fixed, by_subject = experiment.data, experiment.fixed, None
     if experiment.doses is not None:
         columns = columns_of(table)
         by_subject, table = doses_in(solution, columns, experiment.doses, experiment.observe)
-        known = by_subject.with_reference(solution, known)
+        fixed = by_subject.with_reference(solution, fixed)
     blocks = blocks_of(solution, table, experiment.observe)
-    fixed = fixed_by_label(solution, known, blocks)
-    every = None
+    fixed_in_blocks = fixed_by_label(solution, fixed, blocks)
+    doses = None
     if by_subject is not None:
         owners = [block.labels[-1] if block.labels else "" for block in blocks]
-        every = by_subject.of_records(solution, owners)
-    for k, (block, held) in enumerate(zip(blocks, fixed, strict=True)):
+        doses = by_subject.of_records(solution, owners)
+    for k, (block, held) in enumerate(zip(blocks, fixed_in_blocks, strict=True)):
         name = ", ".join(filter(None, (experiment.name, block.name)))
         row = observed_in(solution, experiment, block)
-        if by_subject is None or every is None:
+        if by_subject is None or doses is None:
             yield trial_of(name, solution, held, row)
             continue
         by_subject.check_observables(zip(row.names, row.formulas, row.noises, strict=True))
         places = np.concatenate([block.rows[each] for each in row.names])
-        yield trial_of(name, solution, held, row, every.selected(np.array([k])), places)
+        yield trial_of(name, solution, held, row, doses.selected(np.array([k])), places)
 
 
 def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) -> Observations:
@@ -307,7 +307,7 @@ def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) ->
     if experiment.weights is not None:
         raise OptionError("a table has no weights", remedy="give it a column `sigma`")
 
-    def own(given: object) -> Any:
+    def of_block(given: object) -> Any:
         """What is given for the observables of this block."""
         if not isinstance(given, Mapping):
             return given
@@ -322,9 +322,9 @@ def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) ->
         solution,
         block.times,
         block.data,
-        own(observe),
-        sigma=own(block.sigma if experiment.sigma is None else experiment.sigma),
-        noise=own(experiment.noise),
+        of_block(observe),
+        sigma=of_block(block.sigma if experiment.sigma is None else experiment.sigma),
+        noise=of_block(experiment.noise),
     )
 
 

@@ -36,9 +36,10 @@ _END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its r
 # one by the data alone, linearised, above which its profile is looked at
 _SUSPICIOUS_WIDTH = 0.25
 _ROUNDING = 1e-13  # Share of the largest singular value that is rounding
-_UNIFORM_PRECISION = 12.0  # Of a parameter that may be anywhere in the unit cube
 _ENDLESS_PRECISION = 1e-9  # Of one without bounds: far below what any data say
 _LOST = 1e-3  # Share of the data in a variance below which they say nothing of a direction
+UNIFORM_PRECISION = 12.0
+"""Precision of a parameter that may be anywhere in the unit cube, without data."""
 BOX_SHARE = 0.5
 """Share of a variance from the box above which the data do not determine it."""
 # How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
@@ -306,12 +307,12 @@ def identify(
     ``quantile`` is half the length of intervals in standard deviations, ``sigma`` the standard
     deviation of the scaled residuals.
     """
-    free, box = problem.free, np.full(best.z.size, _UNIFORM_PRECISION)
+    free, box = problem.free, np.full(best.z.size, UNIFORM_PRECISION)
     box[list(free.endless)] = _ENDLESS_PRECISION
     rows = jacobian[len(jacobian) - len(problem.priors) :]
     for measure, row in zip(problem.priors, rows, strict=True):
         j = free.names.index(measure.name)
-        box[j] = max(_UNIFORM_PRECISION - row[j] ** 2, 0.0)
+        box[j] = max(UNIFORM_PRECISION - row[j] ** 2, 0.0)
     rounding = _ROUNDING * max(float(np.linalg.norm(jacobian)), 1e-300)
     sigma = max(sigma, rounding)
     rows = np.concatenate([jacobian / sigma, np.diag(np.sqrt(box))])

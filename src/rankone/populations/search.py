@@ -82,26 +82,25 @@ def start_of(
 
 
 def _check_deviations(
-    subjects: Subjects, layout: Layout, cost: Array, squares: Array, given: bool
+    subjects: Subjects, layout: Layout, cost: Array, squares: Array, started: bool
 ) -> None:
     """Raise an OptionError for subjects with a datum of no deviation at the best of places (K, n).
 
-    Proportional noise has none where the prediction is zero. ``given`` is whether a start limits
-    the places.
+    Proportional noise has none where the prediction is zero. A start may limit the places.
     """
     least = np.take_along_axis(squares, np.argmin(cost, axis=0)[None], axis=0)[0]
     far = least > _FARTHEST_DATUM if layout.levels else np.zeros(least.size, dtype=bool)
     impossible = np.flatnonzero(far | ~np.isfinite(cost).any(axis=0))
     if impossible.size:
-        where = "with the start that was given" if given else "in the box"
+        where = "with the start that was given" if started else "in the box"
         far_off = (
             f"the data of subject {quote(subjects.names[impossible[0]])} are far from all curves "
             f"{where}: the standard deviation of a datum is zero, or an event ends the solution"
         )
         raise OptionError(
             "; ".join([*_failures(subjects), far_off]),
-            remedy=f"{'give another start, ' if given else ''}leave out data where the prediction "
-            'is zero, as before the first dose, or choose noise="combined"',
+            remedy=f"{'give another start, ' if started else ''}leave out data where the "
+            'prediction is zero, as before the first dose, or choose noise="combined"',
         )
 
 

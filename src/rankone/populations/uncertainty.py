@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from rankone.estimation.identification import BOX_SHARE
+from rankone.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.populations.marginal import Marginal
 from rankone.populations.search import Optimum, standard_steps
 from rankone.support.arrays import Array
@@ -73,7 +73,9 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
     """The uncertainty at an optimum."""
     layout = marginal.search.layout
     box = np.zeros(layout.size)
-    box[: len(layout.names)] = 12.0 / (marginal.search.upper - marginal.search.lower) ** 2
+    box[: len(layout.names)] = (
+        UNIFORM_PRECISION / (marginal.search.upper - marginal.search.lower) ** 2
+    )
     of_means = marginal.information_of_means(optimum.psi[None], optimum.individuals)[0]
     covariance, flat = _covariance(optimum.hessian, of_means, box)
     means, spreads = layout.means, layout.spreads

@@ -69,15 +69,15 @@ def remedied(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outcome
     if not jumps and request.rtol < looser and outcome.error <= _WORST and outcome.slabs:
         advice = f"try rtol={looser:.0e}: predicted error {outcome.error:.1e}"
         return _with_notes(outcome, Remedy(advice))
-    if front is None and request.rtol < _LOOSER and (found := trials.looser()) is not None:
-        advice = f"try rtol={_LOOSER:.0e}: it was solved to {found.error:.1e}"
+    if front is None and request.rtol < _LOOSER and (solved := trials.looser()) is not None:
+        advice = f"try rtol={_LOOSER:.0e}: it was solved to {solved.error:.1e}"
         outcome = _with_notes(outcome, Remedy(advice), NothingInterpolated)
         return replace(
             outcome,
-            slabs=found.slabs,
-            measured=found.measured,
-            timeline=found.timeline,
-            observed=found.observed,
+            slabs=solved.slabs,
+            measured=solved.measured,
+            timeline=solved.timeline,
+            observed=solved.observed,
         )
     box, fails = trials.smaller(outcome)
     if box is not None:

@@ -440,11 +440,11 @@ class StatisticsOverBox(SolutionCore):
         if checked.ndim > 1:
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
         times = np.atleast_1d(checked)
-        found = statistics.variance_parts(times, count, report)
-        share, spread, sizes, errors = self._shares_of_variance(found.variance, statistics)
+        variances = statistics.variance_parts(times, count, report)
+        share, spread, sizes, errors = self._shares_of_variance(variances.variance, statistics)
         ratio = (errors[:, None] * np.sqrt(share))[:, None]
         arrays = list[Array]()
-        for part, width in zip(found.parts, found.half_widths, strict=True):
+        for part, width in zip(variances.parts, variances.half_widths, strict=True):
             own = (slice(None), *(None,) * (part.ndim - 2))
             index = part * share[own]
             arrays.append(index)
@@ -460,7 +460,7 @@ class StatisticsOverBox(SolutionCore):
         later = np.ones(1, dtype=bool) if t is None else clock > self.time[0]
         when = np.full(1, np.nan) if t is None else clock[later]
         doubts = [
-            *found.doubts,
+            *variances.doubts,
             *doubtful_shares(self.unknowns, when, spread[:, later], sizes, errors),
         ]
         indices = Sobol(

@@ -17,6 +17,8 @@ from rankone.support.arrays import Array
 
 SETS = 16
 """Sets of points that are scrambled independently."""
+LEVEL = 0.95
+"""Probability that intervals and half-widths hold, unless a user chooses another."""
 SEED = 20144
 """Of all points: the same call has the same answer."""
 _FEW = 3.0  # Points that may lie elsewhere at 95 % although no set says so: the rule of three
@@ -41,7 +43,8 @@ def sets_of_shares(count: int, d: int, seed: int) -> Array:
 
 def half_width(of_sets: Array, axis: int = 0) -> Array:
     """Half-widths of 95 % of means over the sets along an axis, from their spread."""
-    return float(scipy.stats.t.ppf(0.975, of_sets.shape[axis] - 1)) * standard_error(of_sets, axis)
+    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * LEVEL, of_sets.shape[axis] - 1))
+    return quantile * standard_error(of_sets, axis)
 
 
 def standard_error(of_sets: Array, axis: int = 0) -> Array:
