@@ -196,3 +196,11 @@ def test_starts_that_are_none():
     algebraic = [sp.Eq(x.diff(t), k - y), sp.Eq(y**3 + y, x)]
     with pytest.raises(ro.ProblemError, match="algebraic equations"):
         ro.Problem(algebraic, (t, 0, 1), box, ro.SteadyState(start={x: 1, y: 1}))
+
+
+def test_a_start_that_has_decayed_to_zero():
+    """A long integration ends at rounding of what was there; that is zero."""
+    decay = problem({x: dose - k * x}, {k: (1, 2), dose: (1, 2)}, ro.SteadyState({dose: 0}, {x: 1}))
+    solution = ro.solve(decay)
+    assert solution.success
+    assert solution(t=1, k=1.5, dose=1.2) == pytest.approx(0.8 * (1 - np.exp(-1.5)), abs=1e-4)
