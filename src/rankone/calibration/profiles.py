@@ -36,6 +36,7 @@ _HELD = 0.1  # Share of the rise at an end that bounds of others make, from whic
 class _End(NamedTuple):
     """Where an interval ends in z: at a bound, or with another parameter newly at one.
 
+    An ``other`` end is not told by the data alone: also one beyond which trajectories fail.
     Bounds of ``others`` make it end before the data would.
     """
 
@@ -126,8 +127,12 @@ def _end(
             rise = outer[1] - inner[1]
             share = 0.5 if turn % 2 or math.isinf(rise) else (1.0 - inner[1]) / rise
             distance = inner[0] + min(max(share, 0.05), 0.95) * (outer[0] - inner[0])
+    else:  # not as close: a place beyond the limit, unless trajectories fail there
+        last = beyond
+    told = abs(root - 1.0) <= _CLOSE or math.isfinite(outer[1])
     names = set(ends_at_bounds(problem.names, beyond.z)) - at_bound - {problem.names[j]}
-    return _End(float(last.z[j]), False, bool(names), _beyond_bounds(problem, beyond, j, limit))
+    others = _beyond_bounds(problem, beyond, j, limit)
+    return _End(float(last.z[j]), False, bool(names) or not told, others)
 
 
 def _root(at: Expansion, best: Expansion, limit: float) -> float:
