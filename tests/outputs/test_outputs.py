@@ -218,7 +218,7 @@ def test_durations_that_begin_inside_the_box_are_refused_soon(rhs):
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        ({}, "not a mapping from names"),
+        ({}, "names no output"),
         (x / y, "not a mapping from names"),
         ("xx", "unknown name `xx`"),
         ({"q": "x*"}, "not a formula"),

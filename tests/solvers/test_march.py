@@ -6,7 +6,7 @@ import numpy as np
 
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.verdict import Status
-from rankone.solvers.march import March, Span, Trial
+from rankone.solvers.march import March, SlabTrial, Span
 from rankone.support.progress import ProgressEvent
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
@@ -23,7 +23,7 @@ class Halving:
             return Status.NO_CONVERGENCE
         return Span(start, self.length, min(start + self.length, self.end))
 
-    def adapt(self, span: Span, trial: Trial) -> bool:
+    def adapt(self, span: Span, trial: SlabTrial) -> bool:
         self.length *= 1.0 if trial.record.accepted else 0.5
         return trial.record.accepted
 
@@ -34,12 +34,12 @@ class Picky:
     def __init__(self, longest: float) -> None:
         self.longest = longest
 
-    def solve(self, span: Span) -> Trial:
+    def solve(self, span: Span) -> SlabTrial:
         good = span.length <= self.longest
         record = SlabRecord(0, span.start, span.end, good, 0.0, (), (), ())
-        return Trial(record, set() if good else {Status.RANK_LIMIT})
+        return SlabTrial(record, set() if good else {Status.RANK_LIMIT})
 
-    def accept(self, span: Span, trial: Trial) -> list[SlabTrain]:
+    def accept(self, span: Span, trial: SlabTrial) -> list[SlabTrain]:
         return [SlabTrain(span.start, span.end, Train((np.ones((1, 2, 1)),)), ())]
 
 

@@ -86,7 +86,7 @@ def test_coulomb_friction_names_the_term():
 def test_a_thermostat_that_takes_all_of_the_budget():
     rates = {"T": "p*Heaviside(20 - T) - 0.1*(T - 10)"}
     problem = ro.Problem.from_strings(rates, {"T": "19"}, {"p": (2, 3)}, (0, 20))
-    solution = ro.solve(problem, 1e-3, effort=0.012)
+    solution = ro.solve(problem, 1e-3, effort=0.006)
     assert "where the rate of `T` switches to and fro" in solution.message
     assert "; the reference trajectories took " in solution.message
     assert "in equation 1 switches at" in solution.message

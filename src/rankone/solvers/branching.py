@@ -149,11 +149,15 @@ class Branches:
 def branches_of(search: OrderSearch, rtol: float) -> Branches:
     """The branches for the orders of a search, which part to ``rtol`` of the horizon.
 
+    They are continued to the corners of the box where they can be.
+
     Raises
     ------
     OrderError
         If an order that holds in more than slivers of the box cannot be continued.
     """
+    with suppress(ContinuationError):
+        return _Branching(search.to_corners, rtol).branches()
     return _Branching(search, rtol).branches()
 
 

@@ -463,17 +463,17 @@ class _Follower:
     ) -> tuple[_Flow, Array]:
         """The flow around the expected root of an event, and the elapsed times (m,) of roots.
 
-        They are at most a horizon before the start, or after the end: farther off, trajectories
-        that run backwards grow without bound, and take ever more work.
+        They are at most a horizon before the start: farther back, trajectories may grow without
+        bound, and take ever more work.
         """
         event, margin = self.clock.system.events[self._forced.met[i][0]], self._forced.margins[i]
         start, end = self.clock.horizon
-        earliest, latest = 2.0 * start - end - times, 2.0 * end - start - times
+        earliest = 2.0 * start - end - times
         if moved is not None and moved.start is not None:
             earliest, expected = np.zeros_like(times), np.maximum(expected, 0.0)
         for factor in _WIDER:
-            low = np.clip(expected - factor * margin, earliest, latest)
-            high = np.clip(expected + factor * margin, earliest, latest)
+            low = np.maximum(expected - factor * margin, earliest)
+            high = np.maximum(expected + factor * margin, earliest)
             to = np.maximum(high, 0.0), np.minimum(low, 0.0)
             flow = self._flow(times, states, *to, i, whole=False)
             between = np.maximum(low, flow.first), np.minimum(high, flow.last)

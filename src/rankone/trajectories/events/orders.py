@@ -256,7 +256,8 @@ class Opened:
 class OrderSearch:
     """Orders of trajectories at points (m, d) of a box (d, 2), and their continuation.
 
-    It ``tells_roots`` apart where orders cannot be continued without.
+    It ``tells_roots`` apart where orders cannot be continued without. Orders are continued to its
+    points, and to ``further`` ones (k, d).
     """
 
     system: System
@@ -267,6 +268,7 @@ class OrderSearch:
     integrator: SpanIntegrator
     tolerances: Tolerances
     tells_roots: bool = False
+    further: Array | None = None
 
     @property
     def length(self) -> float:
@@ -288,6 +290,13 @@ class OrderSearch:
     def telling_roots(self) -> OrderSearch:
         """The same search, which tells apart at which roots stretches end."""
         return self if self.tells_roots else replace(self, tells_roots=True)
+
+    @property
+    def to_corners(self) -> OrderSearch:
+        """The same search, with the corners of the box as further points, if they are few."""
+        if len(self.bounds) > _CORNERED:
+            return self
+        return replace(self, further=np.array(list(itertools.product(*self.bounds.tolist()))))
 
     @cached_property
     def orders(self) -> list[Order]:
@@ -406,10 +415,9 @@ class OrderSearch:
 
     @property
     def unopened(self) -> Opened:
-        """The points of the search and corners of the box, without opened events."""
-        corners = np.array(list(itertools.product(*self.bounds.tolist())))
-        some = corners if len(self.bounds) <= _CORNERED else corners[:0]
-        return Opened((), np.concatenate([self.points, some]), self.bounds)
+        """The points of the search and the further ones, without opened events."""
+        further = self.points[:0] if self.further is None else self.further
+        return Opened((), np.concatenate([self.points, further]), self.bounds)
 
     def reached(
         self, order: Order, forced: ForcedOrder, points: Array, chunk: NDArray[np.intp]
