@@ -106,7 +106,7 @@ def test_what_is_refused():
         other.mean(1.0, under=fitted())
     table = {"t": TIMES, "e": np.where(TIMES > 2, 0.0, 1.0), "x": 1.0 - 0.5 * TIMES}
     several = solution.fit(table, sigma=0.4)
-    with pytest.raises(ro.OptionError, match="several values of `e`"):
+    with pytest.raises(ro.OptionError, match="their own values of `e`"):
         solution.mean(1.0, under=several)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -250,7 +250,7 @@ def fitted_distribution(
     several = [name for name in names if name in known.open]
     if several:
         raise OptionError(
-            f"under: the experiments of the fit have several values of {listing(several)}",
+            f"under: experiments or doses of the fit have their own values of {listing(several)}",
             term=tuple(several),
             remedy="fix values, and ask that solution: "
             f"solution.fix({', '.join(f'{name}=...' for name in several)})",
