@@ -42,6 +42,11 @@ def test_the_shares_of_the_budget():
     assert took in verdict((1e-3,) * 4)
 
 
+def test_attempts_beyond_their_budget_have_shares_of_all_of_their_work():
+    (note,) = Budget.of({"reference": 1e9, "samples": 3e9}, 1e9)
+    assert dict(note.shares) == {"reference": 0.25, "samples": 0.75}
+
+
 def test_a_success_says_no_more_than_its_error():
     message = verdict((1e-6,) * 4, Status.CONVERGED)
     assert message == f"{Status.CONVERGED.value}: 1.0e-06 of 1.0e-05; narrow the box"

@@ -411,10 +411,14 @@ class Budget(Note):
 
     @classmethod
     def of(cls, work: dict[str, float], operations: float) -> tuple[Budget, ...]:
-        """The note, if there is a budget and a stage that took much of it."""
+        """The note, if there is a budget and a stage that took much of it.
+
+        Attempts that still improve may go beyond the ``operations`` that are meant for them.
+        """
         if operations <= 0.0:
             return ()
-        shares = tuple((stage, done / operations) for stage, done in work.items())
+        whole = max(operations, sum(work.values()))
+        shares = tuple((stage, done / whole) for stage, done in work.items())
         told = tuple((stage, share) for stage, share in shares if share >= _LEAST_SHARE)
         return (cls(told),) if told else ()
 
