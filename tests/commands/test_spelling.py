@@ -10,12 +10,23 @@ import pytest
 from rankone.commands.cli import main
 from rankone.commands.spelling import spelling
 
-SOLVE = ("rtol", "method", "unknowns", "options", "max_memory", "cover", "effort", "t_final")
+SOLVE = (
+    "overwrite",
+    "rtol",
+    "method",
+    "unknowns",
+    "options",
+    "max_memory",
+    "cover",
+    "effort",
+    "t_final",
+)
 OPTIONS = [
     ("try rtol=1e-03: predicted error 2e-04", "try --rtol 1e-03: predicted error 2e-04"),
     ("method='cross', the default", "--method cross, the default"),
     ("leave method= out, or take cross", "leave --method out, or take cross"),
     ("unknowns=('x', 'y') asks for these", "--unknowns x y asks for these"),
+    ("choose another name, or overwrite=True", "choose another name, or --overwrite"),
     ("max_memory='2 GB'", "--max-memory '2 GB'"),
     (
         "raise max_rank, narrow the box or loosen rtol",

@@ -28,6 +28,7 @@ def test_one_subject_needs_no_column_of_subjects():
     assert np.abs(fit.residuals["u"]).max() < 1e-4
     times = np.linspace(0.0, 10.0, 7)
     np.testing.assert_allclose(fit.curve("u", times)[0], exact(times, 0.3, ONE), rtol=1e-5)
+    assert fit.values == fit.x  # without an amount: each dose has its own
 
 
 def test_a_datum_before_a_dose_at_the_same_time_and_none_before_the_first():

@@ -207,6 +207,13 @@ def test_the_time_to_settle_is_that_of_the_slowest_part_of_the_box():
     assert ro.steady_state(slow, settle)(k=1.2) == pytest.approx([1.2, 1.2])
 
 
+def test_rest_at_a_saddle_is_said():
+    """Without predators the prey comes to rest, and nothing oscillates."""
+    rates = {x: x * (1 - x / k) - x * y, y: x * y - y / 2}
+    with pytest.raises(ro.ConvergenceError, match="come to rest at a steady state that is not"):
+        ro.steady_state(problem(rates, {k: (1, 2)}, {x: 0.5, y: 0}))
+
+
 @pytest.mark.parametrize("share", [1, 1e-9])
 def test_steady_states_at_zero(share):
     """Rounding is that of the values on the way; beside other states that are not zero as well."""

@@ -481,6 +481,15 @@ def test_a_guard_against_a_division_by_zero_at_rest():
     np.testing.assert_allclose(solution(t=[2, 3], k=1.0), exact, atol=3 * RTOL)
 
 
+@pytest.mark.slow
+def test_a_switch_of_time_and_parameters_alone_is_no_surface_to_move():
+    """Its height does not depend on the state by which trajectories would be moved."""
+    rates, box = {"x": "-x + Abs(sin(w*t))"}, {"w": (0.05, 1)}
+    solution = ro.solve(problem(rates, {"x": 0}, box, 10), 1e-4)
+    exact = problem(rates, {"x": 0}, box, 10).trajectory([5, 10], w=0.7, rtol=1e-9).values
+    np.testing.assert_allclose(solution(t=[5, 10], w=0.7), exact, atol=1e-2)
+
+
 @pytest.mark.parametrize("value", ["exp(-q/D)", "sin(q/D)", "q/D/(1 + q/D)"])
 def test_a_guarded_function_need_not_vanish_at_its_guard(value):
     """Its values there are not finite, which says nothing of a kink."""

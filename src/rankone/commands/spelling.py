@@ -45,7 +45,9 @@ def _with_options(text: str, options: Mapping[str, str]) -> str:
     def option(name: str, value: str) -> str | None:
         if name.startswith("max_") and name not in options and "options" in options:
             return f"--options {name}={_words(value)}"
-        return f"{options[name]} {_words(value)}".rstrip() if name in options else None
+        if name not in options:
+            return None
+        return options[name] if value == "True" else f"{options[name]} {_words(value)}".rstrip()
 
     def bare(match: re.Match[str]) -> str:
         verb, name = match.groups()

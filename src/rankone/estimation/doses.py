@@ -41,6 +41,7 @@ class Doses:
     """Doses of n records: times, multiples of the solution's dose, and table rows, all (n, K).
 
     The solution goes from ``start`` to ``end``. Records with fewer doses have some of amount zero.
+    ``parameter`` is the amount, unless they are the solution's own.
     """
 
     start: float
@@ -48,6 +49,7 @@ class Doses:
     times: Array
     amounts: Array
     rows: NDArray[np.intp]
+    parameter: str | None = None
 
     @classmethod
     def at_start(cls, solution: SolutionCore, count: int) -> Doses:
@@ -138,4 +140,4 @@ class DosesBySubject:
             for k, dose in enumerate(self.doses[owner]):
                 times[i, k], amounts[i, k] = dose.time, dose.amount / self.reference
                 rows[i, k] = dose.row
-        return Doses(start, end, times, amounts, rows)
+        return Doses(start, end, times, amounts, rows, self.parameter)

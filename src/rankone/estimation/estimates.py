@@ -107,7 +107,7 @@ class Estimates:
         """All parameters of the solution: ``solution(times, fit.values)`` is the curve.
 
         Those of the first experiment if there are several; see :meth:`values_in`. With ``doses=``
-        that is the curve of one dose, and :meth:`curve` that of all.
+        each dose has an amount of its own, which is left out; :meth:`curve` is that of all.
         """
         return self.values_in(0)
 
@@ -115,7 +115,8 @@ class Estimates:
         """All parameters of the solution in one experiment, by its name or its position."""
         trial = self.trial(experiment)
         every = {**self._problem.free.complete(self.x), **trial.fixed}
-        return {name: every[name] for name in trial.solution.parameters}
+        dose = None if trial.doses is None else trial.doses.parameter
+        return {name: every[name] for name in trial.solution.parameters if name != dose}
 
     def trial(self, experiment: int | str) -> Trial:
         """One experiment, by its name or its position."""

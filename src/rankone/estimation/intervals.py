@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from rankone.discretization.coordinates import name_of
 from rankone.estimation.curves import Curve, curve_of
 from rankone.estimation.estimates import Estimates
 from rankone.estimation.expressions import quantity
@@ -160,8 +161,10 @@ class Intervals(Estimates):
         """The estimate of a quantity of the parameters; see :meth:`interval_of`."""
         return self._quantity(given)[0]
 
-    def curve(self, observable: str, times: ArrayLike, experiment: int | str = 0) -> Curve:
+    def curve(self, observable: object, times: ArrayLike, experiment: int | str = 0) -> Curve:
         """The fitted curve of an observable, and how well it is known.
+
+        The observable is a name, or an unknown of the solution.
 
         Returns
         -------
@@ -170,7 +173,8 @@ class Intervals(Estimates):
             the fit, NaN where the data do not identify it.
         """
         at = self.trial(experiment)
-        values, slopes = curve_of(self._problem, at, observable, times, self._z)
+        name = name_of(observable)
+        values, slopes = curve_of(self._problem, at, name, times, self._z)
         half = np.array([self._quantile(None, slope) * self.deviation(slope) for slope in slopes])
         half[~np.isfinite(half)] = np.nan
         return Curve(values, half)

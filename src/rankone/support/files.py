@@ -20,7 +20,7 @@ Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
 # Characters of a name that its temporary file keeps: file systems limit names to 255 bytes
 _KEPT_CHARACTERS = 48
-_OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
+_OTHER_NAME = "choose another name, or overwrite=True"
 
 
 def as_path(path: Any, error: type[RankoneError]) -> Path:

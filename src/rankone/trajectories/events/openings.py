@@ -194,6 +194,8 @@ def _surface(
         return guard_heights(search.system, k, None, times, with_sides, search.points)
 
     own, surface = heights(event, sides), []
+    if not own.any():  # of the time alone: nothing moves it
+        return ()
     for on in {each: None for order in search.groups() for each in order.sides}:
         for k, each in enumerate(search.system.events):
             other = heights(k, on)

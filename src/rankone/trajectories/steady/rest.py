@@ -27,6 +27,7 @@ _ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come cl
 _LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolerance
 _CLOSE = 1e-3  # Distance from a steady state, in sizes of the states, that counts as having settled
 _AT_REST = 1e-11  # The same at which a trajectory has not moved from its start
+_RESTING = 1e-4  # The same next to a steady state that is not stable: ten times the accuracy
 _MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
 _NOISE = 1e-18  # A state below this share of the largest one on the way is zero
 _LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
@@ -305,6 +306,13 @@ class SteadyStates:
         growth = np.where(np.isfinite(states).all(axis=0), leading.real, np.nan)
         neutral = _NEUTRAL / self.first
         which = int(np.nanargmax(growth)) if np.isfinite(growth).any() else 0
+        away = np.abs(states[:, which] - self._last[points[which].tobytes()])
+        if growth[which] > neutral and (away <= _RESTING * self.sizes.max()).all():
+            place = self._at(points[which])
+            return ConvergenceError(
+                f"trajectories come to rest at a steady state that is not stable{place}",
+                remedy="change initial values, some of which perhaps are exactly zero",
+            )
         message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
         rate = growth[which]
         if rate > neutral or (rate >= -neutral and leading[which].imag):
