@@ -140,7 +140,7 @@ def test_a_limit_that_a_part_of_the_box_misses_is_refused_with_a_part():
     """Over clock time its trajectories seem to stall."""
     rate = "Piecewise((0, (x >= 1) & (cos(t) > 0)), (k*cos(t), True))"
     grazing = ro.Problem.from_strings({"x": rate}, {"x": 0}, {"k": (0.5, 2)}, (0, 10))
-    with pytest.raises(ro.ConvergenceError, match=r"it was solved there") as refused:
+    with pytest.raises(ro.ConvergenceError, match="it was solved") as refused:
         ro.solve(grazing, RTOL)
     ((lower, upper),) = refused.value.part
     assert ro.solve(grazing, RTOL, parameters={"k": (lower, upper)}).success

@@ -98,6 +98,8 @@ class Engine:
         try:
             outcome = self._solve_as_written(system, request, report)
         except ConvergenceError as error:
+            if held is not None:  # which tells more
+                return held
             raise failure or error from None
         if outcome.status.ends_early and isinstance(failure, AccumulationError):
             raise failure
