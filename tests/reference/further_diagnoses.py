@@ -151,6 +151,33 @@ def calibrated_side(seed, cause):
     return calibrated({"x": "-k*x"}, {"x": "1"}, box, *decayed(seed, cause), "x")
 
 
+def hardly_decayed(seed, cause):
+    """Decays by one deviation of the rate from none at all; or by six."""
+    t, noise = np.linspace(0.2, 2.0, 10), tame(seed, 10)
+    noise -= (noise @ t) / (t @ t) * t
+    return t, np.exp(-(0.004 + 2e-4 * seed if cause else 0.03 + 0.002 * seed) * t) + SIGMA * noise
+
+
+def other_side(seed, cause):
+    """A rate that may be as small as one likes."""
+    solution = strings({"x": "-k*x"}, {"x": "1"}, {"k": (1e-4, 10, "log")}, 2, 1e-5)
+    return solution.fit(*hardly_decayed(seed, cause), sigma=SIGMA)
+
+
+def calibrated_other_side(seed, cause):
+    """The same in a calibration."""
+    box = {"k": (1e-4, 10, "log")}
+    return calibrated({"x": "-k*x"}, {"x": "1"}, box, *hardly_decayed(seed, cause), "x")
+
+
+def misfit_around(seed, cause):
+    """The noise is twice as large as said, or 1.2 times: the last fit alone looks at it."""
+    data = np.exp(-(1.0 + 0.05 * seed) * CLOCK)
+    data += (2.0 if cause else 1.2) * SIGMA * tame(seed, 20, 2.5)
+    box = {"k": (0.1, 10, "log")}
+    return calibrated({"x": "-k*x"}, {"x": "1"}, box, CLOCK, data, "x", box=True)
+
+
 def held(seed, cause):
     """The fit in the last box, beside rates of which the data tell the product alone."""
     data = {"x": np.exp(-CLOCK), "y": np.exp(-(1.0 + 0.05 * seed) * CLOCK)}
@@ -164,11 +191,43 @@ def held(seed, cause):
     return ro.calibrate(problem, experiment, starts=3, seed=1, fixed=fixed, rtol=1e-3).fit
 
 
+def population_unsettled(seed, cause):
+    """Subjects whose estimates are at kinks, or a steep valley; or none, and a mild one."""
+    generator = np.random.default_rng([5163, seed])
+    if seed % 2:
+        return valley_of_subjects(generator, 10.0 ** (3.0 + 0.2 * seed if cause else 0.1 * seed))
+    times = np.linspace(0.5, 8.0, 16)
+    rows = np.minimum(times, (3.5 + standard(generator, 5))[:, None])
+    for row in rows if cause else ():
+        k = int(np.argmax(row))
+        row[:] = np.minimum(times, times[k])
+        row[k + 1 :] -= 0.12 / (15 - k)
+        row[k] += 0.3
+    rows = table(times, rows + 0.02 * generator.standard_normal(rows.shape), "x")
+    return ramp().fit_population(rows, random=["a"], sigma=0.05)
+
+
+def valley_of_subjects(generator, steepness):
+    """The valley of :func:`unsettled`, with a rate of its own for each of eight subjects."""
+    a = 1.0 + 0.1 * standard(generator, 8)[:, None]
+    f, g = np.zeros((8, 2)), a + np.zeros(2)
+    f, g = (each + 0.02 * generator.standard_normal((8, 2)) for each in (f, g))
+    rows = table(ONCE, f, "f", g=g.ravel())
+    start, observe = {"a": 0.0, "b": 0.0}, valley(steepness)
+    return ramps(-3).fit_population(
+        rows, random={"a": "normal"}, observe=observe, sigma=0.02, start=start
+    )
+
+
 CASES = {
     "search": (r"the search did not converge", unsettled),
+    "population: search": (r"the search did not converge", population_unsettled),
     "on its way": (r"still on its way", on_its_way),
     "one side": (r"no upper bound, only a lower one", one_side),
     "calibration: one side": (r"no upper bound, only a lower one", calibrated_side),
+    "other side": (r"no lower bound, only an upper one", other_side),
+    "calibration: other side": (r"no lower bound, only an upper one", calibrated_other_side),
+    "calibration: fit": (r"the fit around the optimum is no success", misfit_around),
     "held": (r"the solution holds `p` and `q`, which the data do not determine", held),
     "kink": (r"at a kink of the sum of squares", kink),
     "zeros": (r"^the solution itself is not a success", zeros),

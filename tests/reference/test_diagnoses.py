@@ -9,7 +9,14 @@ from tests.reference.further_diagnoses import further_diagnoses
 DIAGNOSES = {diagnosis.key: diagnosis for diagnosis in [*diagnoses(), *further_diagnoses()]}
 CHEAP = (
     *("event inside", "outlier", "misfit", "at an end", "growing", "too few values"),
-    *("minimize: solution", "solution", "covariate constant", "one subject", "search"),
+    *(
+        "minimize: solution",
+        "solution",
+        "covariate constant",
+        "one subject",
+        "search",
+        "other side",
+    ),
 )
 
 

@@ -99,9 +99,9 @@ def _at_bound(fit: Intervals, name: str, end: str) -> str:
 
 def one_sided(name: str, side: str) -> str:
     """That the data bound a parameter from one side alone."""
-    other = "lower" if side == "upper" else "upper"
+    other = "a lower" if side == "upper" else "an upper"
     return with_remedy(
-        f"the data give {quote(name)} no {side} bound, only a {other} one",
+        f"the data give {quote(name)} no {side} bound, only {other} one",
         "measure more, or widen its interval if that is no limit of nature",
     )
 
