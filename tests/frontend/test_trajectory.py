@@ -1,5 +1,6 @@
 """One ordinary trajectory: against exact solutions, and in the shapes of a solution."""
 
+import math
 import pickle
 
 import numpy as np
@@ -204,3 +205,27 @@ def test_a_trajectory_that_slides_is_left_to_solve():
     problem = ro.Problem.from_strings(rates, {"x": "0", "v": "0.5"}, box, (0, 15))
     with pytest.raises(ro.ConvergenceError, match=r"jump to and fro .* ro\.solve follows"):
         problem.trajectory([14.0], mu=0.52)
+
+
+@pytest.mark.parametrize(
+    ("rate", "exact"),
+    [
+        ("-x + exp(-700)", lambda t: math.exp(-700.0) * -np.expm1(-t)),
+        ("-1000*x + exp(-700)", lambda t: 1e-3 * math.exp(-700.0) + 0.0 * t),
+        ("60*x + exp(-700)", lambda t: math.exp(-350.0) * np.exp(60.0 * t - 350.0) / 60.0),
+        ("x + exp(-730)", lambda t: math.exp(-365.0) * (math.exp(-365.0) * np.expm1(t))),
+    ],
+)
+def test_rates_near_the_smallest_numbers_do_not_blow_up(rate, exact):
+    problem = ro.Problem.from_strings({"x": rate}, {"x": 0}, {}, (0, 10))
+    times = np.array([5.0, 10.0])
+    values = problem.trajectory(times, rtol=1e-9).values[0]
+    np.testing.assert_allclose(values, exact(times), rtol=1e-5)
+
+
+def test_a_pole_after_the_smallest_numbers_is_one():
+    problem = ro.Problem.from_strings(
+        {"x": "x**2 + exp(-700)", "y": "y**2"}, {"x": 0, "y": 1}, {}, (0, 2)
+    )
+    with pytest.raises(ro.BlowUpError, match="beyond t = 1:"):
+        problem.trajectory([1.5])

@@ -27,6 +27,7 @@ _LEAST_TOLERANCE = 1e-13  # Of a step, over the largest value: below it rounding
 _FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
 _FIRST_TIMES = 9  # Times in it at which rates are taken
 _FIRST_SHARE = 1e-6  # Size of a state that starts at zero, over its change in that time
+_LEAST_ABSOLUTE = 1e-150  # Least absolute tolerance: what is divided by its square is a number
 _LEAST_SIZE = 1e-12  # Size of states if nothing tells it
 _ROUNDING = 8.0 * np.finfo(float).eps  # Relative change of the states that tells the noise of rates
 _SAME_INSTANT = 1e-12  # Part of the horizon within which two times are one
@@ -39,6 +40,11 @@ _REACH = 1e-9  # Part of the horizon over which a trajectory is continued straig
 _MOST_CROSSINGS = 2000  # Places where rates jump with the states: sliding crosses without end
 _MOST_ROUNDS = 100  # Rounds of events at one instant
 _SHARE_BEFORE = 0.98  # Of the time to a jump of the rates, up to which the next step may go
+
+
+def _in_units(path: Callable[[Array], Array], units: Array) -> Callable[[Array], Array]:
+    """A path of states (n, T) in ``units`` (n,), in those of the equations."""
+    return path if (units == 1.0).all() else lambda times: units[:, None] * path(times)
 
 
 class Integration:
@@ -139,7 +145,10 @@ class Integration:
         first = self._rates(self._time, self._state)
         if not np.isfinite([*self._state, *first]).all():
             raise self._blow_up()
-        solver, with_events = self._solver(end), len(self._occurrences) > 0
+        absolute, with_events = self._tolerances(end), len(self._occurrences) > 0
+        # LSODA squares what it divides by tolerances: tiny states are in units of their own
+        units = np.where(absolute < _LEAST_ABSOLUTE, np.exp2(np.frexp(absolute)[1] + 0.0), 1.0)
+        solver = self._solver(end, absolute, units)
         start, stalls = self._time, 0
         while solver.status == "running" and self._goes_on():
             failure = solver.step()
@@ -152,25 +161,28 @@ class Integration:
             self._steps += 1
             if self._steps > _MOST_STEPS:
                 raise self._too_long()
-            self._sizes = np.maximum(self._sizes, np.abs(solver.y))
-            path = solver.dense_output()
+            state, path = units * solver.y, _in_units(solver.dense_output(), units)
+            self._sizes = np.maximum(self._sizes, np.abs(state))
             if self._jumps_within(path, solver.t):
                 return
             if with_events and solver.t > self._time and self._interrupts(path, solver.t):
                 return
             self._keep(solver.t, path)
-            self._time, self._state = solver.t, solver.y
+            self._time, self._state = solver.t, state
 
-    def _solver(self, end: float) -> Any:
-        """LSODA from the present state on; its steps are short where there are events."""
+    def _solver(self, end: float, absolute: Array, units: Array) -> Any:
+        """LSODA from the present state on, which is in ``units`` (n,).
+
+        Its steps are short where there are events.
+        """
         longest = (self._end - self._start) / _FEWEST_STEPS if self._occurrences else np.inf
         return scipy.integrate.LSODA(
-            self._rates,
+            lambda time, state: self._rates(time, units * state) / units,
             self._time,
-            self._state,
+            self._state / units,
             end,
             rtol=self.rtol,
-            atol=self._tolerances(end),
+            atol=absolute / units,
             max_step=longest,
             first_step=self._first_step and min(self._first_step, end - self._time),
         )
@@ -226,7 +238,8 @@ class Integration:
         sizes[sizes == 0.0] = _FIRST_SHARE * positive.min() if positive.size else _LEAST_SIZE
         beside = self._rates(start, state * (1.0 + _ROUNDING))
         noise = np.where(np.isfinite(beside), span * np.abs(beside - first), 0.0)
-        return np.maximum(max(_SMALL_STATE * self.rtol, _LEAST_TOLERANCE) * sizes, noise)
+        resolved = np.maximum(noise, np.finfo(float).smallest_subnormal)
+        return np.maximum(max(_SMALL_STATE * self.rtol, _LEAST_TOLERANCE) * sizes, resolved)
 
     # -- events -----------------------------------------------------------------------------------
 
