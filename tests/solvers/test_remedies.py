@@ -52,21 +52,37 @@ def test_an_earlier_end_of_chaos_is_solved():
     assert ro.solve(case.problem(), case.rtol, t_final=float(found[1])).success
 
 
-def test_a_tolerance_that_an_attempt_meets_is_offered():
+@pytest.mark.parametrize(
+    ("succeed", "remedy"),
+    [
+        ((3e-3,), "try rtol=3e-03: it was solved to"),
+        ((1e-2,), "try rtol=1e-02: it was solved to"),
+        ((), "loosen rtol, narrow the box or shorten the horizon"),
+    ],
+)
+def test_a_looser_tolerance_is_tried_before_it_is_offered(succeed, remedy):
     solution = ro.solve(REFERENCE["decay"](), rtol=1e-3, method="cross")
     measured = dataclasses.replace(solution.outcome.measured, interior=(1.7e-3,))
     vague = Remedy("loosen rtol, narrow the box or shorten the horizon")
+    predicted = NarrowBox((("k", 1.4, 1.6),))
     missed = dataclasses.replace(
-        solution.outcome, status=Status.TOLERANCE, measured=measured, notes=(vague,)
+        solution.outcome, status=Status.TOLERANCE, measured=measured, notes=(predicted, vague)
     )
-    request = SolveRequest(1e-6, Domain((0.0, 2.0), ((1.0, 2.0),)))
-    told = remedied(missed, request, Trials(request, ("k",), lambda request: None))
-    assert told.verdict.remedy == "try rtol=3e-03: predicted error 1.7e-03"
-    assert told.slabs == missed.slabs
+    request, tried = SolveRequest(1e-6, Domain((0.0, 2.0), ((1.0, 2.0),))), []
+
+    def trial(request):
+        tried.append(request.rtol)
+        return solution.outcome if request.rtol in succeed else None
+
+    told = remedied(missed, request, Trials(request, ("k",), trial))
+    assert told.verdict.remedy.startswith(remedy)
+    if succeed:
+        assert tried[-1] == succeed[0]
+        assert told.verdict.notes[-1] == predicted  # after what was tried
+        assert told.error == solution.error  # the better of both
     front = SteepParameter("k", "x", 1.5, 1.5000001, 1.0, jump=True, at_end=True)
     jumps = dataclasses.replace(missed, status=Status.STEEP, cause=front)
-    jumping = remedied(jumps, request, Trials(request, ("k",), lambda request: None))
-    assert "try rtol" not in jumping.message
+    assert "try rtol" not in remedied(jumps, request, Trials(request, ("k",), trial)).message
 
 
 @pytest.mark.parametrize("latest", [0.01, 0.04, 0.11, 0.6, 1.9])

@@ -137,7 +137,7 @@ def test_a_staircase_that_takes_all_of_the_budget_is_named(term, where):
 def test_a_reference_without_a_step_is_said():
     """A budget that ends before the first step tells no time."""
     assert str(Verdict(Status.WORK_LIMIT, ReferenceLimit(0.0, 0))) == (
-        "the budget of work was reached by the reference trajectories before they had made one step"
+        "the budget of work was reached before the reference trajectories could begin"
     )
     assert "at t = 0.5 after 7 steps" in str(Verdict(Status.WORK_LIMIT, ReferenceLimit(0.5, 7)))
 

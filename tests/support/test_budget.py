@@ -12,6 +12,7 @@ from rankone.support.budget import (
     NORMAL,
     PATIENCE,
     REMEDIES,
+    WAITING,
     OutOfTimeError,
     OutOfWorkError,
     charge,
@@ -21,8 +22,10 @@ from rankone.support.budget import (
     looking,
     operations_for,
     patience_for,
+    patient,
     seconds_left,
     unlimited,
+    waiting,
     work_done,
     work_left,
 )
@@ -128,6 +131,22 @@ def test_a_small_budget_has_the_patience_of_the_normal_one():
     assert patience_for(0.6 * NORMAL) == PATIENCE
     assert patience_for(0.1 * NORMAL) == pytest.approx((1.0 - REMEDIES) * 0.1 * NORMAL)
     assert patience_for(4.0 * NORMAL) == pytest.approx(4.0 * PATIENCE)
+
+
+@pytest.mark.parametrize(
+    ("work", "patience", "most", "left"),
+    [
+        (0.02 * NORMAL, 0.4 * NORMAL, NORMAL, 0.42 * NORMAL),
+        (NORMAL, 0.4 * NORMAL, NORMAL, 0.4 * NORMAL + WAITING),
+        (NORMAL, 0.4 * NORMAL, 0.5 * NORMAL, 0.45 * NORMAL),
+        (NORMAL, NORMAL, 0.5 * NORMAL, 0.5 * NORMAL),
+    ],
+)
+def test_waiting_leaves_something_of_the_budget(work, patience, most, left):
+    with limited(most), patient(patience):
+        with waiting(work):
+            assert work_left() == pytest.approx(left)
+        assert work_left() == min(patience, most)
 
 
 def test_the_cost_of_generated_functions():

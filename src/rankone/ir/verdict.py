@@ -144,11 +144,11 @@ class ReferenceLimit(Cause):
     chattering: str | None = None
 
     def sentence(self, status: Status) -> str:
+        if self.time is not None and not self.steps:
+            return f"{status.value} before the reference trajectories could begin"
         text = f"{status.value} by the reference trajectories"
-        if self.time is not None and self.steps:
+        if self.time is not None:
             text += f", at t = {self.time:.6g} after {self.steps} steps"
-        elif self.time is not None:
-            text += " before they had made one step"
         if self.chattering is not None:
             text += f", where the rate of {quote(self.chattering)} switches to and fro"
         return text
@@ -456,12 +456,13 @@ class Remedy(Note):
 class NarrowBox(Note):
     """Parameters to narrow, each with an interval on which the solve is predicted to converge.
 
-    The nodes that the best attempt had, and the modes that it lacked, tell the intervals; or the
-    solve was ``tried`` on them.
+    The nodes that the best attempt had, and the modes that it lacked, tell the intervals; or
+    ``one_order`` of events holds there, or the solve was ``tried`` on them.
     """
 
     intervals: tuple[tuple[str, float, float], ...]
     tried: bool = False
+    one_order: bool = False
 
     def sentence(self, status: Status) -> str:
         ranges = [
@@ -471,6 +472,8 @@ class NarrowBox(Note):
         narrow = f"narrow {' and '.join(ranges)}"
         if self.tried:
             return f"{narrow}: it was solved there"
+        if self.one_order:
+            return f"{narrow}: events come in one order there"
         return f"it is predicted to converge if you {narrow}"
 
 
@@ -591,7 +594,9 @@ class OtherEngines(Note):
     lead: ClassVar[str] = ""
 
     def sentence(self, status: Status) -> str:
-        return "".join(f". Also tried {method}: {verdict}" for method, verdict in self.others)
+        ended = status is Status.CONVERGED
+        endings = [(method, each.status.value if ended else each) for method, each in self.others]
+        return "".join(f". Also tried {method}: {ending}" for method, ending in endings)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ from rankone.support.budget import (
     keeping_back,
     persisting,
     seconds_left,
+    waiting,
     work_done,
     work_left,
 )
@@ -71,6 +72,7 @@ RECENT_ATTEMPTS = 3
 LEAST_COST_RATIO = 0.9
 """Work of an attempt over that of the one before it, at least: each is finer, and may only spare
 what calibrations took."""
+_PAID_SHARE = 0.5  # Part of the work of the reference that does not count against patience
 # Endings after which a narrower box may help
 _NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
 _MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it
@@ -267,7 +269,8 @@ def solve_in_attempts(
                 marcher = marcher_of()
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages, request.check.states)
-        made = _attempts(marcher, request.rtol, options, report, stages)
+        with waiting(_PAID_SHARE * stages.work["reference"]):
+            made = _attempts(marcher, request.rtol, options, report, stages)
     reference_set, best = marcher.reference_set, made.best
     status = best.status(reference_set, request.rtol)
     if made.limit is not None and status is not Status.CONVERGED:
@@ -381,7 +384,8 @@ def out_at_reference(
         switching = out.reached.chattering
         name = None if switching is None else system.states[switching]
         cause = ReferenceLimit(float(out.reached.time), out.reached.steps, name)
-    notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
+    begun = out.reached is None or out.reached.steps > 0
+    notes: list[Note] = [*Budget.of(stages.work, stages.budget)] if begun else []
     if (memory_needed := MemoryNeeded.of(out)) is not None:
         cause, notes = None, [memory_needed]
     if out.sizes is not None:

@@ -24,7 +24,7 @@ from rankone.solution.branches import box_of_branch, slabs_over
 from rankone.solvers.attempts import Stages, out_at_reference
 from rankone.solvers.branch_check import MOST_MISSED, BranchCheck
 from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches_of
-from rankone.solvers.one_order import remedy_of
+from rankone.solvers.one_order import box_of_one_order, remedy_of
 from rankone.solvers.stretches import sizes_at_start, timed_system
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
@@ -47,7 +47,7 @@ _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 _WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
 # What to do where a limit is reached, before what always helps
-_RAISED = {Status.WORK_LIMIT: "raise effort, or ", Status.TIME_LIMIT: "raise max_seconds, or "}
+_RAISED = {Status.WORK_LIMIT: "raise effort", Status.TIME_LIMIT: "raise max_seconds"}
 # How a branch is not resolved where a limit is reached
 _SPENT = {
     Status.WORK_LIMIT: " within its share of the budget",
@@ -212,14 +212,19 @@ class _Solves:
 
     def out_of_budget(self, out: OutOfBudgetError, reason: str) -> Outcome:
         """The outcome when a limit is met, with the reason for several orders."""
-        status, notes, remedy = Status.of_limit(out), list[Note](), REMEDY
+        status, notes, remedies, part = Status.of_limit(out), list[Note](), [REMEDY], None
         if (memory_needed := MemoryNeeded.of(out)) is not None:
             notes.append(memory_needed)
         if self.search is not None:
             reason = f"{reason}: {_largest_orders(self.search)}"
             with self.stages.of("reference"):
-                remedy, _ = remedy_of(self.search)
-        notes.append(Remedy(_RAISED.get(status, "") + remedy))
+                _, part = remedy_of(self.search)
+        if part is not None:
+            names, bounds = self.timed.parameters, self.request.domain.bounds
+            notes.append(box_of_one_order(names, bounds, part))
+            remedies = []
+        remedies = [*([_RAISED[status]] if status in _RAISED else []), *remedies]
+        notes += [Remedy(", or ".join(remedies))] if remedies else []
         cause = OrderSearchLimit(reason)
         ended = Outcome((), status, None, (), {}, {}, cause=cause, notes=tuple(notes))
         return self._with_stages(ended)
@@ -254,7 +259,7 @@ def _limited_error(
     part: tuple[Interval, ...] | None = None,
 ) -> OrderError:
     """The error of what is not solved, perhaps because a limit was reached."""
-    raised = "" if limit is None else _RAISED[limit]
+    raised = "" if limit is None else f"{_RAISED[limit]}, or "
     error = OrderError(message, remedy=raised + remedy)
     error.limit, error.part = limit, part
     return error

@@ -13,16 +13,19 @@ from rankone.ir.system import System
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import (
     Budget,
+    NarrowBox,
     Note,
     OrderSearchLimit,
     Remedy,
     SeveralOrders,
     Status,
     SwitchesNotHeld,
+    Verdict,
 )
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.markers import FirstPoints, SolveStart, goes_in_step, start_of
+from rankone.solvers.one_order import box_of_one_order
 from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, part_of_budget
 from rankone.support.errors import ConvergenceError
@@ -111,10 +114,9 @@ class Engine:
                 raise failure
         if held is not None and _is_better(held, outcome):
             return held
-        if outcome.status not in _SOLVED:
-            reason = str(failure if held is None else held.verdict)
-            outcome = replace(outcome, notes=(*outcome.notes, SwitchesNotHeld(reason)))
-        return outcome
+        if outcome.status in _SOLVED:
+            return outcome
+        return _not_held(outcome, failure if held is None else held, system, request)
 
     def _solve_as_written(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve with the switches of the rates as they are."""
@@ -308,6 +310,31 @@ def _with_orders(steep: Outcome, failure: OrderError) -> Outcome:
     # Shares of the budget are those of the steep solve alone
     ended = tuple(note for note in notes if not isinstance(note, Budget))
     return replace(steep, status=failure.limit, cause=None, notes=ended)
+
+
+def _not_held(
+    outcome: Outcome,
+    between: Outcome | ConvergenceError | Verdict | str | None,
+    system: System,
+    request: SolveRequest,
+) -> Outcome:
+    """An outcome that says how the solve ended ``between`` switches of the rates.
+
+    A part of the box in which they come in one order is what to narrow it to: modes fall as
+    predicted only where a solution is smooth.
+    """
+    notes = [note for note in outcome.notes if not isinstance(note, NarrowBox)]
+    boxes: list[NarrowBox] = []
+    if isinstance(between, Outcome):
+        boxes = [note for note in between.notes if isinstance(note, NarrowBox) and note.one_order]
+        told = (NarrowBox, Remedy) if boxes else NarrowBox
+        kept = tuple(note for note in between.notes if not isinstance(note, told))
+        between = replace(between, notes=kept).verdict
+    elif isinstance(between, OrderError) and between.part is not None:
+        names, bounds = system.parameters, request.domain.bounds
+        boxes = [box_of_one_order(names, bounds, between.part)]
+        between = between.message
+    return replace(outcome, notes=(*notes, SwitchesNotHeld(str(between)), *boxes))
 
 
 def _as_ended(steep: Outcome, ended: Outcome) -> Outcome:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.measures import Interval
+from rankone.ir.verdict import NarrowBox
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, budget_left, persisting
 from rankone.support.wording import quote
@@ -57,6 +58,18 @@ def remedy_of(search: OrderSearch) -> tuple[str, tuple[Interval, ...] | None]:
         return REMEDY, None
     narrowed = narrowing_text(search.system.parameters, search.bounds, part)
     return f"narrow {narrowed}: events come in one order there", part
+
+
+def box_of_one_order(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> NarrowBox:
+    """Which parameters to narrow, and to what, for one order of events."""
+    return NarrowBox(
+        tuple(
+            (name, *inside(ends))
+            for name, whole, ends in zip(names, bounds.tolist(), part, strict=True)
+            if list(ends) != whole
+        ),
+        one_order=True,
+    )
 
 
 def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> str:

@@ -1,7 +1,7 @@
 """What to do about a solve that is refused: a remedy is tried before it is offered.
 
-A looser tolerance that the best attempt meets needs no trial. Otherwise the same solve is tried at
-a looser tolerance, on smaller boxes, and up to earlier ends, each with a part of what is left.
+The same solve is tried at a looser tolerance, on smaller boxes, and up to earlier ends, each with
+a part of what is left. A box that is predicted, and not tried for lack of work, comes last.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rankone.trajectories.events.event_order import OrderError, TrajectoryEndErr
 
 _WORST = 0.02  # Largest error of a solution that is offered
 _MARGIN = 1.5  # A looser tolerance over the error that was measured, at least
-_LOOSER = 1e-2  # Tolerance that is tried where no attempt came to its end
+_LOOSER = 1e-2  # Tolerance that is tried where no attempt meets a tighter one
 _HALF = 0.5  # Part of what is left that goes into one kind of remedy if others follow
 _EACH = 0.25  # Part of that which one box may take
 _FIRST_ENDS = (1 / 64, 1 / 512)  # Parts of the horizon, in turn up to a success
@@ -58,19 +58,17 @@ Intervals = Mapping[int, Interval]
 def remedied(outcome: Outcome, request: SolveRequest, trials: Trials) -> Outcome:
     """The outcome of a request with a remedy that holds, if one is found.
 
-    Where no attempt came to its end, with the slabs of a looser solve that succeeds. A box that is
+    With the slabs of a looser solve that succeeds where no attempt came as close. A box that is
     predicted stays unless the solve fails there too.
     """
     if outcome.status in _NO_REMEDY:
         return outcome
-    front = outcome.cause if isinstance(outcome.cause, SteepParameter) else None
-    jumps = front is not None and front.jump
-    looser = _looser(outcome.error)
-    if not jumps and request.rtol < looser and outcome.error <= _WORST and outcome.slabs:
-        advice = f"try rtol={looser:.0e}: predicted error {outcome.error:.1e}"
-        return _with_notes(outcome, Remedy(advice))
-    if front is None and request.rtol < _LOOSER and (solved := trials.looser()) is not None:
-        advice = f"try rtol={_LOOSER:.0e}: it was solved to {solved.error:.1e}"
+    for rtol in _looser_ones(outcome, request.rtol):
+        if (solved := trials.looser(rtol)) is None:
+            continue
+        advice = f"try rtol={rtol:.0e}: it was solved to {solved.error:.1e}"
+        if outcome.slabs and outcome.error <= solved.error:
+            return _with_notes(outcome, Remedy(advice))
         outcome = _with_notes(outcome, Remedy(advice), NothingInterpolated)
         return replace(
             outcome,
@@ -112,10 +110,10 @@ class Trials:
     names: Sequence[str]
     trial: TriedSolve
 
-    def looser(self) -> Outcome | None:
+    def looser(self, rtol: float) -> Outcome | None:
         """The outcome at a looser tolerance; None without success."""
         with limited(_HALF * budget_left()):
-            outcome = self.trial(replace(self.request, rtol=_LOOSER))
+            outcome = self.trial(replace(self.request, rtol=rtol))
         return outcome if _succeeds(outcome) else None
 
     def smaller(self, outcome: Outcome) -> tuple[NarrowBox | None, bool]:
@@ -211,12 +209,16 @@ def _succeeds(outcome: Outcome | None) -> bool:
     return outcome is not None and outcome.status is Status.CONVERGED
 
 
-def _looser(error: float) -> float:
-    """A tolerance of one digit that an error meets with some margin; infinite if there is none."""
-    if not 0.0 < error < math.inf:
-        return math.inf
+def _looser_ones(outcome: Outcome, rtol: float) -> list[float]:
+    """Looser tolerances to try: of one digit that the measured error meets with some margin."""
+    front, error = outcome.cause, outcome.error
+    tolerances = [_LOOSER] if rtol < _LOOSER and not isinstance(front, SteepParameter) else []
+    jumps = isinstance(front, SteepParameter) and front.jump
+    if jumps or not outcome.slabs or not 0.0 < error <= _WORST:
+        return tolerances
     unit = 10.0 ** math.floor(math.log10(_MARGIN * error))
-    return float(f"{math.ceil(_MARGIN * error / unit) * unit:.0e}")
+    met = float(f"{math.ceil(_MARGIN * error / unit) * unit:.0e}")
+    return [met, *(each for each in tolerances if each > met)] if met > rtol else tolerances
 
 
 def _end_text(end: float) -> str:
@@ -226,8 +228,10 @@ def _end_text(end: float) -> str:
 def _with_notes(outcome: Outcome, told: Note, *instead: type[Note]) -> Outcome:
     """The outcome with a remedy in place of others, and of those that say less than it."""
     vague = () if outcome.status in _RAISED else (Remedy,)
-    kept = _without_notes(outcome, *vague, *instead)
-    return replace(kept, notes=(*kept.notes, told))
+    kept = _without_notes(outcome, *vague, *instead).notes
+    predicted = tuple(note for note in kept if isinstance(note, NarrowBox))
+    others = tuple(note for note in kept if not isinstance(note, NarrowBox))
+    return replace(outcome, notes=(*others, told, *predicted))
 
 
 def _without_notes(outcome: Outcome, *kinds: type[Note]) -> Outcome:

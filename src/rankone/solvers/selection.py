@@ -130,9 +130,9 @@ def _best_outcome(
 @contextmanager
 def _remedying(limits: Limits) -> Iterator[None]:
     """Limit trials of remedies to what the solve took, and to a part of its budget."""
-    least = REMEDIES * limits.operations
-    most = max(patience_for(limits.operations) + least - work_done(), least)
-    with limited(min(most, max(work_done(), _LEAST_REMEDY_SHARE * limits.operations))):
+    least = _LEAST_REMEDY_SHARE * limits.operations
+    most = patience_for(limits.operations) + REMEDIES * limits.operations - work_done()
+    with limited(max(min(most, work_done()), least)):
         yield
 
 

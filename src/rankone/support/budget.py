@@ -28,6 +28,8 @@ PATIENCE = 0.43 * NORMAL
 """Operations of the normal effort after which a solve ends unless its attempts still improve."""
 REMEDIES = 0.14
 """Share of a budget that is kept for trials of remedies; after a short solve they take less."""
+WAITING = 0.1 * NORMAL
+"""Most operations that :func:`waiting` adds to the patience of a solve."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
@@ -159,6 +161,19 @@ def persisting(operations: float = math.inf) -> Iterator[None]:
     try:
         with limited(operations):
             yield
+    finally:
+        account.patience = before
+
+
+@contextmanager
+def waiting(operations: float) -> Iterator[None]:
+    """Have patience inside for so many operations more; half of what is beyond it stays."""
+    account = _ACCOUNT.get() or Account()
+    before = account.patience
+    if before < account.most:
+        account.patience += min(operations, WAITING, 0.5 * (account.most - before))
+    try:
+        yield
     finally:
         account.patience = before
 
