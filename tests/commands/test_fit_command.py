@@ -8,6 +8,7 @@ import pytest
 
 from rankone.commands.cli import main
 from tests.estimation.systems import DOSE_TIMES, FALL, FALL_TIMES, decay, drug, fall
+from tests.populations.test_doses import bolus
 
 TIMES = np.linspace(0.1, 2.0, 10)
 
@@ -44,6 +45,19 @@ def test_empty_cells_and_columns(tmp_path, capsys):
     assert (found["data"], found["observed"]) == (30, ["p", "c"])
     assert main(["fit", file, data, "--sigma", "0.02", "--observe", "c", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["data"] == 24
+
+
+def test_rows_of_doses(tmp_path, capsys):
+    file = str(bolus().save(tmp_path / "bolus.npz"))
+    times, amounts = np.array([0.0, 1.0, 3.0, 5.0, 6.0, 8.0]), [5.0, "", 3.0, "", "", ""]
+    exact = 5.0 * np.exp(-0.3 * times)
+    exact[times > 3.0] += 3.0 * np.exp(-0.3 * (times[times > 3.0] - 3.0))
+    cells = [value if amount == "" else "" for value, amount in zip(exact, amounts)]
+    data = table(tmp_path / "d.csv", "t,amt,u", times, amounts, cells)
+    assert main(["fit", file, data, "--sigma", "0.01", "--doses", "dose=amt", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["x"] == {"k": pytest.approx(0.3, abs=1e-4)}
+    assert main(["fit", file, data, "--sigma", "0.01"]) == 2
+    assert '--doses dose="amt"' in capsys.readouterr().err
 
 
 def test_not_identified(tmp_path, capsys):

@@ -90,7 +90,7 @@ def test_steady_starts(tmp_path, capsys):
     assert answer["values"]["x"] == pytest.approx(0.25)
     path.write_text(AT_REST.replace("settle", "setle"))
     assert main(["show", str(path)]) == 2
-    assert "unknown key `setle`" in capsys.readouterr().err
+    assert "unknown key `setle` (did you mean `settle`?)" in capsys.readouterr().err
 
 
 def test_show_and_export(file, tmp_path, capsys):

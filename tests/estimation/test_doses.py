@@ -88,6 +88,22 @@ def test_what_else_is_refused():
         bolus().fit(table(), observe={"u": "u/dose"}, **AMOUNT)
     with pytest.raises(ro.OptionError, match="the data are none"):
         bolus().fit(SAMPLES, exact(SAMPLES, 0.3, ONE), **AMOUNT)
+    for rows in (table(), {key.replace("amt", "AMT"): each for key, each in table().items()}):
+        with pytest.raises(ro.OptionError, match=r"(?i)`amt` .* has doses.*`doses` does not say"):
+            bolus().fit(rows, sigma=0.01)
+    with pytest.raises(ro.OptionError, match=r"`amt` .* has doses") as refused:
+        bolus().fit_population(columns(), random=["k"])
+    assert 'doses={"dose": "amt"}' in refused.value.remedy
     without = {**table(), "amt": np.full(len(table()["t"]), np.nan)}
     with pytest.raises(ro.OptionError, match="the table has data and no dose"):
         bolus().fit(without, **AMOUNT)
+    assert "dose" in bolus().fit({**without, "u": table()["u"]}, sigma=0.01).parameters
+
+
+def test_statistics_under_a_fit_with_doses_are_those_of_an_amount_that_is_fixed():
+    fit = bolus().fit(table(), sigma=0.01, **AMOUNT)
+    with pytest.raises(ro.OptionError, match="own values of `dose`") as refused:
+        bolus().mean(1.0, under=fit)
+    assert "solution.fix(dose=...)" in refused.value.remedy
+    mean = bolus().fix(dose=2.0).mean(1.0, under=fit)
+    assert mean[0] == pytest.approx(2.0 * np.exp(-0.3), rel=1e-4)

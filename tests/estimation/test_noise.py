@@ -267,6 +267,23 @@ def test_residuals_are_looked_at():
     assert any('try noise="proportional"' in check for check in grown.checks)
 
 
+def test_an_outlier_is_compared_with_the_others_where_noise_is_estimated():
+    """It enlarges the estimate itself: its size is that of a fit to the others (closed form)."""
+    t = np.linspace(0.1, 1.0, 10)
+    noise = np.array([0.9, -1.2, 0.3, -0.4, 1.1, 0.2, -0.8, 0.5, -1.0, 0.4])
+    rows = np.stack([np.ones(10), t], axis=1)
+    others = np.arange(10) != 6
+    for far in (12.0, 4.0):
+        data = 1.0 + 2.0 * t + 0.1 * noise
+        data[6] += 0.1 * far
+        estimate, squares, *_ = np.linalg.lstsq(rows[others], data[others])
+        at = rows[6] @ np.linalg.inv(rows[others].T @ rows[others]) @ rows[6]
+        size = (data[6] - rows[6] @ estimate) / np.sqrt(squares[0] / 7.0 * (1.0 + at))
+        checks = line().fit(t, data).checks
+        told = f"at 0.7 is, by the spread of the others, {size:.2g} standard deviations off"
+        assert any(told in check for check in checks) == (far == 12.0)
+
+
 def test_log_normal_noise_of_data_below_zero():
     with pytest.raises(OptionError, match=r"-1 of `u` is not positive, as log-normal noise wants"):
         decay().fit([0.1, 0.2, 0.3, 0.4], [1, -1, 1, 1], noise="log-normal")

@@ -8,6 +8,7 @@ import functools
 import numpy as np
 
 import rankone as ro
+from tests.estimation import systems
 from tests.reference.diagnoses import (
     CLOCK,
     SIGMA,
@@ -178,6 +179,13 @@ def misfit_around(seed, cause):
     return calibrated({"x": "-k*x"}, {"x": "1"}, box, CLOCK, data, "x", box=True)
 
 
+def outlier_of_unknown_noise(seed, cause):
+    """An inner one of ten values is twelve deviations off, or 2.8; the noise is estimated."""
+    t, noise = np.linspace(0.2, 2.0, 10), tame(seed, 10)
+    noise[1 + seed % 8] = 12.0 if cause else 2.8
+    return systems.decay().fit(t, 1.5 * np.exp(-t) + SIGMA * noise)
+
+
 def held(seed, cause):
     """The fit in the last box, beside rates of which the data tell the product alone."""
     data = {"x": np.exp(-CLOCK), "y": np.exp(-(1.0 + 0.05 * seed) * CLOCK)}
@@ -228,6 +236,7 @@ CASES = {
     "other side": (r"no lower bound, only an upper one", other_side),
     "calibration: other side": (r"no lower bound, only an upper one", calibrated_other_side),
     "calibration: fit": (r"the fit around the optimum is no success", misfit_around),
+    "outlier, noise unknown": (r"by the spread of the others", outlier_of_unknown_noise),
     "held": (r"the solution holds `p` and `q`, which the data do not determine", held),
     "kink": (r"at a kink of the sum of squares", kink),
     "zeros": (r"^the solution itself is not a success", zeros),

@@ -34,13 +34,14 @@ T = TypeVar("T")
 _SIGMA_HELP = "standard deviation of the noise, one or by unknown, numbers or expressions"
 _NOISE_HELP = "kind of noise, one or by unknown: constant, proportional, combined, ..."
 _OBSERVE_HELP = "columns to use, perhaps with what they are: signal='scale*x + offset'"
+_DOSES_HELP = "the parameter that is the amount of a dose, and the column of amounts"
 _BOUNDS_HELP = "interval of a parameter; SCALE is log"
 _EFFORT_HELP = "low, normal (default), high or a factor on the budget of the solve and the starts"
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
 problem) and what was measured. Empty cells are missing values. Columns `condition` and `subject`
 tell experiments apart, columns of parameters hold their values, `sigma` and `sigma_x` the
-standard deviations.
+standard deviations. With --doses, rows of doses have an amount and no data.
 
 exit status:
   0  nothing speaks against the fit
@@ -65,6 +66,7 @@ def register(commands: Commands) -> None:
     add("--observe", metavar="NAME[=EXPR]", nargs="+", action="extend", help=_OBSERVE_HELP)
     add("--sigma", metavar="S|NAME=S", nargs="+", help=_SIGMA_HELP)
     add("--noise", metavar="KIND|NAME=KIND", nargs="+", help=_NOISE_HELP)
+    add("--doses", metavar="NAME=COLUMN", nargs="+", action="extend", help=_DOSES_HELP)
     for option, meaning in (("fixed", "parameters that are known"), ("start", "where to start")):
         add(f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning)
     add(
@@ -100,6 +102,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         sigma=_one_or_named("--sigma", arguments.sigma, _number_or_text),
         noise=_one_or_named("--noise", arguments.noise, str),
         fixed=pairs_of("--fixed", arguments.fixed, float),
+        doses=pairs_of("--doses", arguments.doses, str, "--doses dose=amt") or None,
         start=pairs_of("--start", arguments.start, float) or None,
         bounds={k: tuple(ends) for k, ends in box_of(arguments.bounds, "--bounds").items()},
         prior=_priors(arguments.prior),

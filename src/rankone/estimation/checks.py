@@ -20,27 +20,36 @@ from rankone.support.wording import quote
 _UNLIKELY = 1e-3  # Probability by chance below which something is said
 _NEGLIGIBLE = 0.1  # Residuals below this, in standard deviations, are no noise
 _LEAST = 8  # Least number of data of an observable for patterns among them
+_ALONE = 1e-6  # What a fit leaves of the variance of a datum that alone decides on a parameter
 
 
 def residual_checks(
-    trials: Sequence[Trial], standardised: Sequence[Array], predicted: Sequence[Array]
+    trials: Sequence[Trial],
+    standardised: Sequence[Array],
+    predicted: Sequence[Array],
+    spare: Sequence[Array],
+    unit_known: bool,
 ) -> Iterator[str]:
-    """Sentences about standardised residuals (m,) and predictions (m,) of each trial."""
+    """Sentences about standardised residuals (m,) and predictions (m,) of each trial.
+
+    ``spare`` (m,) is the share of the variance of each datum that the fit leaves to its residual.
+    Unless the unit is known, the size of all noise is estimated.
+    """
     names = dict.fromkeys(name for trial in trials for name in trial.observations.names)
     for name in names:
-        series, owners, heavy = [], [], False
-        for trial, r, p in zip(trials, standardised, predicted, strict=True):
+        series, owners, heavy, known = [], [], False, unit_known
+        for trial, r, p, left in zip(trials, standardised, predicted, spare, strict=True):
             if name in trial.observations.names:
                 index = trial.observations.names.index(name)
                 here = trial.observations.of(index)
                 heavy |= trial.observations.noises[index].distribution == "student"
+                known &= not trial.observations.noises[index].estimated
                 owners.append(trial.name)
                 order = np.argsort(trial.observations.times[here], kind="stable")
-                series.append(
-                    (r[here][order], p[here][order], trial.observations.times[here][order])
-                )
-        yield from _of_observable(name, series, heavy)
-        yield from _aside(name, owners, [r for r, _, _ in series])
+                columns = r, p, trial.observations.times, left
+                series.append(tuple(column[here][order] for column in columns))
+        yield from _of_observable(name, series, heavy, known)
+        yield from _aside(name, owners, [r for r, *_ in series])
 
 
 def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterator[str]:
@@ -59,15 +68,16 @@ def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterato
 
 
 def _of_observable(
-    name: str, series: Sequence[tuple[Array, Array, Array]], heavy: bool
+    name: str, series: Sequence[tuple[Array, ...]], heavy: bool, known: bool
 ) -> Iterator[str]:
-    r, p, times = (np.concatenate(column) for column in zip(*series, strict=True))
+    r, p, times, spare = (np.concatenate(column) for column in zip(*series, strict=True))
     if not np.isfinite(r).all() or r.size < 3 or not np.abs(r).max() > _NEGLIGIBLE:
         return
-    yield from () if heavy else _outlier(name, r, times)
+    if not heavy:
+        yield from _outlier(name, r, times) if known else _apart(name, r, times, spare)
     if r.size < _LEAST:
         return
-    yield from _runs(name, [each for each, _, _ in series])
+    yield from _runs(name, [each for each, *_ in series])
     yield from _growing(name, r, p)
 
 
@@ -75,11 +85,33 @@ def _outlier(name: str, r: Array, times: Array) -> Iterator[str]:
     worst = int(np.argmax(np.abs(r)))
     chance = 2.0 * float(scipy.stats.norm.sf(abs(r[worst]))) * r.size
     if chance < _UNLIKELY:
-        yield with_remedy(
-            f"the measurement of {quote(name)} at {times[worst]:.4g} is "
-            f"{abs(r[worst]):.2g} standard deviations off",
-            'look at it, or fit with noise="student"',
-        )
+        yield _off(name, times[worst], "", abs(r[worst]))
+
+
+def _apart(name: str, r: Array, times: Array, spare: Array) -> Iterator[str]:
+    """The datum that is farthest off where the others are fitted without it, by their spread.
+
+    To first order that takes no fit (Cook & Weisberg, Residuals and Influence in Regression, 1982,
+    2.2): the outlier itself enlarges the estimate of the noise, and draws the curve.
+    """
+    freedom = float(spare.sum()) - 1.0
+    if freedom < 1.0:
+        return
+    shared = spare > _ALONE
+    own = np.divide(r**2, spare, out=np.zeros(r.size), where=shared)
+    others = np.maximum(np.sum(r**2) - own, 1e-12 * np.sum(r**2)) / freedom
+    sizes = np.sqrt(own / others)
+    worst = int(np.argmax(sizes))
+    chance = 2.0 * float(scipy.stats.t.sf(sizes[worst], freedom)) * r.size
+    if chance < _UNLIKELY:
+        yield _off(name, times[worst], ", by the spread of the others,", sizes[worst])
+
+
+def _off(name: str, time: float, by: str, size: float) -> str:
+    return with_remedy(
+        f"the measurement of {quote(name)} at {time:.4g} is{by} {size:.2g} standard deviations off",
+        'look at it, or fit with noise="student"',
+    )
 
 
 def _runs(name: str, series: Sequence[Array]) -> Iterator[str]:

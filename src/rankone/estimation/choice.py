@@ -14,6 +14,7 @@ from rankone.estimation.jumps import jumps_within
 from rankone.estimation.least_squares import Minima, minima, squares_of
 from rankone.estimation.levels import level_uncertainty
 from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.residuals import leverages_of
 from rankone.support.arrays import Array
 
 _DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which minima are different ones
@@ -93,14 +94,7 @@ def _corrected(problem: Likelihood, z: Array, jacobian: Array) -> tuple[Array, d
     """
     if not problem.groups:
         return z, {}
-    others = [j for j in range(z.size) if j not in problem.levels]
-    rows = np.zeros(len(jacobian), dtype=bool)
-    for _, _, here in problem.blocks:
-        rows[here] = True
-    location = np.where(rows[:, None], jacobian, 0.0)[:, others]
-    left, singular, _ = np.linalg.svd(location, full_matrices=False)
-    seen = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
-    leverages = np.sum(left[:, seen] ** 2, axis=1)
+    leverages = leverages_of(problem, jacobian)
     values, shares = problem.free.values(z), {}
     for group in problem.groups:
         names = {problem.free.names[j] for j in group}

@@ -17,7 +17,7 @@ from rankone.estimation.levels import LevelUncertainty
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.noise import normal_scores
 from rankone.estimation.observations import Observations
-from rankone.estimation.residuals import Rows, model_errors, rows_of
+from rankone.estimation.residuals import Rows, leverages_of, model_errors, rows_of
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
@@ -157,6 +157,15 @@ class Estimates:
     @cached_property
     def _rows(self) -> list[Rows]:
         return rows_of(self._problem, self._z)
+
+    @property
+    def _spare(self) -> list[Array]:
+        """For each experiment the share of the variance of each datum (m,) left to its residual."""
+        jacobian = self._problem.linearised(self._z[None], settle=False).jacobian[0]
+        leverages = leverages_of(self._problem, jacobian)
+        each = np.concatenate([1.0 - leverages[here] for _, _, here in self._problem.blocks])
+        ends = np.cumsum([trial.observations.size for trial in self.trials])
+        return np.split(each, ends[:-1])
 
     @property
     def deviations(self) -> list[Array]:

@@ -68,7 +68,8 @@ class Fit(Intervals, Labelled):
         Most are about the residuals, see the guide to fits.
         """
         predicted = [row.predicted for row in self._rows]
-        sentences = [*residual_checks(self.trials, self.standardised, predicted)]
+        rows = self.trials, self.standardised, predicted, self._spare
+        sentences = [*residual_checks(*rows, self.unit_known)]
         levels = {name for trial in self.trials for name in trial.observations.levels}
         for name in levels & set(self.fixed):
             if self.fixed[name] == 0.0:

@@ -48,6 +48,21 @@ def _rows(trial: Trial, at: Mapping[str, Array]) -> Rows:
     return Rows(predicted, scaled, sigma)
 
 
+def leverages_of(problem: Likelihood, jacobian: Array) -> Array:
+    """What share of each pseudo-residual (r,) the fit takes up, by their Jacobian (r, n).
+
+    Levels of noise take up nothing, and nothing is taken up of priors.
+    """
+    others = [j for j in range(jacobian.shape[1]) if j not in problem.levels]
+    rows = np.zeros(len(jacobian), dtype=bool)
+    for _, _, here in problem.blocks:
+        rows[here] = True
+    location = np.where(rows[:, None], jacobian, 0.0)[:, others]
+    left, singular, _ = np.linalg.svd(location, full_matrices=False)
+    seen = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
+    return np.asarray(np.sum(left[:, seen] ** 2, axis=1))
+
+
 def model_errors(
     problem: Likelihood, z: Array, sizes: Sequence[Mapping[str, float]]
 ) -> list[Array]:

@@ -25,6 +25,7 @@ GROUPS = ("condition", "subject")
 """Columns that tell experiments apart."""
 SIGMA = "sigma"
 """The column of standard deviations; ``sigma_x`` is that of x alone."""
+_DOSES = ("amt", "evid")  # Columns that only tables with rows of doses have
 _EMPTY = ("", ".", "None", "<NA>")  # Cells without a number, as text
 _TIME = "time"  # The column of time, if it has not the name of the problem's
 
@@ -213,6 +214,7 @@ def measured_columns(
             remedy=f"name columns as one of {listing(solution.states)}, or say what they are with "
             "observe={column: expression}",
         )
+    _check_doses(solution, columns)
     vocabulary = {*names, *GROUPS, *solution.states, *solution.parameters, time}
     for name in columns:
         if name in vocabulary or _is_sigma(name, names):
@@ -225,6 +227,22 @@ def measured_columns(
                 remedy="rename or drop it, or name what was measured: observe=[...]",
             )
     return names
+
+
+def _check_doses(solution: SolutionCore, columns: Mapping[str, Any]) -> None:
+    """Raise an OptionError if a column has doses, which nothing says how to take."""
+    own = {*solution.states, *solution.parameters}
+    for name in columns:
+        if name.lower() not in _DOSES or name in own:
+            continue
+        if np.nan_to_num(numbers_of(name, columns[name])).any():
+            amount = next(iter(solution.metadata.additive), "dose")
+            raise OptionError(
+                f"the column {quote(name)} of the table has doses, and `doses` does not say which "
+                "parameter is their amount",
+                term=name,
+                remedy=f'name both, doses={{"{amount}": "amt"}}, or drop the column',
+            )
 
 
 def _is_sigma(name: str, measured: Sequence[str]) -> bool:

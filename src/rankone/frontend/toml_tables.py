@@ -7,7 +7,7 @@ A file has the arguments in the layout of :data:`TOML_LAYOUT`, and may have a ``
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard
 
 from rankone.frontend.steady_start import SteadyState
@@ -71,6 +71,9 @@ _OPTIONAL = (
     *("parameters", "name", "jumps", "units", "events", "constants", "definitions", "atol"),
     *("equations", "unknowns", "tail", "correlation"),
 )
+_WRITTEN = {name: f"[{name}]" for name in ("rhs", "initial", "steady_state", "parameters", "units")}
+_WRITTEN |= {name: f"[{name}]" for name in ("constants", "definitions", "atol")}
+_WRITTEN |= {name: f"[[{name}]]" for name in ("jumps", "events")}  # How tables are written
 _AS_THEY_ARE = ("name", "tail", "equations", "unknowns")  # Taken over without a check
 SHOWN = "`rankone solve --help` shows the layout"
 
@@ -102,14 +105,7 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
 
 def _check_keys(content: Mapping[str, Any], file: str) -> None:
     """Raise if a file has an unknown key, or lacks one."""
-    keys = (*_REQUIRED, *_OPTIONAL)
-    for key in content:
-        if key not in keys:
-            raise ProblemError(
-                f"`{file}` has the unknown key `{key}`{did_you_mean(key, keys)}; "
-                f"known are {listing(keys)}",
-                term=key,
-            )
+    _check_known(f"`{file}`", content, (*_REQUIRED, *_OPTIONAL))
     present = {*content, *(["rhs"] if "equations" in content else [])}
     present |= {"initial"} if "steady_state" in content else set()
     missing = [key for key in _REQUIRED if key not in present]
@@ -125,18 +121,27 @@ def _check_keys(content: Mapping[str, Any], file: str) -> None:
         )
 
 
+def _check_known(
+    where: str, content: Mapping[str, Any], keys: Sequence[str], elsewhere: str = ""
+) -> None:
+    """Raise for a key that is none of those that a file, or a table of it, may have."""
+    for key in content:
+        if key not in keys:
+            written = [_WRITTEN.get(each, f"`{each}`") for each in keys]
+            raise ProblemError(
+                f"{where} has the unknown key `{key}`{did_you_mean(key, keys)}",
+                term=key,
+                remedy=f"it may have {', '.join(written[:-1])} and {written[-1]}{elsewhere}",
+            )
+
+
 def _start(content: Mapping[str, Any], initial: dict[str, str | float]) -> Mapping[str, Any]:
     """Initial values; or the steady state that is reached from them, if there is its table."""
     if "steady_state" not in content:
         return initial
     table = _table(content, "steady_state")
-    for key in table:
-        if key not in ("conditions", "settle"):
-            raise ProblemError(
-                f"[steady_state] has the unknown key `{key}`",
-                term=key,
-                remedy="it may have `conditions` and `settle`; initial values are in [initial]",
-            )
+    elsewhere = "; initial values are in [initial]"
+    _check_known("[steady_state]", table, ("conditions", "settle"), elsewhere)
     return SteadyState(_formulas(table, "conditions"), initial, table.get("settle"))
 
 
