@@ -20,7 +20,9 @@ from rankone.solvers.registry import ENGINES
 from rankone.solvers.stretches import timed_system
 from rankone.support.budget import limited, work_done
 from rankone.trajectories.events.event_order import OrderError
+from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after
+from rankone.trajectories.events.orders import OrderSearch
 from rankone.trajectories.events.stretches import in_stretches
 
 pytestmark = pytest.mark.slow
@@ -255,6 +257,43 @@ def test_a_valve_that_starts_beyond_its_limit_in_a_part_of_the_box():
             atol=1e-11,
         )
         np.testing.assert_allclose(solution["h"](t=times, K=gain, r=goal), run.y[0], atol=3 * RTOL)
+
+
+WOUND_BACK = ro.Problem.from_strings(
+    {"w": "(10*u - w)/0.2", "q": "r - w + (u - v)/Kp"},
+    {"w": 0, "q": 0},
+    {"Kp": (0.1, 0.3), "r": (60, 100)},
+    (0, 2),
+    definitions={"v": "Kp*(r - w) + 1.5*q", "u": "Max(-12, Min(12, v))"},
+)
+
+
+def test_what_fails_inside_the_box_is_not_tried_again_without_its_corners(monkeypatch):
+    search, tried, continued = searched(WOUND_BACK), [], OrderSearch.continued
+
+    def recorded(search, order, places, opened=None):
+        tried.append((order, opened is None))
+        return continued(search, order, places, opened)
+
+    monkeypatch.setattr(OrderSearch, "continued", recorded)
+    with pytest.raises(OrderError):
+        branches_of(search, RTOL)
+    assert len(tried) == len(set(tried))
+
+
+def test_what_fails_at_corners_alone_is_continued_without_them(monkeypatch):
+    search, forced = searched(KICKED), OrderSearch.forced
+    corners = search.to_corners.further
+
+    def failing(search, order, forced_order, points):
+        error = ContinuationError("a corner")
+        error.fails = (points[:, None, :2] == corners).all(axis=2).any(axis=1)
+        if error.fails.any():
+            raise error
+        return forced(search, order, forced_order, points)
+
+    monkeypatch.setattr(OrderSearch, "forced", failing)
+    assert len(branches_of(search, RTOL).branches) == 2
 
 
 def test_a_slip_that_has_just_begun_is_no_further_stick():

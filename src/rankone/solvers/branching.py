@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,17 +156,22 @@ def branches_of(search: OrderSearch, rtol: float) -> Branches:
     OrderError
         If an order that holds in more than slivers of the box cannot be continued.
     """
-    with suppress(ContinuationError):
-        return _Branching(search.to_corners, rtol).branches()
+    to_corners = _Branching(search.to_corners, rtol)
+    try:
+        return to_corners.branches()
+    except ContinuationError as error:
+        if not any(each.at_corners for each in (error, *(f.error for f in to_corners.failed))):
+            raise
     return _Branching(search, rtol).branches()
 
 
 @dataclass(frozen=True)
 class _Branching:
-    """How the branches of a search are formed."""
+    """How the branches of a search are formed, and which orders ``failed`` to be continued."""
 
     search: OrderSearch
     rtol: float
+    failed: list[_Failed] = field(default_factory=list)
 
     def branches(self) -> Branches:
         """Those of all orders, with where they part and what they graze."""
@@ -174,7 +179,7 @@ class _Branching:
 
     def _continued(self) -> Branches:
         """The orders, without those that a longer one goes on from or that are only grazed."""
-        search, branches, failed = self.search, list[Branch](), list[_Failed]()
+        search, branches, failed = self.search, list[Branch](), self.failed
         for order, places in search.groups().items():
             if any(self._is_part_of(other, order, places) for other in branches):
                 continue

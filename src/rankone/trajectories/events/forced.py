@@ -40,11 +40,12 @@ class ContinuationError(OrderError):
     """An order of events cannot be continued to all of the points (m, d).
 
     ``fails`` (m,) marks those at which it cannot. ``missed`` is the stretch whose event does not
-    come, if that is why.
+    come, if that is why. It may be that it cannot ``at_corners`` of the box alone.
     """
 
     fails: NDArray[np.bool_]
     missed: int | None = None
+    at_corners: bool = False
 
 
 @dataclass(frozen=True)

@@ -399,7 +399,9 @@ class OrderSearch:
         lengths = self.lengths(order, places)
         expected, margins = opened.spread(places, lengths, reached)
         if max(margins, default=0.0) > self.length:
-            raise self._not_smooth(order, int(np.argmax(margins)), len(opened.points))
+            error = self._not_smooth(order, int(np.argmax(margins)), len(opened.points))
+            error.at_corners = not opened.turns and self.further is not None
+            raise error
         return ForcedOrder(order.met, expected, margins, opened=opened.turns)
 
     def _not_smooth(self, order: Order, stretch: int, count: int) -> ContinuationError:
@@ -428,6 +430,8 @@ class OrderSearch:
                 return self.forced(order, forced, points[chunk]), chunk
             except ContinuationError as error:
                 if error.fails.all():
+                    corners = not forced.opened and chunk.min() >= len(self.points)
+                    error.at_corners = bool(corners)
                     raise
                 chunk = chunk[~error.fails]
 
