@@ -9,6 +9,7 @@ Read in this order:
 ``single``           SciPy's LSODA, one trajectory after the other
 ``lsoda``            the rates and Jacobians that it calls
 ``scalar``           generated functions rewritten for floats
+``known_states``     the same for states of which some are known numbers
 ``compiled``         heyoka's, by Taylor series, a batch of trajectories with steps of their own
 ``series``           the rates of a generated module as what heyoka compiles, for stacks too
 ``paths``            trajectories that each have steps of their own, as piecewise polynomials

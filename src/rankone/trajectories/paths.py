@@ -105,12 +105,14 @@ class Paths:
     """Several paths, which are read together.
 
     ``breaks`` (m, S + 1) are padded with infinity, ``first`` (m,) is the first step of each path,
-    and ``nodal`` (steps of all, nodes, n) are the states at the nodes of the steps.
+    and ``nodal`` (steps of all, nodes, n) are the states at the nodes of the steps. Those of a
+    stack are ``alike``: their steps are at the same times.
     """
 
     breaks: Array
     first: NDArray[np.intp]
     nodal: Array
+    alike: bool = False
 
     @classmethod
     def of(cls, paths: Sequence[Path]) -> Paths:
@@ -120,7 +122,8 @@ class Paths:
         for row, path in zip(breaks, paths, strict=True):
             row[: path.steps + 1] = path.breaks
         nodal = np.concatenate([path.nodal for path in paths])
-        return cls(breaks, np.cumsum(counts) - counts, nodal)
+        alike = all(path.breaks is paths[0].breaks for path in paths)
+        return cls(breaks, np.cumsum(counts) - counts, nodal, alike)
 
     @cached_property
     def coefficients(self) -> Array:
@@ -135,10 +138,14 @@ class Paths:
     def __call__(self, times: Array) -> Array:
         """States (n, m, T) at times (m, T) of each path, after a jump at its time."""
         charge(_READ_COST(times.size * self.nodal.shape[2]))
-        steps = np.isfinite(self.breaks).sum(axis=1) - 1
-        place = _after(self.breaks, times) - 1
-        place = np.clip(place, 0, steps[:, None] - 1)
-        begin, end = (np.take_along_axis(self.breaks, place + k, axis=1) for k in (0, 1))
+        if self.alike:
+            breaks = self.breaks[0]
+            place = np.clip(breaks.searchsorted(times, side="right") - 1, 0, breaks.size - 2)
+            begin, end = breaks[place], breaks[place + 1]
+        else:
+            steps = np.isfinite(self.breaks).sum(axis=1) - 1
+            place = np.clip(_after(self.breaks, times) - 1, 0, steps[:, None] - 1)
+            begin, end = (np.take_along_axis(self.breaks, place + k, axis=1) for k in (0, 1))
         shares = (2.0 * (times - begin) / (end - begin) - 1.0).ravel()
         chosen = (self.first[:, None] + place).ravel()
         few = times.size < len(self.nodal) and "coefficients" not in self.__dict__

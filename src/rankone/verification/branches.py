@@ -60,18 +60,19 @@ def branch_errors(
     errors, largest = np.zeros((2, n, len(points)))
     decided = _margins(evaluator, points) >= evaluator.width
     decided &= ~_coincide(evaluator, points)
-    rows = slice(0, n)
-    for k, (point, trajectory) in enumerate(zip(points, trajectories, strict=True)):
-        times = compared_times(trajectory, system, evaluator.horizon, rtol)
-        exact = trajectory(times)[:n]
-        ours, doubtful = evaluator.with_doubts(times[:, None], point[:, None], rows)
+    all_times = [compared_times(each, system, evaluator.horizon, rtol) for each in trajectories]
+    for block in np.array_split(np.arange(len(points)), -(-len(points) * n // _AT_ONCE)):
+        most = max(len(all_times[k]) for k in block)
+        times = np.stack([np.resize(all_times[k], most) for k in block], axis=1)
+        exact = np.stack([trajectories[k](times[:, i])[:n] for i, k in enumerate(block)], axis=2)
+        ours, doubtful = evaluator.with_doubts(times, points[block].T.copy(), slice(0, n))
         missing = np.isnan(exact)
-        defects = np.abs(ours[:, :, 0] - exact)
-        both = missing & np.isnan(ours[:, :, 0])
+        defects = np.abs(ours - exact)
+        both = missing & np.isnan(ours)
         defects = np.where(both, 0.0, np.nan_to_num(defects, nan=np.inf))
-        defects[:, doubtful[:, 0]] = 0.0
-        errors[:, k] = defects.max(axis=1, initial=0.0)
-        largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
+        defects[:, doubtful] = 0.0
+        errors[:, block] = defects.max(axis=1, initial=0.0)
+        largest[:, block] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
     time = _time_error(
         evaluator, points[decided], [t for t, d in zip(trajectories, decided, strict=True) if d]
     )

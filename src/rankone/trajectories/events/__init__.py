@@ -7,7 +7,7 @@
 ``integration``         roots of functions along trajectories, which end them or reset states
 ``periods``             trajectories of oscillators that repeat, which are integrated no further
 ``event_order``         the order in which all trajectories of a box meet their events
-``sides``               whether they stay on the sides of switches that they should be on
+``sides``               systems on given sides of switches, and whether trajectories stay on these
 ``stretches``           the system over stretches: from event to event, in pseudo-time
 ``over_stretches``      what trajectories over pseudo-time share
 ``stretch_integrator``  those that meet events in one order

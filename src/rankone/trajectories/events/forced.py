@@ -14,13 +14,14 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Clearance, Ending, ForcedOrder, Guard, SystemEvent, Turn
+from rankone.ir.events import Clearance, Ending, ForcedOrder, Guard, Turn
 from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
+from rankone.trajectories.events.sides import on_sides
 from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import Paths
 from rankone.trajectories.shares import SeparateRun, share_paths
@@ -80,7 +81,8 @@ class _Flow:
 
     ``starts`` are times (m,), ``points`` (m, d); ``ahead`` and ``behind`` are paths over the share
     of the way to times ``to_ahead``, ``to_behind`` (m,) from there, of which the second are
-    negative, or zero. Rates are finite between elapsed times ``first`` and ``last`` (m,).
+    negative, or zero. Rates are finite between elapsed times ``first`` and ``last`` (m,). The
+    ``system`` is on the sides of the stretch, which are no states of it.
     """
 
     starts: Array
@@ -91,6 +93,7 @@ class _Flow:
     to_behind: Array
     first: Array
     last: Array
+    system: System
 
     def __call__(self, elapsed: Array) -> Array:
         """States (n, m, K) after elapsed times (m, K)."""
@@ -112,15 +115,16 @@ class _Flow:
             self.to_behind[places],
             self.first[places],
             self.last[places],
+            self.system,
         )
 
-    def heights(self, event: SystemEvent, elapsed: Array, moved: _Move | None = None) -> Array:
+    def heights(self, event: int, elapsed: Array, moved: _Move | None = None) -> Array:
         """What crosses zero at an event, perhaps moved, after elapsed times (m, K): (m, K)."""
-        states = self(elapsed)
+        states, when = self(elapsed), self.system.events[event].when
         columns = np.repeat(self.points.T, elapsed.shape[1], axis=1)
         times = (self.starts[:, None] + elapsed).ravel()
         with np.errstate(all="ignore"):
-            heights = event.when(times, states.reshape(len(states), -1), columns)
+            heights = when(times, states.reshape(len(states), -1), columns)
         heights = np.broadcast_to(heights, times.shape).reshape(elapsed.shape)
         if moved is None:
             return np.asarray(heights)
@@ -168,7 +172,7 @@ class ForcedTrajectories(PseudoTimeTrajectories):
         flow, n = self.flows[0], self.clock.n_states
         count = min(EARLY_STEPS, flow.ahead.breaks.shape[1] - 1)
         shares = np.where(np.isfinite(flow.ahead.breaks), flow.ahead.breaks, 1.0)[:, 1 : 1 + count]
-        states = np.abs(flow(shares * flow.to_ahead[:, None])[:n]).max(axis=2)
+        states = np.abs(flow(shares * flow.to_ahead[:, None])).max(axis=2)
         return np.concatenate([states, self.largest[n:]])
 
     def __call__(self, times: Array) -> Array:
@@ -186,10 +190,9 @@ class ForcedTrajectories(PseudoTimeTrajectories):
         )
         for i in np.unique(stretch):
             here = stretch == i
-            states[:n, :, here] = self.flows[i](elapsed[:, here])[:n]
+            states[:n, :, here] = self.flows[i](elapsed[:, here])
             for row, each in enumerate(self._clearances, constant):
-                event = self.clock.system.events[each.event]
-                heights = self.flows[i].heights(event, elapsed[:, here])
+                heights = self.flows[i].heights(each.event, elapsed[:, here])
                 states[row, :, here] = each.sign * heights.T
         return states
 
@@ -272,9 +275,10 @@ class _Follower:
             flows.append(flow)
             times = times + elapsed
             borders.append(times)
-            states = self._reset(i, met, times, flow(elapsed[:, None])[:, :, 0], guards)
+            states = self._on_sides(flow(elapsed[:, None])[:, :, 0], i)
+            states = self._reset(i, met, times, states, guards)
         if clock.order.ending is Ending.HORIZON:
-            flow = self._flow(times, states, clock.horizon[1] - times, stretch=len(forced.met))
+            flow = self._flow(len(forced.met), times, states, clock.horizon[1] - times)
             self._heights_at_turns(len(forced.met), flow, guards, turns)
             flows.append(flow)
             borders.append(np.full_like(times, clock.horizon[1]))
@@ -303,7 +307,7 @@ class _Follower:
         if event.at is not None:
             at = event.at(np.ascontiguousarray(self._parameters.T))
             elapsed = np.broadcast_to(at, times.shape) - times
-            return self._flow(times, states, elapsed, stretch=i), elapsed
+            return self._flow(i, times, states, elapsed), elapsed
         margin = self._forced.margins[i]
         at_root = np.full(times.shape, first in before)
         for column, opened in enumerate(self._forced.opened, self._parameters.shape[1]):
@@ -338,14 +342,14 @@ class _Follower:
         return states if last else self._on_sides(states, instant + 1)
 
     def _on_sides(self, states: Array, stretch: int) -> Array:
-        """States (n, m) with the sides of a stretch."""
-        sides = self.clock.order.sides
-        count = self.clock.system.n_sides
-        if not count:
-            return states
-        on_sides = states.copy()
-        on_sides[-count:] = np.array(sides[stretch], dtype=float)[:, None]
-        return on_sides
+        """States (n, m), with sides or without, on the sides of a stretch."""
+        alone, sides = states[: self.clock.n_states], self._sides(stretch)
+        rows = [np.full((1, alone.shape[1]), float(side)) for side in sides]
+        return np.concatenate([alone, *rows])
+
+    def _sides(self, stretch: int) -> tuple[int, ...]:
+        """The sides of switches on a stretch."""
+        return self.clock.order.sides[stretch] if self.clock.system.n_sides else ()
 
     def _guard(
         self, guards: Array, instant: int, applied: int, times: Array, states: Array
@@ -360,16 +364,16 @@ class _Follower:
 
     def _flow(
         self,
+        stretch: int,
         times: Array,
         states: Array,
         ahead: Array,
         behind: Array | float = 0.0,
-        stretch: int | None = None,
         whole: bool = True,
     ) -> _Flow:
-        """The flow from times (m,) and states, up to elapsed times (m,), and perhaps back.
+        """The flow of a stretch from times (m,) and states, up to elapsed times (m,) and back.
 
-        It reaches around the turns of a ``stretch``. Unless it is wanted ``whole``, it ends where
+        It reaches around the turns of the stretch. Unless it is wanted ``whole``, it ends where
         its rates are not finite.
         """
         behind = np.broadcast_to(behind, times.shape)
@@ -377,13 +381,15 @@ class _Follower:
             expected = self._expected(turn)
             behind = np.minimum(np.minimum(behind, np.minimum(ahead, 0.0)), expected - turn.margin)
             ahead = np.maximum(np.maximum(ahead, 0.0), expected + turn.margin)
-        forwards, last = self._paths(times, states, ahead, whole)
+        system = on_sides(self.clock.system, self._sides(stretch))
+        alone = states[: system.n_differential]
+        forwards, last = self._paths(system, times, alone, ahead, whole)
         back, first = None, behind
         if (behind < 0.0).any():
-            back, first = self._paths(times, states, behind, whole)
-        return _Flow(times, self._parameters, forwards, back, ahead, behind, first, last)
+            back, first = self._paths(system, times, alone, behind, whole)
+        return _Flow(times, self._parameters, forwards, back, ahead, behind, first, last, system)
 
-    def _turns(self, stretch: int | None) -> list[Turn]:
+    def _turns(self, stretch: int) -> list[Turn]:
         """The turns of a stretch at which heights are asked for."""
         both = *self._forced.guards, *self._forced.opened
         return [each for each in both if isinstance(each, Turn) and each.stretch == stretch]
@@ -396,12 +402,13 @@ class _Follower:
         """The elapsed times (m,) of a turn along a flow, the heights there and the rises to it."""
         event, expected = self.clock.system.events[turn.event], self._expected(turn)
         around = expected - turn.margin, expected + turn.margin
-        times, heights = _nearest_turns(flow, event, turn.sign, around, expected)
+        times, heights = _nearest_turns(flow, turn.event, turn.sign, around, expected)
         self._raise(~np.isfinite(times), f"does not turn next to event {quote(event.name)}")
         if turn.lowest:
-            start = -_nearest_turns(flow, event, -turn.sign, (np.zeros_like(times), times))[1]
+            before = np.zeros_like(times), times
+            start = -_nearest_turns(flow, turn.event, -turn.sign, before)[1]
         else:
-            start = turn.sign * flow.heights(event, np.zeros((len(times), 1)))[:, 0]
+            start = turn.sign * flow.heights(turn.event, np.zeros((len(times), 1)))[:, 0]
         rises = (times > 0.0) & (heights > start)
         self._raise(~rises, f"turns no nearer to event {quote(event.name)} than it starts")
         return times, heights, heights - start
@@ -430,12 +437,13 @@ class _Follower:
         event, i = self.clock.system.events[turn.event], turn.stretch
         for factor in _WIDER:
             low = expected - factor * self._forced.margins[i]
-            flow = self._flow(times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0), i)
+            flow = self._flow(i, times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0))
             at_turn, height, rise = self._at_turn(turn, flow)
             by = turn.sign * (self.points[:, column] ** 2 * rise - height)
             low = np.minimum(low, np.minimum(at_turn - factor * turn.margin, 0.0))
             never = np.zeros(times.shape, dtype=bool)
-            roots = _nearest_roots(flow, event, (low, at_turn), at_turn, never, _Move(by))
+            between = low, at_turn
+            roots = _nearest_roots(flow, turn.event, between, at_turn, never, _Move(by))
             if np.isfinite(roots).all():
                 moved.update({(k, sides): _Move(scale * by) for k, sides, scale in turn.surface})
                 return flow, roots
@@ -443,12 +451,14 @@ class _Follower:
         raise AssertionError
 
     def _paths(
-        self, times: Array, states: Array, elapsed: Array, whole: bool
+        self, system: System, times: Array, states: Array, elapsed: Array, whole: bool
     ) -> tuple[Paths, Array]:
         """The paths from times (m,) and states to elapsed times, and how far they come, (m,)."""
         spans = Spans(times, states, times + elapsed)
         run = cast(SeparateRun, self.integrator.run)
-        paths = share_paths(run, self.clock.system, self._parameters, spans, self.tolerances)
+        absolute = np.broadcast_to(self.tolerances.absolute, (self.clock.system.n_differential, 1))
+        tolerances = replace(self.tolerances, absolute=absolute[: len(states)])
+        paths = share_paths(run, system, self._parameters, spans, tolerances)
         ends = np.array([path.end if path.steps else 0.0 for path in paths])
         self._raise(ends < 1.0 - 1e-9 if whole else ends == 0.0, _NOT_FINITE)
         return Paths.of(paths), ends * elapsed
@@ -467,7 +477,7 @@ class _Follower:
         They are at most a horizon before the start: farther back, trajectories may grow without
         bound, and take ever more work.
         """
-        event, margin = self.clock.system.events[self._forced.met[i][0]], self._forced.margins[i]
+        (event, *_), margin = self._forced.met[i], self._forced.margins[i]
         start, end = self.clock.horizon
         earliest = 2.0 * start - end - times
         if moved is not None and moved.start is not None:
@@ -476,14 +486,15 @@ class _Follower:
             low = np.maximum(expected - factor * margin, earliest)
             high = np.maximum(expected + factor * margin, earliest)
             to = np.maximum(high, 0.0), np.minimum(low, 0.0)
-            flow = self._flow(times, states, *to, i, whole=False)
+            flow = self._flow(i, times, states, *to, whole=False)
             between = np.maximum(low, flow.first), np.minimum(high, flow.last)
             roots = _nearest_roots(flow, event, between, expected, at_root, moved)
             if np.isfinite(roots).all():
                 return flow, roots
         ended = (low < flow.first) | (flow.last < high)
         self._raise(~np.isfinite(roots) & ended, _NOT_FINITE, i)
-        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
+        name = quote(self.clock.system.events[event].name)
+        self._raise(~np.isfinite(roots), f"does not come to event {name}", i)
         raise AssertionError
 
     def _raise(self, fails: NDArray[np.bool_], what: str, missed: int | None = None) -> None:
@@ -515,7 +526,7 @@ def guard_heights(
 
 def _nearest_roots(
     flow: _Flow,
-    event: SystemEvent,
+    event: int,
     between: tuple[Array, Array],
     expected: Array,
     at_root: NDArray[np.bool_],
@@ -530,7 +541,8 @@ def _nearest_roots(
     low, high = between
     elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
     heights = flow.heights(event, elapsed, moved)
-    passed = event.switch | (np.diff(heights) * event.direction >= 0.0)
+    what = flow.system.events[event]
+    passed = what.switch | (np.diff(heights) * what.direction >= 0.0)
     at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)), moved)[:, 0])
     deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
     heights = _deflated(heights, elapsed, deflated)
@@ -555,7 +567,7 @@ def _nearest_roots(
 
 def _nearest_turns(
     flow: _Flow,
-    event: SystemEvent,
+    event: int,
     sign: float,
     between: tuple[Array, Array],
     expected: Array | None = None,

@@ -163,14 +163,13 @@ def _first_turns(
 
     Times are NaN where it does not turn.
     """
-    event = search.system.events[order.met[stretch][0]]
     forced = replace(parent.forced, guards=())
     met = search.lengths(order, places)[:, stretch]
     further = replace(search, horizon=(search.horizon[0], search.horizon[1] + float(met.max())))
     flow = further.forced(parent.order, forced, parent.opened.points[places]).flows[stretch]
     shares = np.linspace(0.0, 1.0, _SAMPLES)
     elapsed = met[:, None] + np.maximum(flow.to_ahead - met, 0.0)[:, None] * shares
-    heights = flow.heights(event, elapsed)
+    heights = flow.heights(order.met[stretch][0], elapsed)
     sign = float(np.sign(np.median(np.sign(heights[:, 1]))))
     heights = sign * heights
     turns = (heights[:, 1:-1] > heights[:, :-2]) & (heights[:, 1:-1] > heights[:, 2:])

@@ -1,12 +1,20 @@
-"""Whether trajectories stay on the sides of switches that their stretches hold."""
+"""The sides of switches that stretches hold, and whether trajectories stay on them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
 import numpy as np
 
-from rankone.ir.system import Clock
+from rankone.ir.events import OfTrajectory, Row, SystemEvent
+from rankone.ir.features import OfStates, VectorLike
+from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
+from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.events.event_order import OrderError, at_point, at_time
+from rankone.trajectories.known_states import of_known_states
 
 _SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
 _ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
@@ -62,3 +70,48 @@ def times_to_check(borders: Array) -> Array:
     """Clock times (m, stretches, shares) to check sides at, of borders (m, stretches + 1)."""
     lengths = np.diff(borders, axis=1)
     return np.asarray(borders[:, :-1, None] + lengths[:, :, None] * _SHARES)
+
+
+@dataclass(frozen=True, eq=False)
+class _OnSides:
+    """A ``function`` of states and of sides, as one of states alone, and ``rows`` of it."""
+
+    function: Callable[..., Array]
+    sides: Array
+    rows: tuple[slice, ...]
+    cost: Cost
+
+    def __call__(self, t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        return np.asarray(self.function(t, [*u, *self.sides], p))[self.rows]
+
+
+@lru_cache(64)
+def on_sides(system: System, sides: tuple[int, ...]) -> System:
+    """The system of trajectories that all stay on some sides: these are no states of it."""
+    if not sides:
+        return system
+    n, known = system.n_differential - len(sides), tuple(map(float, sides))
+
+    def alone(function: Callable[..., Array], *rows: slice) -> OfStates:
+        cost = function_cost(function, system.user_functions)
+        return _OnSides(function, np.array(known), rows, cost)
+
+    def when(event: SystemEvent) -> OfTrajectory:
+        if isinstance(event.when, Row):
+            row = event.when.row
+            function = of_known_states(event.when.function, known, (row,))
+            if function is not None:
+                return Row(function, row)
+        return alone(event.when)
+
+    rhs = of_known_states(system.rhs, known, tuple(range(n))) or alone(system.rhs, slice(n))
+    return replace(
+        system,
+        states=system.states[:n],
+        n_differential=n,
+        n_sides=0,
+        events=tuple(replace(event, when=when(event)) for event in system.events),
+        rhs=rhs,
+        jacobian=alone(system.jacobian, slice(n), slice(n)),
+        features=replace(system.features, state_surfaces=alone(system.features.state_surfaces)),
+    )
