@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from functools import cache
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tests.export.test_fmu import both, compile_strictly, fmpy, runs
 
 if fmpy is not None:
     from fmpy.fmi1 import FMICallException
+    from fmpy.model_description import CoSimulation
     from fmpy.validation import validate_fmu
 
     from tests.export.fmu_slaves import slave
@@ -97,17 +99,29 @@ def test_the_end_at_a_terminal_event(fmi, archive):
         logger=lambda *text: said.append(text[-1]),
     )
     assert [b"the solution ends at" in text for text in said] == [True] * (fmi == "2.0")
-    assert end - 1e-9 <= found["time"][-1] < end + 0.5
+    # FMPy before 0.3.28 takes a step of FMI 3 that returned early for one that failed
+    first = (
+        end - 1e-9
+        if fmi == "2.0" or hasattr(CoSimulation(), "mightReturnEarlyFromDoStep")
+        else end - 0.5
+    )
+    assert first <= found["time"][-1] < end + 0.5
     assert not np.isnan(found["h"]).any()
+
+
+def _may_return_early(path):
+    """What an FMU of FMI 3 says of its steps."""
+    with zipfile.ZipFile(path) as files, files.open("modelDescription.xml") as file:
+        (kind,) = ElementTree.parse(file).iter("CoSimulation")
+    return kind.get("mightReturnEarlyFromDoStep") == "true"
 
 
 @runs
 def test_early_return_at_the_end(archive):
     """Allowed or not, a step beyond the end stops there, and the next may begin at either time."""
     path, folder = archive("rocket", "3.0")
-    assert fmpy.read_model_description(str(path)).coSimulation.mightReturnEarlyFromDoStep
-    ball = fmpy.read_model_description(str(archive("ball", "3.0")[0]))
-    assert not ball.coSimulation.mightReturnEarlyFromDoStep
+    assert _may_return_early(path)
+    assert not _may_return_early(archive("ball", "3.0")[0])
     (end,) = solved("rocket").event_times("ground", ROCKET)
     for early in (False, True):
         with slave(folder, early=early, **ROCKET) as one:
