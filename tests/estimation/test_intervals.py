@@ -123,3 +123,14 @@ def test_coverage_of_designs(name):
         for parameter, interval in fit.interval().items():
             inside[parameter] += covered(interval, design.truth[parameter])
     assert all(count >= 89 for count in inside.values()), inside
+
+
+@pytest.mark.parametrize("last", [1.0, 1.3, 1.7])
+def test_an_interval_goes_on_to_where_an_event_ends_the_solution_before_the_data(last):
+    """x = 1 - k t ends at zero: nothing beyond k = 1/last has a value at the last time."""
+    events = [{"when": "x", "direction": "falling", "terminal": True}]
+    box = {"k": (0.2, 2)}
+    problem = ro.Problem.from_strings({"x": "-k"}, {"x": 1}, box, (0, 2), events=events)
+    times = np.linspace(0.1, last, 10)
+    fit = ro.solve(problem, 1e-6).fit(times, 1.0 - 0.3 * times, sigma=0.8)
+    assert fit.interval()["k"] == pytest.approx((0.2, 1.0 / last), rel=1e-4)

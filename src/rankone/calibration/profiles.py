@@ -22,6 +22,7 @@ from rankone.calibration.uncertainty import (
     unidentified,
 )
 from rankone.estimation.free_parameters import ends_at_bounds
+from rankone.estimation.identification import between
 from rankone.support.arrays import Array
 
 _CLOSE = 1e-2  # How close an end comes to the limit, in shares of half the interval: two digits
@@ -124,9 +125,7 @@ def _end(
             growth = min(max(1.0 / max(root, 0.1), 1.1), _MOST_GROWTH)
             distance = min(max(growth * distance, 1e-6), room)
         else:
-            rise = outer[1] - inner[1]
-            share = 0.5 if turn % 2 or math.isinf(rise) else (1.0 - inner[1]) / rise
-            distance = inner[0] + min(max(share, 0.05), 0.95) * (outer[0] - inner[0])
+            distance = between(inner, outer, turn)
     else:  # not as close: a place beyond the limit, unless trajectories fail there
         last = beyond
     told = abs(root - 1.0) <= _CLOSE or math.isfinite(outer[1])

@@ -171,12 +171,11 @@ class _Branch:
         return bool(near or abs(z[1] - z[0]) <= 1e-12)
 
     def between(self, turn: int) -> float:
-        """A place between the points below and above: by the secant of the root, or halfway."""
+        """A place between the points below and above."""
         k = self.above()
-        (a, b), (f, g) = self.path[[k - 1, k], self.index], np.sqrt(self.rise[[k - 1, k]])
-        share = (np.sqrt(self.limit) - f) / (g - f) if g > f else 0.5
-        share = 0.5 if turn % 4 == 3 else min(max(share, 0.02), 0.98)
-        return float(a + share * (b - a))
+        roots = np.sqrt(self.rise[[k - 1, k]] / self.limit)
+        inside, beyond = zip(self.path[[k - 1, k], self.index], roots, strict=True)
+        return between(inside, beyond, turn)
 
     def end(self) -> End:
         k = self.above()
@@ -188,6 +187,17 @@ class _Branch:
         free = np.delete(self.path[k], self.index)
         at_bound = (free <= BOUND_TOLERANCE) | (free >= 1.0 - BOUND_TOLERANCE)
         return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
+
+
+def between(inside: tuple[float, float], beyond: tuple[float, float], turn: int) -> float:
+    """Where to look for the limit, between a place inside of it and one beyond.
+
+    Beside each place is the root of its rise over the limit. It is by their secant, or halfway in
+    each fourth turn, and where no curve reaches the data beyond.
+    """
+    (a, f), (b, g) = inside, beyond
+    share = 0.5 if turn % 4 == 3 or not f < g < np.inf else (1.0 - f) / (g - f)
+    return float(a + min(max(share, 0.02), 0.98) * (b - a))
 
 
 def _refine(problem: Likelihood, best: Best, branches: list[_Branch], held: Sequence[int]) -> None:
