@@ -160,7 +160,7 @@ def test_another_domain_and_options_reach_the_solver(
         (["--box", "x0"], "--box: 'x0' cannot be read; remedy: write NAME=LOWER:UPPER[:SCALE]"),
         (["--box", "x0=1:2", "x0=3:4"], "--box: 'x0=3:4' has a name that is given twice"),
         (["--box", "x0=7:13:lg"], "the scale of parameter `x0` is 'lg' (did you mean `log`?)"),
-        (["--box", "x0=7"], "the range of `x0` is [7.0], not two numbers"),
+        (["--box", "x0=7"], "ascending order; remedy: give a lower end and a higher one"),
         (["--box", "x0=13:7"], "the range of `x0` is [13.0, 7.0], not two numbers"),
         (["--box", "x1=7:13"], "there is no parameter `x1`"),
         (["--t-final", "-1"], "the horizon is (0.0, -1.0)"),

@@ -9,6 +9,7 @@ import sympy as sp
 from scipy.optimize import brentq
 
 import rankone as ro
+from rankone.support.budget import NORMAL, limited
 from rankone.trajectories.steady.rest import SteadyStates, from_states
 
 t, k, a, b = sp.symbols("t k a b")
@@ -311,3 +312,26 @@ def test_a_start_among_the_parameters_is_left_as_it_is():
     with pytest.raises(ro.ConvergenceError, match="have not settled by t = 9"):
         steady(start[:, None])
     assert start.tolist() == [1.5, 1.0, 0.0]
+
+
+def test_finer_solves_for_gradients_share_one_patience():
+    """Next to a fold the gradients of a solve within the tolerance are not."""
+    near = problem({x: a * x * (1 - x) - b}, {a: (1, 1.5), b: (0.1, 0.2499)}, {x: 1})
+    with limited() as account:
+        steady = ro.steady_state(near, rtol=1e-3, effort=0.04)
+    assert steady.success
+    assert account.done < 0.04 * NORMAL
+    exact = 0.5 + np.sqrt(0.25 - np.array([0.2, 0.2499]))
+    np.testing.assert_allclose(steady(a=1, b=[0.2, 0.2499]).ravel(), exact, atol=1e-3)
+
+
+def test_steps_of_newton_count():
+    system = ro.compile(problem({x: a - x**2}, {a: (1, 2)}, {x: 1})).system
+    constraints = SteadyStates(system, 10.0, 1000.0).constraints([0])
+    work = []
+    for count in (1, 1000):
+        points = np.linspace(1, 2, count)[None]
+        with limited() as account:
+            constraints.consistent(0.0, np.ones((1, count)), points)
+        work.append(account.done)
+    assert 1e4 < work[0] < work[1]

@@ -52,6 +52,13 @@ def test_unchecked() -> None:
     assert "not measured" in repr(solution)
 
 
+def test_a_summary_without_timings_has_no_line_of_them() -> None:
+    timed = replace(SOLUTION.outcome, timings={"march": 0.5})
+    assert "timings" in repr(Solution(timed, SOLUTION.metadata))
+    untimed = replace(SOLUTION.outcome, timings={})
+    assert "timings" not in repr(Solution(untimed, SOLUTION.metadata))
+
+
 def test_partial() -> None:
     outcome = replace(SOLUTION.outcome, slabs=SOLUTION.outcome.slabs[:2], status=Status.BLOW_UP)
     solution = Solution(outcome, SOLUTION.metadata)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ from rankone.ir.verdict import MeasuredError, Note, Status, SteadyBranch
 from rankone.solvers.registry import ENGINES
 from rankone.solvers.selection import solve_with
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, limited
+from rankone.support.budget import OutOfBudgetError, limited, patience_for
 from rankone.support.errors import ConvergenceError, ProblemError, check_kind
 from rankone.support.options import checked_number
 from rankone.support.threads import one_thread
@@ -102,7 +103,7 @@ def steady_state(
     states = compiled.first_order.states
     rows = [i for i, state in enumerate(states) if state.role is Role.UNKNOWN]
     engine = ENGINES["cross"]
-    with one_thread():
+    with one_thread(), limited() as account:
         steady = SteadyStates(system, end - start, longest)
         resting = at_rest(steady, rows)
         request = SolveRequest.of(
@@ -128,7 +129,10 @@ def steady_state(
 
         def solved(finer: float) -> Solution:
             asked = replace(request, rtol=finer)
-            outcome, of_engine = solve_with([engine], resting, asked, metadata)
+            first = finer == request.rtol
+            left = max(patience_for(request.limits.operations) - account.done, 0.0)
+            with limited(math.inf if first else left):
+                outcome, of_engine = solve_with([engine], resting, asked, metadata)
             outcome = _restated(_explained(outcome, steady, of_engine, points), rtol)
             return Solution(outcome, replace(of_engine, rtol=rtol, timeless=True))
 
@@ -142,7 +146,10 @@ def _with_gradients(
     points: Array,
     rtol: float,
 ) -> Solution:
-    """The solution whose gradients at points (m, d) are within rtol as well, if finer ones are."""
+    """The solution whose gradients at points (m, d) are within rtol as well, if finer ones are.
+
+    Finer ones are solved for as long as patience lasts for all of them together.
+    """
     solution, finer = solved(rtol), rtol
     if not solution.success or not points.shape[1]:
         return solution

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from rankone.ir.features import OfStates, no_rows
 from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL, pseudo_inverse
 
+_CALLS = 30  # Of NumPy in a step of Newton's method
 _MOST_STEPS = 100  # Steps of Newton's method; damped ones from far away are many
 _MOST_HALVINGS = 30  # Of a step that does not lower the residual
 _LEAST_FALL = 0.1  # Part of the residual by which a step lowers it, at least, for its length
@@ -59,6 +62,7 @@ class Constraints:
                 open_ = np.flatnonzero(~converged)
                 if not open_.size:
                     break
+                charge(_CALLS * CALL + open_.size * pseudo_inverse(len(self.names), len(rows)))
                 states[:, open_], changes = self._stepped(
                     t, states[:, open_], p[:, open_], least[:, open_]
                 )

@@ -162,7 +162,9 @@ def _interval(subject: str, interval: object) -> tuple[float, float]:
         raise OptionError(f"{subject} is {shown(interval)}, which is too narrow", term=interval)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise OptionError(
-            f"{subject} is {shown(interval)}, not two numbers in ascending order", term=interval
+            f"{subject} is {shown(interval)}, not two numbers in ascending order",
+            term=interval,
+            remedy="give a lower end and a higher one",
         )
     return lower, upper
 

@@ -67,7 +67,7 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
         ("success", f"{'yes' if solution.success else 'no'}: {shortened(solution.message)}"),
         ("error", _error(solution)),
         (metadata.method, _trains(solution.outcome)),
-        ("timings", ", ".join(timings) or "none"),
+        *([("timings", ", ".join(timings))] if timings else []),
     ]
 
 

@@ -182,6 +182,11 @@ def inverse(size: int, real: bool) -> float:
     return (100.0 + size**2 * (20.0 + 0.3 * size)) * (1.0 if real else 2.0)
 
 
+def pseudo_inverse(rows: float, columns: float) -> float:
+    """The pseudo-inverse of one matrix of a stack."""
+    return 400.0 * min(rows, columns) + 90.0 * rows * columns
+
+
 def eigenvalues(size: int) -> float:
     """The eigenvalues of one matrix of a stack."""
     return size**2 * (150.0 + 0.7 * size)
