@@ -42,6 +42,11 @@ def archive(tmp_path_factory):
     return archives(solved, tmp_path_factory)
 
 
+def _knows_early_returns():
+    """Whether FMPy takes a step of FMI 3 that returned early for one: it does since 0.3.28."""
+    return hasattr(CoSimulation(), "mightReturnEarlyFromDoStep")
+
+
 @runs
 @both
 def test_steps_over_events(fmi, archive):
@@ -99,12 +104,7 @@ def test_the_end_at_a_terminal_event(fmi, archive):
         logger=lambda *text: said.append(text[-1]),
     )
     assert [b"the solution ends at" in text for text in said] == [True] * (fmi == "2.0")
-    # FMPy before 0.3.28 takes a step of FMI 3 that returned early for one that failed
-    first = (
-        end - 1e-9
-        if fmi == "2.0" or hasattr(CoSimulation(), "mightReturnEarlyFromDoStep")
-        else end - 0.5
-    )
+    first = end - 1e-9 if fmi == "2.0" or _knows_early_returns() else end - 0.5
     assert first <= found["time"][-1] < end + 0.5
     assert not np.isnan(found["h"]).any()
 
@@ -143,7 +143,8 @@ def test_early_return_at_the_end(archive):
     table = fmpy.simulate_fmu(
         str(path), start_values=ROCKET, output_interval=0.5, early_return_allowed=True
     )
-    np.testing.assert_allclose(table["time"][-1], end, rtol=1e-12)
+    last = end if _knows_early_returns() else 0.5 * np.floor(end / 0.5)
+    np.testing.assert_allclose(table["time"][-1], last, rtol=1e-12)
 
 
 @runs
