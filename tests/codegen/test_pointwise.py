@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from rankone.codegen.loading import load_module
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.module import generate_source
-from rankone.codegen.pointwise import PointwiseFunction
+from rankone.codegen.pointwise import PointwiseFunction, PointwiseWriter
 from rankone.codegen.rates import SeparatedWriter
-from rankone.ir.forms import SeparatedForm
+from rankone.ir.forms import Coordinate, SeparatedForm, State
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from tests.codegen.interpreter import Interpreter
@@ -139,6 +139,16 @@ class ScalarPrinter:
         lines += [f"    {name} = {text}" for name, text in block.intermediate]
         entries = ", ".join(f"{entry.index}: {' '.join(entry.terms)}" for entry in block.entries)
         return [*lines, f"    return {{{entries}}}"]
+
+
+def test_what_occurs_often_is_written_over_real_symbols_once() -> None:
+    t, f = sp.Symbol("t"), sp.Function("f")
+    x = sp.Function("x")(t)
+    writer = PointwiseWriter([Coordinate("t", t, 0.0, 1.0)], [State("x", x)])
+    expression, expected = x, sp.Symbol("x", real=True)
+    for _ in range(24):
+        expression, expected = f(expression, expression), f(expected, expected)
+    assert writer.real(expression) == expected
 
 
 def test_another_printer_writes_the_same_rates() -> None:

@@ -7,8 +7,10 @@ import pickle
 import numpy as np
 import pytest
 import sympy as sp
+from sympy.core.function import AppliedUndef
 
 import rankone as ro
+from rankone.ir.functions import nodes_of
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)
@@ -182,3 +184,12 @@ def test_two_of_one_name_are_refused(pair):
     equation = sp.Eq(x.diff(t), -k * one(x) - two(t))
     with pytest.raises(ro.ProblemError, match="names two tables or functions"):
         ro.Problem([equation], (t, 0, 1), {k: (0.5, 1.5)}, {x: 1})
+
+
+def test_nodes_that_occur_often_are_looked_at_once():
+    f, x = sp.Function("f"), sp.Symbol("x")
+    expression = x
+    for _ in range(24):
+        expression = f(expression, expression)
+    assert len(nodes_of([expression], AppliedUndef)) == 24
+    assert nodes_of([expression, sp.Integer(2)], sp.Symbol, sp.Integer) == {x, 2}

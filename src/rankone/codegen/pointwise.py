@@ -9,6 +9,7 @@ too, so they use few operations: what occurs twice is computed once.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
@@ -19,6 +20,7 @@ from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import INDENT, WIDTH, Names, assignment, docstring, unpacking
 from rankone.expressions.unknowns import unknown_of
 from rankone.ir.forms import Coordinate, Jump, State
+from rankone.ir.functions import nodes_of
 
 Index: TypeAlias = "tuple[int, ...]"
 """Where an entry is in the array that a function returns: (row,) or (row, column)."""
@@ -196,6 +198,7 @@ class PointwiseWriter:
             unknown_of(state.name, clock.symbol): symbol
             for state, symbol in zip(states, self.states, strict=True)
         }
+        self._replaced: dict[sp.Expr, sp.Expr] = {}
         symbols = (self.time, *self.parameters)
         self._real |= {c.symbol: symbol for c, symbol in zip(coordinates, symbols, strict=True)}
 
@@ -210,8 +213,14 @@ class PointwiseWriter:
         return not unknowns or bool(real.is_polynomial(*unknowns))
 
     def real(self, expression: sp.Expr) -> sp.Expr:
-        """An expression over real symbols."""
-        return expression.xreplace(self._real)
+        """An expression over real symbols; what occurs often is replaced once."""
+        if expression in self._real:
+            return self._real[expression]
+        if expression not in self._replaced:
+            args = [self.real(each) for each in expression.args]
+            same = all(map(operator.is_, args, expression.args))
+            self._replaced[expression] = expression if same else expression.func(*args)
+        return self._replaced[expression]
 
     def vector(
         self,
@@ -277,7 +286,7 @@ class PointwiseWriter:
         """The statements that compute entries from expressions."""
         expressions = [self.real(expression) for expression in entries.values()]
         self.printed += expressions
-        symbols = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
+        symbols = nodes_of(expressions, sp.Symbol)
         scope.used_parameters |= {j for j, p in enumerate(self.parameters) if p in symbols}
         scope.used_states |= {i for i, u in enumerate(self.states) if u in symbols}
         scope.uses_time |= self.time in symbols

@@ -25,6 +25,7 @@ from sympy.logic.boolalg import Boolean
 
 from rankone.expressions.stable import NUMPY, in_floats, stable
 from rankone.ir.forms import Coordinate
+from rankone.ir.functions import nodes_of
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 
@@ -57,8 +58,8 @@ def known_functions(
         if node in visited:
             continue
         visited.add(node)
-        symbols = node.free_symbols
-        if len(symbols) == 1 and not node.atoms(AppliedUndef):
+        symbols = nodes_of([node], sp.Symbol)
+        if len(symbols) == 1 and not nodes_of([node], AppliedUndef):
             (symbol,) = symbols
             if symbol in functions and isinstance(node, Boolean) and node != symbol:
                 functions[symbol].add(sp.Piecewise((1, node), (0, True)))

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import sympy as sp
 from sympy.core.relational import Relational
 
-from rankone.ir.functions import Table
+from rankone.ir.functions import Table, nodes_of
 
 CONTINUOUS = (sp.Abs, sp.Max, sp.Min, sp.asin, sp.acos, sp.Pow)
 """Functions that are continuous, but not smooth everywhere."""
@@ -24,7 +24,7 @@ def boundaries(
     The levels are None for all integers.
     """
     zero = (0.0,)
-    for node in {node for expression in expressions for node in expression.atoms(*functions)}:
+    for node in nodes_of(expressions, *functions):
         if isinstance(node, Relational):
             yield node.lhs - node.rhs, zero
         elif isinstance(node, sp.Heaviside | sp.sign | sp.Abs):

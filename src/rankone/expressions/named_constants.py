@@ -16,6 +16,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.expressions.peaks import peaks, steps
+from rankone.ir.functions import nodes_of
 
 # Functions without thresholds: they are smooth wherever they are finite
 _SMOOTH = (sp.sin, sp.cos, sp.tan, sp.exp, sp.sinh)
@@ -77,8 +78,7 @@ class NamedConstant(sp.NumberSymbol):  # type: ignore[misc]
 
 def named_constants(expressions: Iterable[sp.Basic]) -> list[NamedConstant]:
     """The named constants in expressions, by name."""
-    constants = {c for e in expressions for c in e.atoms(NamedConstant)}
-    return sorted(constants, key=lambda constant: constant.name)
+    return sorted(nodes_of(expressions, NamedConstant), key=lambda constant: constant.name)
 
 
 def written_in(expression: sp.Basic, constants: frozenset[sp.Symbol]) -> set[sp.Symbol]:

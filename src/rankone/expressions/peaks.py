@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import sympy as sp
 
 from rankone.expressions.derivatives import slope
+from rankone.ir.functions import nodes_of
 
 Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 """The variables of an expression that count."""
@@ -67,8 +68,7 @@ def valleys(expressions: Iterable[sp.Basic]) -> Iterator[sp.Expr]:
 
 def subexpressions(expressions: Iterable[sp.Basic], *functions: type) -> list[sp.Expr]:
     """The applications of some functions, each once, in SymPy's order."""
-    nodes = {node for expression in expressions for node in expression.atoms(*functions)}
-    return sorted(nodes, key=sp.default_sort_key)
+    return sorted(nodes_of(expressions, *functions), key=sp.default_sort_key)
 
 
 def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:

@@ -270,10 +270,24 @@ def _user_class(
     return user_class
 
 
+def nodes_of(expressions: Iterable[sp.Basic], *kinds: type) -> set[sp.Basic]:
+    """The nodes of some kinds in expressions.
+
+    What occurs often is looked at once: written out, sides of switches that depend on each other
+    have a thousand times as many nodes as there are.
+    """
+    visited, waiting = set[sp.Basic](), [*expressions]
+    while waiting:
+        node = waiting.pop()
+        if node not in visited:
+            visited.add(node)
+            waiting += node.args
+    return {node for node in visited if isinstance(node, kinds)}
+
+
 def known_applied(expressions: Iterable[sp.Basic]) -> list[DataFunction]:
     """The tables and users' functions applied in expressions, in a fixed order."""
-    functions = {f for expression in expressions for f in expression.atoms(DataFunction)}
-    return sorted(functions, key=sp.default_sort_key)
+    return sorted(nodes_of(expressions, DataFunction), key=sp.default_sort_key)
 
 
 def check_distinct(expressions: Iterable[sp.Basic]) -> None:
