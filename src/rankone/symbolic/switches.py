@@ -638,28 +638,36 @@ class _Sides:
             heights.append(switch.surface.xreplace(signs).xreplace(values))
             signs[switch.side] = sp.sign(heights[-1])
         signs |= {s.state: signs[s.side] for s in self._switches}
+
+        def at(expression: sp.Expr) -> sp.Expr:
+            return expression.xreplace(signs).xreplace(values)
+
         sides = []
         for k, (switch, height) in enumerate(zip(self._switches, heights, strict=True)):
             if self._sliding.slides[switch.side]:
-                onward = self._onward(switch).xreplace(signs).xreplace(values)
+                onward = self._onward(switch, at)
             else:
-                speed = self._sliding.speeds[k].xreplace(signs).xreplace(values)
+                speed = at(self._sliding.speeds[k])
                 stays = sp.S.Zero if switch.jumps else sp.S.One  # a kink is the same on both sides
                 onward = _or_else(sp.sign(speed), stays)
             sides.append(_or_else(sp.sign(height), onward))
         return sides
 
-    def _onward(self, switch: _Switch) -> sp.Expr:
-        """The side that trajectories on a surface go on to, 0 where they slide or rest."""
-        drift, pull = self._sliding.pulls[switch.side]
+    def _onward(self, switch: _Switch, at: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
+        """The side that trajectories on a surface go on to, 0 where they slide or rest.
+
+        ``at`` puts in what is known there, before SymPy looks at signs, which takes it long.
+        """
+        drift, pull = map(at, self._sliding.pulls[switch.side])
         onward = sp.sign(drift) * sp.Heaviside(_size_of(drift) - pull, 0)
         if (rests := self._sliding.rests.get(switch.side)) is None:
             return onward
         falls, rises = (
-            sign * sp.Heaviside(sign * speed, 0)
+            sign * sp.Heaviside(sign * at(speed), 0)
             for sign, speed in ((-1, rests.speed_below), (1, rests.speed_above))
         )
-        return sp.Piecewise(*rests.cases(falls, rises), (onward, True))
+        cases = ((side, at(rest)) for side, rest in rests.cases(falls, rises))
+        return sp.Piecewise(*cases, (onward, True))
 
     def crossings(self) -> Iterator[EventForm]:
         """The events that set the sides."""

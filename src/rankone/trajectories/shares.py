@@ -96,21 +96,30 @@ def _over_shares(system: System) -> System:
     cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
     length_alone = *(0,) * (n + 1), 1, 0
 
-    def split(rows: Array) -> tuple[Array, ...]:
-        """Starts, lengths, the least and the most that is gone, and the system's parameters."""
+    def split(rows: Array) -> tuple[float, Array, Array, Array, Array, Array]:
+        """The share from which all are inside, and before the end; starts and lengths.
+
+        Behind these the least and the most that is gone, and the system's parameters.
+        """
         start, length, near = rows[-3:]
         least, most = np.minimum(near, length - near), np.maximum(near, length - near)
-        return start, length, least, most, rows[: len(rows) - n - 3]
+        inside = float((near / np.where(length == 0.0, 1.0, length)).max(initial=0.0))
+        return inside, start, length, least, most, rows[: len(rows) - n - 3]
 
-    last: list[tuple[Array, tuple[Array, ...]]] = []  # stages of steps are at the same points
+    last: list[
+        tuple[Array, tuple[float, Array, Array, Array, Array, Array]]
+    ] = []  # stages of steps are at the same points
 
     def at(share: float | Array, p: VectorLike) -> tuple[Array, Array, Array]:
         """Times, the parameters of the system, and lengths."""
         rows = np.asarray(p)
         if not last or last[0][0] is not rows:
             last[:] = [(rows, split(rows))]
-        start, length, least, most, parameters = last[0][1]
-        return start + np.minimum(np.maximum(share * length, least), most), parameters, length
+        inside, start, length, least, most, parameters = last[0][1]
+        gone = share * length
+        if not (isinstance(share, float) and inside <= share <= 1.0 - inside):
+            gone = np.minimum(np.maximum(gone, least), most)
+        return start + gone, parameters, length
 
     def rhs(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
         times, parameters, length = at(share, p)
