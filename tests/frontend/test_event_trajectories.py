@@ -76,6 +76,15 @@ def test_a_bouncing_ball_without_drag(restitution):
     np.testing.assert_allclose(trajectory[x], exact, atol=2e-6)
 
 
+@pytest.mark.parametrize("restitution", np.linspace(0.3, 0.6, 12).tolist())
+def test_no_ball_falls_through_the_floor(restitution):
+    """The last flights are below the tolerance of the steps, where rounding tells no side."""
+    made = ball(bounce())
+    for height in (0.578, 0.751, 1.266, 1.622):
+        with pytest.raises(ro.ConvergenceError, match="event `bounce` happens again and again"):
+            made.trajectory(4.0, {**POINT, e: restitution, h: height})
+
+
 def test_bounces_without_end_are_an_error():
     """The flights add up to a time inside the horizon."""
     fall = np.sqrt(2 * 2.0 / GRAVITY)

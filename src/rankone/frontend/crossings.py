@@ -46,7 +46,8 @@ def first_change(
 class Crossing(NamedTuple):
     """When a trajectory crosses the surface of an event, by its index, and to which side.
 
-    It is ``unresolved`` if the trajectory came from that surface, and was never seen beside it.
+    It is ``unresolved`` if the trajectory came from that surface, was never seen beside it, and
+    still moves away from it, by its rates: the flight is below the tolerance of the steps.
     """
 
     time: float
@@ -94,8 +95,20 @@ class Sides:
         definite = np.abs(heights) > noise + _TIME_ROUNDING * np.abs(np.nan_to_num(slopes) * time)
         return np.where(definite, np.sign(heights), 0.0)
 
-    def crossings(self, path: Callable[[Array], Array], start: float, end: float) -> list[Crossing]:
+    def crossings(
+        self,
+        path: Callable[[Array], Array],
+        start: float,
+        end: float,
+        rates: Callable[[float, Array], Array],
+    ) -> list[Crossing]:
         """All crossings of a step, in order; :meth:`pass_until` takes the sides after them."""
+
+        def leaves(time: float, event: int, side: int) -> bool:
+            state = path(np.array([time]))[:, 0]
+            slopes = self.events.slopes(time, rates(time, state), state, self.point)
+            return float(slopes[event]) * side > 0.0
+
         times = start + (end - start) * SHARES
         states = path(times)
         heights = np.array(
@@ -112,7 +125,8 @@ class Sides:
                     continue
                 if height * side < 0.0:
                     root = self._root(path, k, side, left, at)
-                    crossings.append(Crossing(root, k, -side, expected and root == start))
+                    unresolved = expected and (root == start or leaves(root, k, side))
+                    crossings.append(Crossing(root, k, -side, unresolved))
                 side, left, expected = int(np.sign(height)), at, False
                 self._sightings.append((at, k, side))
         self._sightings += [

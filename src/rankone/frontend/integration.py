@@ -248,7 +248,8 @@ class Integration:
 
         Events within the same instant happen together.
         """
-        events, crossings = self.equations.events, self._sides.crossings(path, self._time, end)
+        events = self.equations.events
+        crossings = self._sides.crossings(path, self._time, end, self._rates)
         counting = [
             c
             for c in crossings
