@@ -10,7 +10,15 @@ import pytest
 
 import rankone as ro
 from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.verdict import MeasuredError, NarrowBox, Remedy, Status, SteepParameter, Verdict
+from rankone.ir.verdict import (
+    MeasuredError,
+    NarrowBox,
+    OtherEngines,
+    Remedy,
+    Status,
+    SteepParameter,
+    Verdict,
+)
 from rankone.solvers.attempts import Progress
 from rankone.solvers.remedies import Trials, remedied
 from rankone.support.budget import (
@@ -24,6 +32,7 @@ from rankone.support.budget import (
     work_left,
 )
 from tests.problems import REFERENCE
+from tests.reference.kinetics import KINETICS
 from tests.reference.refusals import REFUSALS
 
 FIRST_END = re.compile(r"end the horizon before t = ([0-9.e+-]+)")
@@ -108,6 +117,15 @@ def test_a_refusal_takes_a_part_of_the_budget(name):
     assert "it was solved" in refused.message
 
 
+@pytest.mark.slow
+def test_a_dear_reference_leaves_patience_for_the_first_attempt():
+    """It takes half of what the solve may: 5.4e9 of 11.1e9 operations."""
+    with limited() as account:
+        solution = ro.solve(KINETICS["coagulation"].problem(), 1e-4)
+    assert solution.success
+    assert account.done < 0.6 * NORMAL
+
+
 def test_patience_ends_work_unless_it_persists():
     with limited(100.0), patient(40.0):
         charge(30.0)
@@ -165,3 +183,12 @@ def test_a_box_says_whether_it_was_tried():
     )
     tried = dataclasses.replace(predicted, tried=True)
     assert tried.sentence(Status.STEEP) == "narrow `a` to [0.5, 1]: it was solved there"
+    ordered = dataclasses.replace(predicted, one_order=True)
+    assert ordered.sentence(Status.STEEP).endswith("[0.5, 1]: events come in one order there")
+
+
+def test_a_success_tells_other_engines_in_short():
+    failed = Verdict(Status.RANK_LIMIT, None, (Remedy("raise max_rank"),))
+    others = OtherEngines("cross", (("train", failed),))
+    assert others.sentence(Status.CONVERGED) == ". Also tried train: the rank limit was reached"
+    assert others.sentence(Status.TOLERANCE).endswith("raise max_rank")
