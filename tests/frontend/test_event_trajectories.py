@@ -76,7 +76,7 @@ def test_a_bouncing_ball_without_drag(restitution):
     np.testing.assert_allclose(trajectory[x], exact, atol=2e-6)
 
 
-@pytest.mark.parametrize("restitution", np.linspace(0.3, 0.6, 12).tolist())
+@pytest.mark.parametrize("restitution", np.linspace(0.3, 0.6, 6).tolist())
 def test_no_ball_falls_through_the_floor(restitution):
     """The last flights are below the tolerance of the steps, where rounding tells no side."""
     made = ball(bounce())
