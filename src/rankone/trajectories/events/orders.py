@@ -45,7 +45,7 @@ from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrator import SpanIntegrator, Tolerances
 
-_FIRST_CHUNK = 8  # Points to which an order is continued at once, or as many as it has come to
+_FIRST_CHUNK = 8  # Points to which an order is continued at once, or half as many as it has come to
 _FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths
 _SAFETY = 4.0  # The same over the errors of what was expected before
 _MOST_ROOTS = 4  # Roots at which stretches of one order may end
@@ -230,7 +230,7 @@ class Opened:
         margins = _FIRST_MARGIN * np.abs(values).max(axis=0, initial=0.0)
         while waiting.size:
             distance = cdist(unit[waiting], unit[places]).min(axis=1)
-            size = max(_FIRST_CHUNK, len(places))
+            size = max(_FIRST_CHUNK, len(places) // 2)
             chunk = waiting[np.argsort(distance, kind="stable")[:size]]
             expected = Lengths.through(self.bounds, self.points[places], values)
             there, chunk = reach(expected, tuple(margins.tolist()), chunk)
