@@ -11,8 +11,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen.module import generate_source
-from tests.codegen.systems import REFERENCE
+from rankone.compiler.codegen.module import generate_source
+from tests.compiler.codegen.systems import REFERENCE
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[1]

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.solvers.cross.trajectories import TrajectoryEnds
+from rankone.solvers.engines.cross.sampled import TrajectoryEnds
 from rankone.support.budget import limited
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stacks.integrator import StackedIntegrator
-from rankone.trajectories.workers import open_workers
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.workers import open_workers
+from rankone.trajectories.stacks.stack import StackedIntegrator
 from tests.problems import EXAMPLES
 
 KINK = ro.Problem.from_strings(

@@ -20,32 +20,25 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rankone.calibration.calibrate import calibrate
-    from rankone.calibration.problem import CalibrationProblem, read_petab
-    from rankone.calibration.result import Calibration
-    from rankone.calibration.solutions import CalibrationSolutions
-    from rankone.codegen.loading import load_module
-    from rankone.codegen.lowering import quadratic_system
-    from rankone.codegen.module import generate_source
-    from rankone.estimation.design import Design
-    from rankone.estimation.experiments import Experiment
-    from rankone.estimation.fit import Fit
-    from rankone.estimation.minimize import Optimum
-    from rankone.estimation.posterior import Posterior
-    from rankone.estimation.posterior import posterior_of as posterior
-    from rankone.estimation.search import fit_experiments as fit
-    from rankone.frontend.events import Event
-    from rankone.frontend.problem import Problem
-    from rankone.frontend.steady_start import SteadyState
-    from rankone.frontend.trajectory import Trajectory
-    from rankone.interface.compiled import CompiledProblem
-    from rankone.interface.compiled import compile_problem as compile
-    from rankone.interface.compiled import solve_problem as solve
-    from rankone.interface.many import Solutions, solve_many
-    from rankone.interface.solution import Solution, load
-    from rankone.interface.steady import steady_state
-    from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
-    from rankone.ir.functions import (
+    from rankone.compiler.codegen.loading import load_module
+    from rankone.compiler.codegen.lowering import quadratic_system
+    from rankone.compiler.codegen.module import generate_source
+    from rankone.compiler.passes import FirstOrderSystem, WeakForm, first_order, separate, weak_form
+    from rankone.inference.calibration.calibrate import calibrate
+    from rankone.inference.calibration.calibration_problem import CalibrationProblem, read_petab
+    from rankone.inference.calibration.result import Calibration
+    from rankone.inference.calibration.solutions import CalibrationSolutions
+    from rankone.inference.estimation.design import Design
+    from rankone.inference.estimation.experiments import Experiment
+    from rankone.inference.estimation.fit import Fit
+    from rankone.inference.estimation.minimize import Optimum
+    from rankone.inference.estimation.posterior import Posterior
+    from rankone.inference.estimation.posterior import posterior_of as posterior
+    from rankone.inference.estimation.search import fit_experiments as fit
+    from rankone.inference.populations.population_fit import PopulationFit
+    from rankone.inference.populations.predictive_check import PredictiveCheck
+    from rankone.problem.forms import GeneralTerm, QuadraticSystem, SeparatedForm
+    from rankone.problem.functions import (
         at_event,
         duration,
         event_time,
@@ -55,15 +48,22 @@ if TYPE_CHECKING:
         minimum,
         table,
     )
-    from rankone.ir.verdict import Status
-    from rankone.models.model import Model
-    from rankone.models.sbml import read_sbml
-    from rankone.populations.fit import PopulationFit
-    from rankone.populations.predictive_check import PredictiveCheck
-    from rankone.solvers.cross import CrossOptions
-    from rankone.solvers.greedy import GreedyOptions
-    from rankone.solvers.train import TrainOptions
-    from rankone.statistics.solution_statistics import Sobol
+    from rankone.problem.models.model import Model
+    from rankone.problem.models.sbml import read_sbml
+    from rankone.problem.problem import Problem
+    from rankone.problem.single.trajectory import Trajectory
+    from rankone.problem.steady_start import SteadyState
+    from rankone.problem.user_events import Event
+    from rankone.solution.compiled import CompiledProblem
+    from rankone.solution.compiled import compile_problem as compile
+    from rankone.solution.compiled import solve_problem as solve
+    from rankone.solution.many import Solutions, solve_many
+    from rankone.solution.solution import Solution, load
+    from rankone.solution.statistics.solution_statistics import Sobol
+    from rankone.solution.steady import steady_state
+    from rankone.solvers.engines.cross import CrossOptions
+    from rankone.solvers.engines.greedy import GreedyOptions
+    from rankone.solvers.engines.train import TrainOptions
     from rankone.support import __version__
     from rankone.support.errors import (
         BlowUpError,
@@ -77,7 +77,7 @@ if TYPE_CHECKING:
         SeparationError,
         StorageError,
     )
-    from rankone.symbolic import FirstOrderSystem, WeakForm, first_order, separate, weak_form
+    from rankone.trajectories.system.verdict import Status
 
 __all__ = [
     "BlowUpError",
@@ -146,41 +146,41 @@ __all__ = [
 ]
 
 _MODULES = {
-    "calibration.calibrate": ("calibrate",),
-    "calibration.problem": ("CalibrationProblem", "read_petab"),
-    "calibration.result": ("Calibration",),
-    "calibration.solutions": ("CalibrationSolutions",),
-    "codegen.loading": ("load_module",),
-    "codegen.lowering": ("quadratic_system",),
-    "codegen.module": ("generate_source",),
-    "estimation.design": ("Design",),
-    "estimation.experiments": ("Experiment",),
-    "estimation.fit": ("Fit",),
-    "estimation.minimize": ("Optimum",),
-    "estimation.posterior": ("Posterior", "posterior"),
-    "estimation.search": ("fit",),
-    "frontend.events": ("Event",),
-    "frontend.problem": ("Problem",),
-    "frontend.steady_start": ("SteadyState",),
-    "frontend.trajectory": ("Trajectory",),
-    "interface.compiled": ("CompiledProblem", "compile", "solve"),
-    "interface.many": ("Solutions", "solve_many"),
-    "interface.solution": ("Solution", "load"),
-    "interface.steady": ("steady_state",),
-    "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
-    "ir.functions": (
+    "inference.calibration.calibrate": ("calibrate",),
+    "inference.calibration.calibration_problem": ("CalibrationProblem", "read_petab"),
+    "inference.calibration.result": ("Calibration",),
+    "inference.calibration.solutions": ("CalibrationSolutions",),
+    "compiler.codegen.loading": ("load_module",),
+    "compiler.codegen.lowering": ("quadratic_system",),
+    "compiler.codegen.module": ("generate_source",),
+    "inference.estimation.design": ("Design",),
+    "inference.estimation.experiments": ("Experiment",),
+    "inference.estimation.fit": ("Fit",),
+    "inference.estimation.minimize": ("Optimum",),
+    "inference.estimation.posterior": ("Posterior", "posterior"),
+    "inference.estimation.search": ("fit",),
+    "problem.user_events": ("Event",),
+    "problem.problem": ("Problem",),
+    "problem.steady_start": ("SteadyState",),
+    "problem.single.trajectory": ("Trajectory",),
+    "solution.compiled": ("CompiledProblem", "compile", "solve"),
+    "solution.many": ("Solutions", "solve_many"),
+    "solution.solution": ("Solution", "load"),
+    "solution.steady": ("steady_state",),
+    "problem.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
+    "problem.functions": (
         *("at_event", "duration", "event_time", "first_crossing"),
         *("function", "maximum", "minimum", "table"),
     ),
-    "ir.verdict": ("Status",),
-    "models.model": ("Model",),
-    "models.sbml": ("read_sbml",),
-    "populations.fit": ("PopulationFit",),
-    "populations.predictive_check": ("PredictiveCheck",),
-    "solvers.cross": ("CrossOptions",),
-    "solvers.greedy": ("GreedyOptions",),
-    "solvers.train": ("TrainOptions",),
-    "statistics.solution_statistics": ("Sobol",),
+    "trajectories.system.verdict": ("Status",),
+    "problem.models.model": ("Model",),
+    "problem.models.sbml": ("read_sbml",),
+    "inference.populations.population_fit": ("PopulationFit",),
+    "inference.populations.predictive_check": ("PredictiveCheck",),
+    "solvers.engines.cross": ("CrossOptions",),
+    "solvers.engines.greedy": ("GreedyOptions",),
+    "solvers.engines.train": ("TrainOptions",),
+    "solution.statistics.solution_statistics": ("Sobol",),
     "support": ("__version__",),
     "support.errors": (
         "BlowUpError",
@@ -194,7 +194,7 @@ _MODULES = {
         "SeparationError",
         "StorageError",
     ),
-    "symbolic": ("FirstOrderSystem", "WeakForm", "first_order", "separate", "weak_form"),
+    "compiler.passes": ("FirstOrderSystem", "WeakForm", "first_order", "separate", "weak_form"),
 }
 """The public names by their modules, which are imported when a name is first used, so that
 ``import rankone`` and the command line begin at once."""

@@ -2,7 +2,7 @@
 
 import sys
 
-from rankone.commands.cli import main
+from rankone.share.commands.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

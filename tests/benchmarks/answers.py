@@ -12,7 +12,7 @@ import sympy as sp
 
 import rankone as ro
 from tests.problems import EXAMPLES
-from tests.solution import test_smaller as gradients
+from tests.solution.evaluation import test_smaller as gradients
 
 
 def gradient_error(name, exact, rtol):

@@ -28,11 +28,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
-from rankone.ir.system import System  # noqa: E402
-from rankone.trajectories import series  # noqa: E402
-from rankone.trajectories.compiled import CompiledIntegrator  # noqa: E402
-from rankone.trajectories.integrator import Integrator, Tolerances  # noqa: E402
-from rankone.trajectories.stacks.integrator import StackedIntegrator  # noqa: E402
+from rankone.trajectories.integrators import series  # noqa: E402
+from rankone.trajectories.integrators.compiled_series import CompiledIntegrator  # noqa: E402
+from rankone.trajectories.integrators.integrator import Integrator, Tolerances  # noqa: E402
+from rankone.trajectories.stacks.stack import StackedIntegrator  # noqa: E402
+from rankone.trajectories.system.system import System  # noqa: E402
 from tests.benchmarks.report import TITLES, _trajectory  # noqa: E402
 from tests.problems import MEASURED  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402

@@ -25,13 +25,12 @@ from typing import Any
 import numpy as np
 
 import rankone as ro
-from rankone.discretization import ChebyshevBasis
-from rankone.interface.solution import Solution
-from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome
-from rankone.ir.verdict import Status
-from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import Train
+from rankone.solution.solution import Solution
+from rankone.solvers.outcome import Outcome, SolutionMetadata
+from rankone.tensors.bases import ChebyshevBasis
+from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.trains.train import Train
+from rankone.trajectories.system.verdict import Status
 from tests.problems import EXAMPLES
 
 

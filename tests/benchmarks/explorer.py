@@ -22,8 +22,8 @@ from typing import Any
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[2] / "src")]
 
 import rankone as ro  # noqa: E402
-from tests.export.browser import Browser, browser, settle  # noqa: E402
 from tests.problems import EXAMPLES, GENERAL  # noqa: E402
+from tests.share.export.browser import Browser, browser, settle  # noqa: E402
 
 GUIDE = Path(__file__).parents[2] / "docs" / "export" / "explorer.md"
 MOVES = 60

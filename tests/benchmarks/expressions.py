@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
-from tests.codegen.condition import PART, check_part  # noqa: E402
+from tests.compiler.codegen.condition import PART, check_part  # noqa: E402
 
 
 def main() -> int:

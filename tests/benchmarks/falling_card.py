@@ -22,8 +22,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
 from examples import falling_card  # noqa: E402
-from tests.export.browser import NoBrowserError, browser  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402
+from tests.share.export.browser import NoBrowserError, browser  # noqa: E402
 
 CARDS, PATH, FRAMES = 51, 200, 300
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from tests.estimation import systems
+from tests.inference.estimation import systems
 
 
 def timed(function, *arguments):

@@ -9,8 +9,8 @@ share of these that hold the truth, with the exact binomial limits of 95 %; the 
 instead of an interval, and with words beside it; and the share of intervals without a word beside
 them that are as short as if what the data do not determine were known, while a brute force over the
 box finds values farther out ("held"). Combinations have rows of their own. Then the same of
-`ro.calibrate`, from wide bounds, and with --noises the designs of tests/estimation/experiments.py,
-where the noise is estimated as well.
+`ro.calibrate`, from wide bounds, and with --noises the designs of
+tests/inference/estimation/experiments.py, where the noise is estimated as well.
 
 Bars: determined parameters cover in 91 to 98.5 % and carry no label; limited ones cover in 91 % or
 more and have no label instead of an interval; printed intervals of undetermined ones cover in 91 %
@@ -32,8 +32,8 @@ import scipy.optimize
 import scipy.stats
 
 import rankone as ro
-from tests.estimation.experiments import DESIGNS as NOISES
-from tests.estimation.experiments import TRUE
+from tests.inference.estimation.experiments import DESIGNS as NOISES
+from tests.inference.estimation.experiments import TRUE
 from tests.reference.designs import DESIGNS, SETS, WIDE
 
 LEAST, MOST = 0.91, 0.985

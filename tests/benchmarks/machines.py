@@ -38,13 +38,13 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.ir.request import Check, SolveRequest  # noqa: E402
-from rankone.solvers.cross import CrossOptions  # noqa: E402
-from rankone.solvers.stretches import clock_of, over_stretches  # noqa: E402
+from rankone.solvers.engines.cross import CrossOptions  # noqa: E402
+from rankone.solvers.request import Check, SolveRequest  # noqa: E402
+from rankone.solvers.stretches_by_markers import clock_of, over_stretches  # noqa: E402
+from rankone.solvers.verification.reference import Reference  # noqa: E402
+from rankone.solvers.verification.reference_set import ReferenceSet  # noqa: E402
 from rankone.support.budget import limited  # noqa: E402
-from rankone.trajectories.workers import Workers, open_workers  # noqa: E402
-from rankone.verification.reference import Reference  # noqa: E402
-from rankone.verification.reference_set import ReferenceSet  # noqa: E402
+from rankone.trajectories.integrators.workers import Workers, open_workers  # noqa: E402
 from tests.benchmarks.many_states import CASES, Case  # noqa: E402
 
 

@@ -30,9 +30,9 @@ import scipy.sparse
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.jacobian import PatternJacobian
-from rankone.solvers.cross import trajectories
-from rankone.tensors.cross import GrowingBasis
+from rankone.solvers.engines.cross import sampled as trajectories
+from rankone.tensors.trains.cross import GrowingBasis
+from rankone.trajectories.system.system import PatternJacobian
 
 FIELDS = Path(__file__).resolve().parents[2] / "examples" / "fields"
 POINTS, TIMES = 3, 11  # Random parameters and times at which errors are measured

@@ -26,7 +26,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.support.memory import checked_memory, in_words  # noqa: E402
+from rankone.support.options import checked_memory, in_words  # noqa: E402
 from tests.benchmarks.machines import double_well  # noqa: E402
 
 

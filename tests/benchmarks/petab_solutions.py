@@ -36,8 +36,8 @@ def main() -> None:
 def _tried(file: Path, rtol: float) -> str:
     """One line of the table, after the name."""
     import rankone
-    from rankone.calibration.around import box_around
-    from rankone.calibration.cube import Cube
+    from rankone.inference.calibration.boxes import box_around
+    from rankone.inference.calibration.starts import Cube
 
     problem = rankone.read_petab(file)
     cube = Cube.of([problem.parameters[name] for name in problem.estimated])

@@ -15,7 +15,7 @@ from collections import Counter
 
 import numpy as np
 
-from tests.populations.simulated import TRUE, oral, population
+from tests.inference.populations.simulated import TRUE, oral, population
 
 
 def main() -> None:

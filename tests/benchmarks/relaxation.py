@@ -16,10 +16,10 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2])]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.ir.request import SolveRequest  # noqa: E402
-from rankone.solvers.cross import CrossOptions  # noqa: E402
+from rankone.solvers.engines.cross import CrossOptions  # noqa: E402
+from rankone.solvers.request import SolveRequest  # noqa: E402
+from rankone.solvers.verification.reference_set import ReferenceSet  # noqa: E402
 from rankone.support.budget import OutOfBudgetError, limited, operations_for  # noqa: E402
-from rankone.verification.reference_set import ReferenceSet  # noqa: E402
 from tests.benchmarks import suite  # noqa: E402
 from tests.reference.stated import Stated  # noqa: E402
 

@@ -24,16 +24,12 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.discretization import RadauCollocation  # noqa: E402
-from rankone.ir.jacobian import PatternJacobian, pattern_of  # noqa: E402
-from rankone.solvers.train import inverse as inverse_module  # noqa: E402
-from rankone.solvers.train.inverse import (  # noqa: E402
-    SchurInverse,
-    SlabJacobian,
-    SparseInverse,
-)
+from rankone.solvers.engines.train import inverse as inverse_module  # noqa: E402
+from rankone.solvers.engines.train.inverse import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
-from rankone.trajectories.stacks.elimination import Solver, elimination_of  # noqa: E402
+from rankone.tensors.bases import RadauCollocation  # noqa: E402
+from rankone.trajectories.stacks.newton import Solver, elimination_of  # noqa: E402
+from rankone.trajectories.system.system import PatternJacobian, pattern_of  # noqa: E402
 from tests.benchmarks.many_states import epidemic, heat, mass_action, truss  # noqa: E402
 
 COLUMNS, SOLUTIONS = 20, 10  # Right-hand sides of a solution, and solutions with one matrix

@@ -23,7 +23,7 @@ import numpy as np
 
 import rankone as ro
 from examples import kirchhoff
-from rankone.statistics.solution_statistics import Sobol
+from rankone.solution.statistics.solution_statistics import Sobol
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:

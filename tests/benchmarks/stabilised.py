@@ -28,11 +28,13 @@ import scipy.sparse  # noqa: E402
 from scipy.sparse.linalg import LinearOperator, gmres, spilu, splu  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.ir.jacobian import pattern_of  # noqa: E402
-from rankone.ir.system import System  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
-from rankone.trajectories.integrator import Tolerances  # noqa: E402
-from rankone.trajectories.stacks.integrator import StackedIntegrator  # noqa: E402
+from rankone.trajectories.integrators.integrator import Tolerances  # noqa: E402
+from rankone.trajectories.stacks.stack import StackedIntegrator  # noqa: E402
+from rankone.trajectories.system.system import (  # noqa: E402
+    System,
+    pattern_of,
+)
 from tests.benchmarks.many_states import brusselator, heat, mass_action  # noqa: E402
 
 TRAJECTORIES = 32

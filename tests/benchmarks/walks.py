@@ -2,10 +2,9 @@
 
 Two walks are recorded while the calls happen: from ``solve(rtol=...)`` to the comparison that
 decides, and from an equation in SymPy to a number of its solution. A walk visits the functions that
-lead to each milestone, and goes back to the caller when a call is done. A room is a folder of the
-package; a module at its top is a room of its own. Printed are the functions in order, how many
-files and rooms they are in, and how often a room is entered again. SRC is the ``src`` folder of
-another checkout.
+lead to each milestone, and goes back to the caller when a call is done. A room is a folder at the
+top of the package. Printed are the functions in order, how many files and rooms they are in, and
+how often a room is entered again. SRC is the ``src`` folder of another checkout.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ def show(title: str, walk: list[Calls]) -> None:
     for arrow, path, function in steps(walk):
         print(f"  {arrow} {path} {function}")
         files.add(path)
-        room = path.rpartition("/")[0] or path
+        room = path.partition("/")[0]
         if rooms[-1:] != [room]:
             rooms.append(room)
     entered = len(set(rooms))

@@ -8,9 +8,9 @@ import numpy as np
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.request import SolveRequest
 from rankone.solvers.branches import order_search
-from rankone.solvers.stretches import timed_system
+from rankone.solvers.request import SolveRequest
+from rankone.solvers.stretches_by_markers import timed_system
 from rankone.support.budget import limited
 from tests.honesty.cases import Case, kind, number, t, unknown
 

@@ -34,7 +34,7 @@ def _no_points(system: object, domain: object) -> np.ndarray:
 
 def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> np.ndarray:
     """A quarter of the points, and nothing beside special values."""
-    from rankone.verification.points import check_points
+    from rankone.solvers.verification.points import check_points
 
     options.pop("cuts", None)
     return check_points(box, count // 4, *arguments, **options)  # type: ignore[arg-type]
@@ -42,7 +42,7 @@ def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> 
 
 _EFFORT = 0.3
 """Limit of the work of each solve."""
-_REFERENCE = "rankone.verification.reference_set"
+_REFERENCE = "rankone.solvers.verification.reference_set"
 PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     "nothing": None,
     "cuts of one coordinate": (
@@ -56,9 +56,12 @@ PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
         _no_points,
     ),
     "points of the residual": ("rankone.solvers.attempts.worst_points", _nothing),
-    "steep points and narrow elements": ("rankone.solvers.cross.engine.candidate_points", _nothing),
+    "steep points and narrow elements": (
+        "rankone.solvers.engines.cross.cross_engine.candidate_points",
+        _nothing,
+    ),
     "steps made again": (
-        "rankone.trajectories.defects.DefectControl.missed",
+        "rankone.trajectories.integrators.defects.DefectControl.missed",
         lambda *_: np.zeros(1, dtype=bool),
     ),
 }
@@ -66,15 +69,15 @@ PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
 
 
 def _no_cuts(domain: object) -> tuple[object, ...]:
-    from rankone.verification.cuts import Cuts
+    from rankone.solvers.verification.cuts import Cuts
 
     return (Cuts(),) * (1 + len(domain.box))  # type: ignore[attr-defined]
 
 
 def without(part: str, made: tuple[str, int]) -> str:
     """The verdict on a case with a part left out."""
-    import rankone.solvers.cross.engine  # what is replaced must be there
-    import rankone.trajectories.stacks.steppers  # noqa: F401
+    import rankone.solvers.engines.cross.cross_engine  # what is replaced must be there
+    import rankone.trajectories.stacks.explicit  # noqa: F401
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():

@@ -14,7 +14,7 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.functions import Table
+from rankone.problem.functions import Table
 from tests.honesty import impacts, narrow, orders, switches  # register their kinds
 from tests.honesty.cases import Case, case, t
 

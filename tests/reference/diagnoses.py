@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 import rankone as ro
-from tests.calibration import conversion
-from tests.estimation import experiments, systems
-from tests.populations import simulated
+from tests.inference.calibration import conversion
+from tests.inference.estimation import experiments, systems
+from tests.inference.populations import simulated
 
 PATTERNS = {
     # fits: findings

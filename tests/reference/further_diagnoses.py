@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 import rankone as ro
-from tests.estimation import systems
+from tests.inference.estimation import systems
 from tests.reference.diagnoses import (
     CLOCK,
     SIGMA,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from tests.export.alone import PythonAlone
-from tests.export.node import NODE, script
-from tests.export.test_models import COMPILER
 from tests.reference.offsets import END, JUMP, SYSTEMS
+from tests.share.export.alone import PythonAlone
+from tests.share.export.node import NODE, script
+from tests.share.export.test_models import COMPILER
 
 RTOL = 1e-5
 WITHIN = 5.0

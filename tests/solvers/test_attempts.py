@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.request import Check, Domain, SolveRequest
-from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.march import MarchResult
+from rankone.solvers.outcome import Outcome, SlabRecord
+from rankone.solvers.request import Check, Domain, SolveRequest
+from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.errors import RankoneError
 from rankone.support.options import Options, integer
 from rankone.support.progress import Report, quiet
-from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import Train
-from rankone.verification.reference_set import ReferenceSet
+from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.trains.train import Train
+from rankone.trajectories.system.verdict import Status
 from tests.problems import REFERENCE
 
 

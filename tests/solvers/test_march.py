@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from rankone.ir.outcome import SlabRecord
-from rankone.ir.verdict import Status
 from rankone.solvers.march import March, SlabTrial, Span
+from rankone.solvers.outcome import SlabRecord
 from rankone.support.progress import ProgressEvent
-from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import Train
+from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.trains.train import Train
+from rankone.trajectories.system.verdict import Status
 
 
 class Halving:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.discretization import ChebyshevBasis
-from rankone.discretization.scales import Logarithm
-from rankone.ir.verdict import Status
-from rankone.solvers.narrowing import Resolution, narrowed_box
+from rankone.solvers.remedies import Resolution, narrowed_box
+from rankone.tensors.bases import ChebyshevBasis
+from rankone.tensors.bases.scales import Logarithm
+from rankone.trajectories.system.verdict import Status
 
 RTOL = 1e-3
 

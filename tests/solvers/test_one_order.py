@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.solvers.one_order import narrowing_text
+from rankone.solvers.remedies import narrowing_text
 
 
 @pytest.mark.parametrize(

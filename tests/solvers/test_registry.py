@@ -8,10 +8,10 @@ import typing
 import pytest
 
 import rankone as ro
-from rankone.ir.outcome import SlabRecord
-from rankone.ir.request import Domain, SolveRequest
-from rankone.solvers.greedy import GreedySlabRecord
-from rankone.solvers.registry import ENGINES, engines_for
+from rankone.solvers.engines.greedy import GreedySlabRecord
+from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.selection import ENGINES, engines_for
 from rankone.support.errors import OptionError
 from rankone.support.options import Options
 from rankone.support.progress import ProgressEvent

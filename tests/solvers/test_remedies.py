@@ -9,18 +9,9 @@ import re
 import pytest
 
 import rankone as ro
-from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.verdict import (
-    MeasuredError,
-    NarrowBox,
-    OtherEngines,
-    Remedy,
-    Status,
-    SteepParameter,
-    Verdict,
-)
 from rankone.solvers.attempts import Progress
 from rankone.solvers.remedies import Trials, remedied
+from rankone.solvers.request import Domain, SolveRequest
 from rankone.support.budget import (
     NORMAL,
     OutOfWorkError,
@@ -30,6 +21,15 @@ from rankone.support.budget import (
     patient,
     persisting,
     work_left,
+)
+from rankone.trajectories.system.verdict import (
+    MeasuredError,
+    NarrowBox,
+    OtherEngines,
+    Remedy,
+    Status,
+    SteepParameter,
+    Verdict,
 )
 from tests.problems import REFERENCE
 from tests.reference.kinetics import KINETICS

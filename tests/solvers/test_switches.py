@@ -9,8 +9,8 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.verdict import Status
-from rankone.solvers.engine import Engine
+from rankone.solvers.ways import Engine
+from rankone.trajectories.system.verdict import Status
 from tests.honesty.cases import unknown
 
 RTOL = 1e-4

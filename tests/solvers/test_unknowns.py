@@ -7,8 +7,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.timeline import BranchedTimeline
 from rankone.support.errors import OptionError
+from rankone.trajectories.system.timeline import BranchedTimeline
 from tests.benchmarks.many_states import chain
 
 t, k = sp.symbols("t k")

@@ -4,9 +4,16 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.outcome import Measured
-from rankone.ir.verdict import Budget, ReferenceLimit, Remedy, Status, UndecidedOrder, Verdict
 from rankone.solvers.attempts import error_notes, unknowns_notes
+from rankone.solvers.outcome import Measured
+from rankone.trajectories.system.verdict import (
+    Budget,
+    ReferenceLimit,
+    Remedy,
+    Status,
+    UndecidedOrder,
+    Verdict,
+)
 
 t, a, b = sp.symbols("t a b")
 x, y = (sp.Function(name)(t) for name in "xy")

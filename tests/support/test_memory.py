@@ -7,7 +7,7 @@ import pytest
 
 from rankone.support.budget import OutOfMemoryError, Reached, hold, limited, memory_left, reserve
 from rankone.support.errors import OptionError
-from rankone.support.memory import checked_memory, in_words
+from rankone.support.options import checked_memory, in_words
 
 
 @pytest.mark.parametrize(

@@ -12,16 +12,20 @@ from scipy.special import erf
 
 import rankone as ro
 from rankone.support.budget import OutOfWorkError, limited
-from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
-from rankone.trajectories.compiled import CompiledIntegrator
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.series import (
+from rankone.trajectories.integrators.compiled_series import CompiledIntegrator
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.integrator_choice import (
+    SamplingChoice,
+    explicit_steps,
+    integrator_for,
+)
+from rankone.trajectories.integrators.series import (
     has_series,
     order_of,
     taylor_integrator,
     with_compiled_rates,
 )
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.stacks.stack import StackedIntegrator
 from tests.honesty.cases import t
 from tests.problems import GENERAL, REFERENCE
 

@@ -8,17 +8,17 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.forms import Coordinate
-from rankone.ir.request import Domain
+from rankone.compiler.passes.feature_pass import features_of
+from rankone.problem.forms import Coordinate
+from rankone.solvers.request import Domain
+from rankone.solvers.verification.points import check_points, surface_points
+from rankone.solvers.verification.reference import integrate_reference
 from rankone.support.budget import limited
-from rankone.symbolic.features import features_of
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.stacks.explicit import StackedDOP853
 from rankone.trajectories.stacks.implicit import StackedRadau
 from rankone.trajectories.stacks.newton import jacobians_for
-from rankone.verification.points import check_points, surface_points
-from rankone.verification.reference import integrate_reference
 from tests.honesty.cases import t, unknown
 
 SHAPES = {

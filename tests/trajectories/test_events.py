@@ -5,12 +5,12 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.events import SystemEvent
 from rankone.support.budget import OutOfWorkError, limited
-from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.instants import MOST_ROUNDS
-from rankone.trajectories.events.integration import integrate_to_events
-from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.integrator_choice import span_integrator_for
+from rankone.trajectories.system.events import SystemEvent
 
 INTEGRATORS = ["stack", "single", "auto"]
 

@@ -10,14 +10,19 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.solvers.verification.reference import integrate_reference
 from rankone.support.budget import OutOfMemoryError, limited
-from rankone.trajectories import groups
-from rankone.trajectories.groups import GroupedStacks, GroupedTrajectories, SinglesOnWorkers
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks.integrator import StackedIntegrator
-from rankone.trajectories.workers import Workers, open_workers
-from rankone.verification.reference import integrate_reference
+from rankone.trajectories.integrators import workers as groups
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.integrators.workers import (
+    GroupedStacks,
+    GroupedTrajectories,
+    SinglesOnWorkers,
+    Workers,
+    open_workers,
+)
+from rankone.trajectories.stacks.stack import StackedIntegrator
 
 MANY = 210  # States from which a stack is divided into groups
 POINTS = np.linspace([1.0, 0.5], [2.0, 1.5], 70)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.trajectories.integrator import Spans, Tolerances
-from rankone.trajectories.stacks import integrator, newton
+from rankone.trajectories.integrators.integrator import Spans, Tolerances
+from rankone.trajectories.stacks import newton
+from rankone.trajectories.stacks import stack as integrator
 from rankone.trajectories.stacks.implicit import StackedRadau
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.stacks.stack import StackedIntegrator
 
 STIFF = StackedIntegrator(stiff=True)
 

@@ -5,9 +5,9 @@ import pytest
 
 import rankone as ro
 from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, limited
-from rankone.trajectories.integrator import Integrator, Tolerances
-from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.integrators.integrator import Integrator, Tolerances
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.stacks.stack import StackedIntegrator
 
 POINTS = np.array([[0.5], [1.0], [1.5]])
 TOLERANCES = Tolerances(1e-8, np.full((1, 1), 1e-10))

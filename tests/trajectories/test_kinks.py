@@ -5,8 +5,7 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.stacks.kinks import (
     DividedSteps,
     Kinks,
@@ -14,6 +13,7 @@ from rankone.trajectories.stacks.kinks import (
     crossed_once,
     divided_steps,
 )
+from rankone.trajectories.stacks.stack import StackedIntegrator
 
 TIMES = np.linspace(0.05, 2.0, 40)
 POINTS = np.linspace(0.1, 2.0, 200)[:, None]

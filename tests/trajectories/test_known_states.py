@@ -10,7 +10,7 @@ import pytest
 
 import rankone as ro
 from rankone.trajectories.events.sides import on_sides
-from rankone.trajectories.known_states import of_known_states
+from rankone.trajectories.integrators.known_states import of_known_states
 
 POINTS = 20
 

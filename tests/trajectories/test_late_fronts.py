@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.events import Ending
-from rankone.ir.request import Domain
-from rankone.solvers.stretches import pilots
-from rankone.trajectories.choice import span_integrator_for
+from rankone.solvers.request import Domain
+from rankone.solvers.stretches_by_markers import pilots
 from rankone.trajectories.events.late_fronts import late_front
-from rankone.trajectories.integrator import Spans
+from rankone.trajectories.integrators.integrator import Spans
+from rankone.trajectories.integrators.integrator_choice import span_integrator_for
+from rankone.trajectories.system.events import Ending
 
 RATES = {"x": "0.5*s/(ks + s + s**2/ki)*x", "s": "-s/(ks + s + s**2/ki)*x"}
 BOX = {"ks": (0.05, 5.0), "ki": (2.0, 200.0), "x0": (1e-3, 0.1)}

@@ -10,32 +10,29 @@ import scipy.linalg
 import scipy.sparse
 
 import rankone as ro
-from rankone.ir.jacobian import PatternJacobian
-from rankone.ir.system import System
-from rankone.trajectories import spectra
-from rankone.trajectories.integrator import Tolerances, jacobians
-from rankone.trajectories.spectra import (
+from rankone.trajectories.integrators import diagnosis as spectra
+from rankone.trajectories.integrators.diagnosis import (
     decays_faster,
     first_jacobian,
     growth_bounds,
     growth_rate,
     jacobian_blocks,
 )
-from rankone.trajectories.stacks.elimination import (
-    BandElimination,
-    SparseElimination,
-    elimination_of,
-)
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.integrators.integrator import Tolerances, jacobians
 from rankone.trajectories.stacks.newton import (
     COFACTOR_STATES,
+    BandElimination,
     DenseJacobians,
     SmallJacobians,
+    SparseElimination,
     SparseJacobians,
+    elimination_of,
     entries_at,
     jacobians_for,
     sparse_pattern,
 )
+from rankone.trajectories.stacks.stack import StackedIntegrator
+from rankone.trajectories.system.system import PatternJacobian, System
 
 N, TIME = 80, 0.2
 
@@ -120,7 +117,7 @@ def test_chains_are_bands_and_nets_are_not() -> None:
 
 @pytest.mark.parametrize("stages", [3, 5, 7])
 def test_more_stages_keep_the_tolerance_in_fewer_steps(stages, monkeypatch) -> None:
-    monkeypatch.setattr("rankone.trajectories.stacks.integrator.stages_for", lambda *_: stages)
+    monkeypatch.setattr("rankone.trajectories.stacks.stack.stages_for", lambda *_: stages)
     rates = {"y": "-k*(y - cos(t)) - sin(t)", "z": "-z*z"}
     problem = ro.Problem.from_strings(rates, {"y": 2, "z": 1}, {"k": (1, 1e5)}, (0, 3))
     points, times = np.geomspace(1, 1e5, 9)[:, None], np.linspace(0.01, 3, 40)

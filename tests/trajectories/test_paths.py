@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.trajectories.paths import NODES, Path, Paths
+from rankone.trajectories.integrators.integrator import NODES, Path, Paths
 
 
 def _states(times):

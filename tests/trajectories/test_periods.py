@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.events import Ending, EventOrder, Marker
-from rankone.ir.system import Clock
-from rankone.trajectories.choice import integrator_for, span_integrator_for
-from rankone.trajectories.events.crossings import Crossings
+from rankone.trajectories.events.event_crossings import Crossings
+from rankone.trajectories.events.event_integration import Ahead
 from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
-from rankone.trajectories.events.integration import Ahead
 from rankone.trajectories.events.markers import ForeseenMarks, _enough_marks
 from rankone.trajectories.events.periods import is_autonomous, repeating_from, repeats
 from rankone.trajectories.events.stretches import in_stretches, marker_event, timed_events
-from rankone.trajectories.integrator import Spans, Tolerances
-from rankone.trajectories.paths import joined
+from rankone.trajectories.integrators.integrator import Spans, Tolerances, joined
+from rankone.trajectories.integrators.integrator_choice import integrator_for, span_integrator_for
+from rankone.trajectories.system.events import Ending, EventOrder, Marker
+from rankone.trajectories.system.system import Clock
 
 END, COUNT = 24.0, 16
 ACCURACY = 1e-8

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.stacks.integrator import _Stack
-from rankone.verification.reference import integrate_reference
+from rankone.solvers.verification.reference import integrate_reference
+from rankone.trajectories.stacks.stack import _Stack
 
 CONSERVED = {
     "a": "-100*k*a*x/(1 + x) + 30*b + 0.3*c",

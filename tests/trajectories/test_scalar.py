@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.trajectories.scalar import scalar_rates
+from rankone.trajectories.integrators.lsoda import scalar_rates
 
 EXPRESSIONS = [
     *("exp(-k*x)", "log(x)", "sqrt(x)", "sin(x)*cos(t)*tan(k)", "sinh(x) + cosh(x) + tanh(x)"),

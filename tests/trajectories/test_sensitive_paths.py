@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.sensitive_paths import sensitive_to_parameters
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.sensitivities import sensitive_to_parameters
 
 
 @pytest.mark.slow

@@ -10,13 +10,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
+from rankone.solvers.verification.points import check_points
+from rankone.solvers.verification.reference import integrate_reference
 from rankone.support.budget import OutOfBudgetError, limited, work_done
-from rankone.trajectories.choice import explicit_steps, integrator_for
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks.integrator import StackedIntegrator
-from rankone.verification.points import check_points
-from rankone.verification.reference import integrate_reference
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.integrator_choice import explicit_steps, integrator_for
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.stacks.stack import StackedIntegrator
 
 POINTS = np.array([[0.5], [1.0], [1.5]])
 TOLERANCES = Tolerances(1e-8, np.full((1, 1), 1e-10))

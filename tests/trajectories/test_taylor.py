@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.ir.system import System
-from rankone.trajectories.integrator import Spans, Tolerances
-from rankone.trajectories.stacks import integrator as stacks
+from rankone.trajectories.integrators.integrator import Spans, Tolerances
+from rankone.trajectories.stacks import stack as stacks
 from rankone.trajectories.stacks import taylor
-from rankone.trajectories.stacks.integrator import StackedIntegrator, StackedTrajectories
+from rankone.trajectories.stacks.stack import StackedIntegrator, StackedTrajectories
 from rankone.trajectories.stacks.taylor import TaylorSeries
+from rankone.trajectories.system.system import System
 
 CASES = {
     "linear": ({"x": "a*x - y", "y": "x - b*y"}, {"x": "1", "y": "b"}, 4.0),

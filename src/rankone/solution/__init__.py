@@ -1,12 +1,21 @@
-"""A solution: evaluation, smaller solutions, tables with labels, summaries.
+"""What users hold: compiled problems, and solutions for every parameter value and time at once.
 
-================  ==================================================================================
-``core``          evaluation, errors and files; all that an exported solver needs of a solution
-``timeline``      times of events
-``branches``      the evaluator where several orders of events hold
-``smaller``       parameters fixed, the box restricted, derivatives
-``joining``       one solution over a box, of solutions on pieces that tile it
-``streaming``     evaluation in blocks of bounded memory
-``presentation``  the printed summary; xarray and pandas
-================  ==================================================================================
+In comes a problem, or the outcome of a solve; out go numbers, statistics, outputs that are
+solutions of their own, and files. Applications (``inference``, ``share``) are opened by methods of
+a solution when these are called, and by nothing else here.
+
+- ``evaluation``: a solution: evaluation, smaller solutions, tables with labels, summaries
+- ``outputs``: outputs: quantities of interest of a solution, as solutions of their own
+- ``statistics``: statistics of a solution over its box: every integral is a product of one-
+  dimensional ones
+- ``storage``: saving and loading solutions in open formats, without pickle
+- ``applications``: methods of a solution that belong to applications, imported when called
+- ``checkpoint``: finished solves in a folder, found again by digests of what was solved
+- ``compiled``: compiled problems, which are solved and exported
+- ``many``: many solves of one problem: on pieces of its box, under conditions, for designs
+- ``other_forms``: a solution in other forms: canonical sums, tables, figures, pages, and exported
+  models
+- ``solution``: solution: what users hold after a solve, for every parameter value and time at
+  once
+- ``steady``: steady states as solutions of the parameters alone
 """

@@ -1,22 +1,27 @@
-"""Engines: what separates the solution over the box, and how one is chosen and run.
+"""Solves: a solution over the whole box, with a measured error.
 
-=================  =================================================================================
-``registry``       the engines by name, and which ones a method tries
-``engine``         the interface of engines, and the ways in which one solves
-``selection``      a solve that tries one engine after another
-``attempts``       reference, march, check, tighten, until the measured error fits
-``narrowing``      which parameters to narrow where that does not happen, and to what
-``remedies``       what to do about a refused solve, tried before it is offered
-``march``          one pass over the horizon, slab after slab
-``interpolation``  initial values and states after jumps, interpolated in a tensor train
-``stretches``      solves over stretches between events
-``branches``       solves of several orders of events, each a branch
-``branching``      the branches of a search for orders, and where each two of them part
-``branch_check``   their check against trajectories that follow their own order
-``one_order``      a part of the box in which events come in one order, for messages
-``markers``        the reference over stretches between markers, where they pay
-``cross``          the engine that interpolates trajectories
-``train``          the engine that sweeps over a tensor train
-``greedy``         the classic engine, which enriches by rank-one terms
-=================  =================================================================================
+In come a system and a :class:`~rankone.solvers.request.SolveRequest`; out goes an
+:class:`~rankone.solvers.outcome.Outcome`: separated tensors on each slab, the error that was
+measured against reference trajectories, and how the solve ended.
+
+- ``engines``: the engines, one folder each
+- ``verification``: where is a solution worst? Reference trajectories, candidate points, and the
+  measured error
+- ``attempts``: one attempt after the other: reference, march, check, tighten, until the measured
+  error fits
+- ``branches``: solves where the order of events changes inside the box: a solution for each
+  order, checked
+- ``branching``: the branches of a search for orders: continued over the box, and where each two
+  of them part
+- ``march``: one pass over the horizon, slab after slab, and functions of the parameters alone
+- ``observation``: what a solve keeps of trajectories in place of their states
+- ``outcome``: what an engine returns, and the problem and the request behind it as plain data
+- ``remedies``: what to do about a solve that is refused: a remedy is tried before it is offered
+- ``request``: the request of a solve: domain, tolerance, check, limits, and the options of the
+  engines
+- ``selection``: the engines by name, and a solve that tries one after another
+- ``stretches_by_markers``: solves over stretches between events or markers, where all
+  trajectories are in step
+- ``ways``: the interface of engines, and the ways in which one solves: as written, in order, in
+  branches
 """

@@ -12,11 +12,32 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rankone.discretization import Basis1D
-from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord
-from rankone.ir.request import SolveRequest
-from rankone.ir.system import System
-from rankone.ir.verdict import (
+from rankone.solvers.march import MarchResult
+from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord
+from rankone.solvers.remedies import Resolution, narrowed_box, spectra_of
+from rankone.solvers.request import SolveRequest
+from rankone.solvers.verification.finer import confirmed
+from rankone.solvers.verification.measure import measure
+from rankone.solvers.verification.reference import safe_intervals
+from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.solvers.verification.worst_points import worst_points
+from rankone.support.arrays import Array
+from rankone.support.budget import (
+    OutOfBudgetError,
+    budget_left,
+    keeping_back,
+    persisting,
+    seconds_left,
+    waiting,
+    work_done,
+    work_left,
+)
+from rankone.support.options import Options
+from rankone.support.progress import Report
+from rankone.tensors.bases import Basis1D
+from rankone.trajectories.integrators.integrator_choice import tell_fallback
+from rankone.trajectories.system.system import System
+from rankone.trajectories.system.verdict import (
     AccurateUnknowns,
     Budget,
     Cause,
@@ -33,27 +54,6 @@ from rankone.ir.verdict import (
     StoppedAt,
     TinyUnknowns,
 )
-from rankone.solvers.march import MarchResult
-from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
-from rankone.support.arrays import Array
-from rankone.support.budget import (
-    OutOfBudgetError,
-    budget_left,
-    keeping_back,
-    persisting,
-    seconds_left,
-    waiting,
-    work_done,
-    work_left,
-)
-from rankone.support.options import Options
-from rankone.support.progress import Report
-from rankone.trajectories.choice import tell_fallback
-from rankone.verification.finer import confirmed
-from rankone.verification.measure import measure
-from rankone.verification.reference import safe_intervals
-from rankone.verification.reference_set import ReferenceSet
-from rankone.verification.worst_points import worst_points
 
 EXPLANATION_OPERATIONS = 1.5e9
 """Most operations kept back, and spent, to explain a failure: to find the steep parameter."""

@@ -1,41 +1,305 @@
-"""Solves where the order of events changes inside the box: each order is a branch of its own.
-
-A branch is continued over the whole box with its order forced, so that it is smooth; where known
-times alone tell in which part of the box it holds, over that part. Which one holds is decided by
-the times of the events in which they differ, and by guards. The solution is then measured against
-trajectories that follow their own order.
-"""
+"""Solves where the order of events changes inside the box: a solution for each order, checked."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
-from rankone.ir.measures import LINEAR, Interval
-from rankone.ir.outcome import Outcome
-from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.system import Clock, System
-from rankone.ir.timeline import BranchedTimeline, Timeline
-from rankone.ir.verdict import MemoryNeeded, Note, OrderSearchLimit, Remedy, Status
-from rankone.solution.branches import box_of_branch, slabs_over
 from rankone.solvers.attempts import Stages, out_at_reference
-from rankone.solvers.branch_check import MOST_MISSED, BranchCheck
 from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches_of
-from rankone.solvers.one_order import box_of_one_order, remedy_of
-from rankone.solvers.stretches import sizes_at_start, timed_system
+from rankone.solvers.outcome import Measured, Outcome
+from rankone.solvers.remedies import box_of_one_order, remedy_of
+from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.stretches_by_markers import sizes_at_start, timed_system
+from rankone.solvers.verification.branch_errors import (
+    MOST_UNDECIDED,
+    BranchErrors,
+    branch_errors,
+    points_near_changes,
+    points_with_other_events,
+    undecided_share,
+)
+from rankone.solvers.verification.coverage import Coverage
+from rankone.solvers.verification.hidden_events import hidden_event
+from rankone.solvers.verification.hidden_rates import hidden_rate_along
+from rankone.solvers.verification.measure import SAFE_QUANTILE
+from rankone.solvers.verification.points import FEW_PARAMETERS, check_points, covers_corners
+from rankone.solvers.verification.reference import reference_accuracy
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
-from rankone.tensors.slab import SlabTrain
-from rankone.trajectories.choice import span_integrator_for
+from rankone.tensors.bases.scales import LINEAR, Interval
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
+from rankone.tensors.evaluators.decisions import Decider
+from rankone.tensors.evaluators.timeline_evaluator import HeightRoot, TimelineEvaluator
+from rankone.tensors.trains.slab import SlabTrain, restricted
 from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
-from rankone.trajectories.events.orders import OrderSearch
+from rankone.trajectories.events.orders import Order, OrderSearch
 from rankone.trajectories.events.stretches import in_stretches
-from rankone.trajectories.integrator import Tolerances
-from rankone.verification.coverage import Coverage
-from rankone.verification.reference import reference_accuracy
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.integrator_choice import span_integrator_for
+from rankone.trajectories.system.system import Clock, System
+from rankone.trajectories.system.timeline import CLOCK_STATES, BranchedTimeline, Opening, Timeline
+from rankone.trajectories.system.verdict import (
+    HiddenEvent,
+    HiddenRate,
+    MeasuredError,
+    MemoryNeeded,
+    Note,
+    OrderSearchLimit,
+    Remedy,
+    SharedUnit,
+    Status,
+    UndecidedOrder,
+    UndecidedShare,
+)
+
+_BEYOND = 0.02  # Reach of a branch beyond the part of the box where it holds, in horizons
+
+
+def slabs_of_branches(
+    slabs: Sequence[SlabTrain], timeline: BranchedTimeline
+) -> list[tuple[SlabTrain, ...]]:
+    """The slabs of each branch, which follow those of the one before, from 0 on."""
+    ends = itertools.accumulate(branch.stretches for branch in timeline.branches)
+    every, start = list[tuple[SlabTrain, ...]](), 0
+    for end in ends:
+        own = (
+            replace(slab, start=slab.start - start, end=slab.end - start)
+            for slab in slabs
+            if start <= 0.5 * (slab.start + slab.end) < end
+        )
+        every.append(tuple(own))
+        start = end
+    return every
+
+
+def box_of_branch(
+    timeline: BranchedTimeline, branch: int, whole: Sequence[Interval]
+) -> tuple[Interval, ...]:
+    """The box around the part of the whole one where a branch holds, and some way beyond.
+
+    The whole one unless times of events that are affine in the parameters alone tell where.
+    """
+    times = timeline.branches[branch].affine_times
+    guarded = any(timeline.guards) or any(fork.guard is not None for fork in timeline.forks)
+    known = all(len(b.affine_times) == len(b.instants) for b in timeline.branches)
+    if guarded or not known or len(times) < 2:
+        return tuple(whole)
+    earlier = -np.diff([coefficients for _, coefficients in times], axis=0)
+    start, end = timeline.horizon
+    most = _BEYOND * (end - start) - earlier[:, 0]
+    box = list(whole)
+    for j in np.flatnonzero(earlier[:, 1:].any(axis=0)).tolist():
+        (lower, upper), along = whole[j], np.eye(len(whole))[j]
+        ends = [linprog(sign * along, earlier[:, 1:], most, bounds=whole) for sign in (1, -1)]
+        if not all(each.success for each in ends):
+            return tuple(whole)
+        low, high = (float(each.x[j]) for each in ends)
+        if low < high:
+            box[j] = max(low, lower), min(high, upper)
+    return tuple(box)
+
+
+def slabs_over(slabs: Sequence[SlabTrain], box: Sequence[Interval]) -> tuple[SlabTrain, ...]:
+    """Slabs over another box of the parameters, constant beyond the one they are solved over."""
+    slabs = tuple(slabs)
+    for j, interval in enumerate(box):
+        if slabs and (slabs[0].bases[j].lower, slabs[0].bases[j].upper) != interval:
+            slabs = restricted(slabs, j, interval)
+    return slabs
+
+
+def branch_evaluator(slabs: Sequence[SlabTrain], timeline: BranchedTimeline) -> BranchEvaluator:
+    """The evaluator of slabs of branches, each behind those of the one before."""
+    return evaluator_of_branches(slabs_of_branches(slabs, timeline), timeline)
+
+
+def evaluator_of_branches(
+    slabs_of: Sequence[Sequence[SlabTrain]], timeline: BranchedTimeline
+) -> BranchEvaluator:
+    """The evaluator of the slabs of each branch, from 0 on."""
+    evaluators = dict[int, TimelineEvaluator]()
+
+    def evaluator(k: int) -> TimelineEvaluator:
+        """That of a branch, after those of the parents of its openings."""
+        if k not in evaluators:
+            branch = timeline.branches[k]
+            roots = [root(each) for each in timeline.openings if each.branch == k]
+            evaluators[k] = TimelineEvaluator(
+                slabs_of[k], branch.horizon, branch.affine_borders, roots
+            )
+        return evaluators[k]
+
+    def root(opening: Opening) -> HeightRoot:
+        of, k = evaluator(opening.parent), opening.parent
+        row = len(of.slabs[0].cores[0]) - CLOCK_STATES - timeline.guards[k] + opening.guard
+        return HeightRoot(of, row, opening.lower, opening.upper)
+
+    return BranchEvaluator(
+        [evaluator(k) for k in range(len(timeline.branches))],
+        timeline.guards,
+        Decider(
+            timeline.forks,
+            timeline.highest,
+            timeline.grazings,
+            timeline.width,
+            timeline.horizon,
+        ),
+        timeline.tolerances,
+    )
+
+
+# -----------------------------------------------------------------------------
+# The check of a solve in branches, against trajectories that follow their own order of events.
+
+
+MOST_MISSED = 10.0
+"""Error over the tolerance from which more accurate branches are no remedy."""
+
+
+@dataclass(frozen=True)
+class BranchCheck:
+    """The check of branches for the first ``solved`` of the orders that are known."""
+
+    search: OrderSearch
+    request: SolveRequest
+    orders: Sequence[Order]
+    solved: int
+
+    def outcome(self, joined: Outcome, timeline: BranchedTimeline) -> tuple[Outcome, Array]:
+        """The outcome of all branches, measured; and points (m, d) at which other orders hold."""
+        nothing, rtol = self.search.points[:0], self.request.rtol
+        if not self.request.check.points:
+            return joined, nothing
+        evaluator = branch_evaluator(joined.slabs, timeline)
+        points, corners = self._points(evaluator)
+        checked = self.search.at(points)
+        errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
+        known = [self._is_known(order.at_any_roots) for order in checked.orders]
+        others = ~np.array(known, dtype=bool)
+        if (others & errors.decided).any():
+            return joined, points[others & errors.decided]
+        sizes = np.delete(errors.largest, slice(1, 1 + corners), axis=1).max(axis=1)
+        added = checked.system.tolerances(sizes)[:, None] / rtol
+        measured = _measured(errors, self.request, points, corners, added)
+        undecided = undecided_share(evaluator, Coverage.of_domain(self.request.domain))
+        judged = _judged(joined, timeline, measured, undecided, rtol)
+        shared = SharedUnit.of(checked.system, sizes, rtol, self.request.check.states)
+        judged = replace(judged, notes=(*judged.notes, *shared))
+        if judged.status is Status.CONVERGED:
+            judged = _looked_at(judged, checked, rtol)
+        if judged.status is Status.TOLERANCE:  # by other orders, where events nearly coincide
+            return judged, points[others & _is_wrong(errors, rtol, added)]
+        return judged, nothing
+
+    def _is_known(self, order: Order) -> bool:
+        """Whether an order is one of those that are known, or goes on as one."""
+        known = [each.at_any_roots for each in self.orders]
+        return any(order == each or order.begins(each) for each in known)
+
+    def _points(self, evaluator: BranchEvaluator) -> tuple[Array, int]:
+        """The centre, corners, interior points and suspicious ones (m, d); the number of corners.
+
+        Suspicious are those next to changes, and where a branch passes events that its order lacks.
+        """
+        domain, count = self.request.domain, self.request.check.points
+        few = len(domain.box) <= FEW_PARAMETERS
+        points = check_points(
+            domain.bounds,
+            count,
+            every_corner=few or covers_corners(self.request),
+            scales=domain.coordinates,
+        )
+        coverage = Coverage.of_domain(domain)
+        near = points_near_changes(evaluator, coverage)
+        orders = self.orders[: self.solved]
+        others = points_with_other_events(evaluator, self.search.system, orders, coverage)
+        return np.concatenate([points, near, others]), len(points) - 1 - count
+
+
+def _is_wrong(errors: BranchErrors, rtol: float, added: Array) -> NDArray[np.bool_]:
+    """The points (m,) with errors that more accurate branches are not likely to mend.
+
+    What is ``added`` to sizes (n, 1) are absolute tolerances over the relative one.
+    """
+    sizes = errors.largest.max(axis=1, keepdims=True) + added
+    return np.asarray((errors.states > MOST_MISSED * rtol * sizes).any(axis=0))
+
+
+def _judged(
+    joined: Outcome, timeline: BranchedTimeline, measured: Measured, undecided: float, rtol: float
+) -> Outcome:
+    """The outcome with its status: by its error, and by the share of the box left undecided."""
+    judged = replace(joined, measured=measured, timeline=replace(timeline, undecided=undecided))
+    if measured.error <= rtol and undecided > MOST_UNDECIDED:
+        remedy = (Remedy(REMEDY),)
+        cause = UndecidedOrder(undecided)
+        return replace(judged, status=Status.TOLERANCE, cause=cause, notes=remedy)
+    notes: list[Note] = [MeasuredError(measured.error, rtol)]
+    notes += [UndecidedShare(undecided)] if undecided else []
+    if measured.error <= rtol:
+        return replace(judged, status=Status.CONVERGED, notes=tuple(notes))
+    return replace(judged, status=Status.TOLERANCE, notes=(*notes, Remedy(REMEDY)))
+
+
+def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:
+    """The outcome, without success where steps of checked trajectories miss something narrow."""
+    trajectories, points, system = checked.trajectories, checked.points, checked.system
+    hidden: HiddenRate | HiddenEvent | None
+    try:
+        hidden = hidden_rate_along(trajectories, points, system, checked.sizes, rtol)
+        hidden = hidden or hidden_event(system, trajectories, points, checked.horizon, rtol)
+    except OutOfBudgetError as out:  # whether steps missed something is not known
+        return replace(outcome, status=Status.of_limit(out))
+    if hidden is None:
+        return outcome
+    return replace(outcome, status=Status.NARROW, cause=hidden, notes=(Remedy(hidden.remedy),))
+
+
+def _measured(
+    errors: BranchErrors, request: SolveRequest, points: Array, corners: int, added: Array
+) -> Measured:
+    """What errors amount to, relative to the sizes of the states and what is ``added``, (n, 1)."""
+    whole_box = covers_corners(request)
+    at_corners = slice(1, 1 + corners)
+    inside = np.delete(errors.largest, at_corners, axis=1).max(axis=1)
+    sizes = np.where(inside > 0.0, inside, 1.0)
+    units = np.repeat(sizes[:, None], len(points), axis=1)
+    largest = errors.largest[:, at_corners].max(axis=1, initial=0.0)
+    units[:, at_corners] = np.maximum(sizes, largest)[:, None]
+    units += added
+    relative = errors.states / units
+    counts = np.ones(len(points), dtype=bool)
+    counts[at_corners] = whole_box
+    counted = request.check.states
+    of_states = relative if counted is None else relative[list(counted)]
+    of_points = of_states[:, counts].max(axis=0)
+    return Measured(
+        interior=tuple(relative[:, counts].max(axis=1).tolist()),
+        corners=tuple(relative[:, at_corners].max(axis=1, initial=0.0).tolist()) if corners else (),
+        points=len(points),
+        method="DOP853",
+        cover="box" if whole_box else "interior",
+        quantile=float(np.quantile(of_points, SAFE_QUANTILE, method="higher")),
+        worst=tuple(points[counts][np.argmax(of_points)].tolist()),
+        counted=counted,
+        time_error=errors.time,
+    )
+
+
+# -----------------------------------------------------------------------------
+# Solves where the order of events changes inside the box: each order is a branch of its own.
+#
+# A branch is continued over the whole box with its order forced, so that it is smooth; where known
+# times alone tell in which part of the box it holds, over that part. Which one holds is decided by
+# the times of the events in which they differ, and by guards. The solution is then measured against
+# trajectories that follow their own order.
+
 
 _POINTS = 256  # Trajectories that tell the orders
 _MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy

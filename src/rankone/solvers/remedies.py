@@ -1,7 +1,9 @@
 """What to do about a solve that is refused: a remedy is tried before it is offered.
 
-The same solve is tried at a looser tolerance, on smaller boxes, and up to earlier ends, each with
-a part of what is left. A box that is predicted, and not tried for lack of work, comes last.
+The modes of an analytic function fall geometrically, and on a part of an interval as far with
+about that part of the nodes (Trefethen, Approximation Theory and Approximation Practice, 2013,
+chapter 8). So the modes of the best attempt, and its measured error, tell how many nodes a
+parameter needs, and on what part of its interval the nodes of the attempt suffice.
 """
 
 from __future__ import annotations
@@ -11,15 +13,297 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rankone.ir.measures import Interval, on_scale
-from rankone.ir.outcome import Outcome
-from rankone.ir.request import SolveRequest
-from rankone.ir.verdict import NarrowBox, Note, NothingInterpolated, Remedy, Status, SteepParameter
-from rankone.solvers.one_order import inside, narrowing_text
-from rankone.support.budget import budget_left, limited
+from rankone.solvers.outcome import Outcome
+from rankone.solvers.request import SolveRequest
+from rankone.solvers.verification.points import check_points
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.events.event_order import OrderError, TrajectoryEndError
+from rankone.support.wording import quote
+from rankone.tensors.bases import Basis1D, first_scale
+from rankone.tensors.bases.scales import Interval, Logarithm, on_scale
+from rankone.tensors.trains.slab import SlabTrain, sharing
+from rankone.tensors.trains.train import Train
+from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
+from rankone.trajectories.events.orders import OrderSearch
+from rankone.trajectories.system.verdict import (
+    NarrowBox,
+    Note,
+    NothingInterpolated,
+    Remedy,
+    Status,
+    SteepParameter,
+)
+
+_AIMED_SHARE = 0.3  # Error aimed at, over the tolerance
+_SAFETY = 0.7  # Factor on a part of an interval: predictions are of one parameter at a time
+_LEAST_SHARE = 0.03  # Parts below this share are not predicted: too far from what was measured
+_LARGEST_SHARE = 0.8  # Largest part, before the safety, where the work of an attempt was small
+_SHRINKAGE = 0.9  # Factor on the part of the costliest parameter, until the work is affordable
+# Work of one attempt over the budget: a reference comes before it, and a second attempt takes twice
+# as much
+_AFFORDABLE_SHARE = 0.24
+_SLOWEST_DECAY = 0.97  # Largest ratio of successive modes: slower decay looks like none
+_FASTEST_DECAY = 0.1  # Smallest one: rounding errors hide faster decay
+_RANK_SHARE = 0.5  # Ranks over the largest possible ones for the nodes on either side
+_ELEMENT_GROWTH = 2.0  # Factor on the nodes of elements whose modes have not fallen
+_NARROWING_DIGITS = 2  # Significant digits of the ends that are told
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """The nodes of one parameter: those of an attempt, and those that are needed on all of it."""
+
+    basis: Basis1D
+    needed: float
+    smooth: float
+
+    @classmethod
+    def of(cls, basis: Basis1D, spectrum: Array, rtol: float) -> Resolution:
+        """From the sizes of the modes, in units of the states."""
+        smooth = min(4.0 - 1.4 * math.log10(rtol), basis.size)
+        excess = math.log(max(basis.tail(spectrum), 1e-300) / (_AIMED_SHARE * rtol))
+        if excess <= 0.0:
+            return cls(basis, float(basis.size), smooth)
+        if basis.elements > 1:
+            return cls(basis, _ELEMENT_GROWTH * basis.size, smooth)
+        return cls(basis, basis.size - excess / math.log(_decay(spectrum)), smooth)
+
+    @property
+    def suffices(self) -> float:
+        """The part of the interval on which the nodes of the attempt are enough."""
+        if self.needed <= self.basis.size:
+            return 1.0
+        return max((self.basis.size - self.smooth) / (self.needed - self.smooth), 0.0)
+
+    def nodes(self, share: float) -> float:
+        """Nodes that are needed on a part of the interval."""
+        return self.smooth + max(self.needed - self.smooth, 0.0) * share
+
+
+def spectra_of(slabs: Sequence[SlabTrain], sizes: Array) -> list[Array]:
+    """Sizes of the modes of each parameter, the largest of all slabs, in units of the states."""
+    bases = slabs[-1].bases
+    largest = [np.zeros(basis.size) for basis in bases]
+    for run in sharing(slabs):
+        if run[0].bases != bases:
+            continue
+        cores = [slab.cores[0] / sizes[: len(slab.cores[0]), None, None] for slab in run]
+        first = np.concatenate([core.reshape(-1, core.shape[2]) for core in cores])
+        norms = Train((first, *run[0].cores[1:])).right_orthonormal(0.0).mode_norms()
+        largest = [np.maximum(a, b) for a, b in zip(largest, norms, strict=True)]
+    return largest
+
+
+def narrowed_box(
+    names: Sequence[str],
+    resolutions: Sequence[Resolution],
+    work: float,
+    budget: float,
+) -> NarrowBox | None:
+    """The parameters to narrow, and to what; None where nothing can be predicted.
+
+    ``work`` is that of an attempt with the nodes of the ``resolutions``, and ``budget`` that of the
+    solve, in operations.
+    """
+    shares = [1.0] * len(resolutions)
+    unit = work / _samples([r.basis.size for r in resolutions])
+
+    def further() -> list[float]:
+        """Nodes beyond those of a smooth function."""
+        return [r.nodes(share) - r.smooth for r, share in zip(resolutions, shares, strict=True)]
+
+    def cost() -> float:
+        nodes = [r.nodes(share) for r, share in zip(resolutions, shares, strict=True)]
+        return unit * _samples(nodes)
+
+    while cost() > _AFFORDABLE_SHARE * budget and min(shares) > _LEAST_SHARE:
+        shares[further().index(max(further()))] *= _SHRINKAGE
+    if min(shares) == 1.0:  # work was not what it lacked
+        steepest = further().index(max(further()))
+        shares[steepest] = min(resolutions[steepest].suffices, _LARGEST_SHARE)
+    shares = [share if share == 1.0 else _SAFETY * share for share in shares]
+    if min(shares) < _LEAST_SHARE:
+        return None
+    return NarrowBox(
+        tuple(
+            (name, *_part(resolution.basis, share))
+            for name, resolution, share in zip(names, resolutions, shares, strict=True)
+            if share < 1.0
+        )
+    )
+
+
+def _decay(spectrum: Array) -> float:
+    """Ratio of successive modes over the second half of a spectrum."""
+    levels = np.maximum.accumulate(spectrum[::-1])[::-1]
+    half = len(levels) // 2
+    ratio = (levels[-1] / max(levels[half], 1e-300)) ** (1.0 / max(len(levels) - 1 - half, 1))
+    return float(min(max(ratio, _FASTEST_DECAY), _SLOWEST_DECAY))
+
+
+def _samples(nodes: Sequence[float]) -> float:
+    """About how many trajectories a cross interpolation takes: rank by nodes by rank."""
+    logarithms = np.concatenate([[0.0], np.cumsum(np.log(nodes))])
+    smaller = np.minimum(logarithms, logarithms[-1] - logarithms)
+    ranks = np.maximum(_RANK_SHARE * np.exp(smaller), 1.0)
+    return float(np.sum(ranks[:-1] * np.array(nodes) * ranks[1:]))
+
+
+def _part(basis: Basis1D, share: float) -> Interval:
+    """The middle part of an interval with ends of few digits, in the logarithm over decades."""
+    ends = float(basis.lower), float(basis.upper)
+    scale = first_scale(*ends)
+    if not basis.scale.is_identity and Logarithm().allows(*ends):
+        scale = Logarithm()
+    lower, upper = on_scale(scale, ends, 0.5 + np.array([-0.5, 0.5]) * share).tolist()
+    lengths = (upper - lower,) * 2 if scale.is_identity else (lower, upper)
+    lower, upper = (
+        round(end, _NARROWING_DIGITS - 1 - math.floor(math.log10(abs(length))))
+        for end, length in zip((lower, upper), lengths, strict=True)
+    )
+    return max(lower, ends[0]), min(upper, ends[1])
+
+
+# -----------------------------------------------------------------------------
+# A part of a box in which events come in one order, for the message of a refused solve.
+
+
+_STEP = 0.02  # Of a face, outwards, over the width of the whole box
+_INSIDE = 0.1  # Distance of the faces that are told from points of other orders, over the part
+_CHECKED = 48  # Trajectories inside of a part that have to be of one order as well
+_ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
+_UNITS = 20.0  # Units of the last digit in an interval that is told, at least
+_ROUNDING = 1e-6  # Of such a unit
+_SHARE = 0.1  # Of what is left of the budget, for the search for a part
+_LEAST = 0.05  # Width of a part, over that of the box, below which it is of no use
+
+
+def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
+    """The intervals of a part in which all trajectories meet the same events in the same order.
+
+    None where there is none of some size. Further trajectories inside of it are followed.
+    """
+    for _ in range(_ROUNDS):
+        part = _largest_part(search)
+        if part is None:
+            return None
+        points = check_points(part, _CHECKED, every_corner=True)
+        try:
+            inside = search.at(points)
+        except OrderError:
+            return None
+        if len(inside.groups()) == 1:
+            return tuple((float(lower), float(upper)) for lower, upper in part)
+        search = search.joined_with(inside)
+    return None
+
+
+def remedy_of(search: OrderSearch) -> tuple[str, tuple[Interval, ...] | None]:
+    """What to do about orders that cannot be continued: a part of the box, if there is one."""
+    try:
+        with persisting(_SHARE * budget_left()):
+            part = one_order(search)
+    except OutOfBudgetError:
+        part = None
+    if part is None:
+        return REMEDY, None
+    narrowed = narrowing_text(search.system.parameters, search.bounds, part)
+    return f"narrow {narrowed}: events come in one order there", part
+
+
+def box_of_one_order(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> NarrowBox:
+    """Which parameters to narrow, and to what, for one order of events."""
+    return NarrowBox(
+        tuple(
+            (name, *inside(ends))
+            for name, whole, ends in zip(names, bounds.tolist(), part, strict=True)
+            if list(ends) != whole
+        ),
+        one_order=True,
+    )
+
+
+def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]) -> str:
+    """Which parameters to narrow, and to what."""
+    narrowed = [
+        "{} to [{:.12g}, {:.12g}]".format(quote(name), *inside(ends))
+        for name, whole, ends in zip(names, bounds.tolist(), part, strict=True)
+        if list(ends) != whole
+    ]
+    return " and ".join(narrowed)
+
+
+def inside(ends: Interval) -> Interval:
+    """An interval inside another one, with ends of few digits."""
+    lower, upper = ends
+    unit = 10.0 ** math.floor(math.log10((upper - lower) / _UNITS))
+    low = math.ceil(lower / unit - _ROUNDING) * unit
+    high = math.floor(upper / unit + _ROUNDING) * unit
+    return float(f"{low:.12g}"), float(f"{high:.12g}")
+
+
+def _largest_part(search: OrderSearch) -> Array | None:
+    """The largest part (d, 2) that is found around a point, without points of other orders."""
+    lower, width = search.bounds[:, 0], np.ptp(search.bounds, axis=1)
+    unit = (search.points - lower) / width
+    best, largest = None, 0.0
+    for places in search.groups().values():
+        others = np.delete(unit, places, axis=0)
+        part = _grown(_inmost(unit[places], others), others)
+        volume = float(np.ptp(part, axis=1).prod())
+        if volume > largest:
+            best, largest = part, volume
+    if best is None:
+        return None
+    at_faces = np.stack([best[:, 0] <= 0.0, best[:, 1] >= 1.0], axis=1)
+    inner = best + _INSIDE * np.ptp(best, axis=1)[:, None] * np.array([1.0, -1.0])
+    part = np.where(at_faces, [0.0, 1.0], inner)
+    if np.ptp(part, axis=1).min() < _LEAST:
+        return None
+    return np.asarray(np.where(at_faces, search.bounds, lower[:, None] + width[:, None] * part))
+
+
+def _inmost(points: Array, others: Array) -> Array:
+    """Of points (m, d) the one that is farthest from all others, which may be none."""
+    if not len(others):
+        return np.asarray(points[0])
+    distances = np.abs(points[:, None] - others).max(axis=2).min(axis=1)
+    return np.asarray(points[int(np.argmax(distances))])
+
+
+def _grown(start: Array, others: Array) -> Array:
+    """The part (d, 2) of the unit cube around a point, each face as far out as no other point is.
+
+    All faces go outwards in turns.
+    """
+    part = np.stack([start, start], axis=1)
+    open_faces = [(j, side) for j in range(len(start)) for side in (0, 1)]
+    while open_faces:
+        for j, side in [*open_faces]:
+            grown = part.copy()
+            grown[j, side] = np.clip(part[j, side] + (2 * side - 1) * _STEP, 0.0, 1.0)
+            if grown[j, side] == part[j, side] or _holds(grown, others):
+                open_faces.remove((j, side))
+            else:
+                part = grown
+    return part
+
+
+def _holds(part: Array, points: Array) -> bool:
+    """Whether a part has some of the points (m, d)."""
+    inside: NDArray[np.bool_] = (points >= part[:, 0]) & (points <= part[:, 1])
+    return bool(inside.all(axis=1).any())
+
+
+# -----------------------------------------------------------------------------
+# What to do about a solve that is refused: a remedy is tried before it is offered.
+#
+# The same solve is tried at a looser tolerance, on smaller boxes, and up to earlier ends, each with
+# a part of what is left. A box that is predicted, and not tried for lack of work, comes last.
+
 
 _WORST = 0.02  # Largest error of a solution that is offered
 _MARGIN = 1.5  # A looser tolerance over the error that was measured, at least

@@ -1,22 +1,23 @@
-"""A solve that tries one engine after another, and what is known of the solution then."""
+"""The engines by name, and a solve that tries one after another."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from difflib import SequenceMatcher
 from functools import partial
 
 import numpy as np
 
-from rankone.ir.measures import moved_measures
-from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome
-from rankone.ir.request import Limits, SolveRequest, check_factors
-from rankone.ir.system import System
-from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
-from rankone.solvers.engine import Engine, sums, without_last
+from rankone.solvers.engines import cross, greedy, train
+from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.solvers.remedies import Trials, remedied, remedied_error
+from rankone.solvers.request import Limits, SolveRequest, check_factors
+from rankone.solvers.verification.measure import drift, measure
+from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.solvers.verification.sharing import sharing_references
+from rankone.solvers.ways import Engine, sums, without_last
 from rankone.support.budget import (
     REMEDIES,
     OutOfBudgetError,
@@ -29,11 +30,90 @@ from rankone.support.budget import (
     work_done,
     work_left,
 )
-from rankone.support.errors import ConvergenceError, RankoneError
+from rankone.support.errors import ConvergenceError, OptionError, RankoneError
 from rankone.support.progress import Report, quiet
-from rankone.verification.measure import drift, measure
-from rankone.verification.reference_set import ReferenceSet
-from rankone.verification.sharing import sharing_references
+from rankone.support.wording import did_you_mean
+from rankone.tensors.bases.scales import moved_measures
+from rankone.trajectories.stacks.newton import SPARSE_STATES
+from rankone.trajectories.system.system import System
+from rankone.trajectories.system.verdict import MeasuredError, OtherEngines, Remedy, Status
+
+__all__ = ["AUTO", "ENGINES", "engines_for"]
+
+AUTO = "auto"
+# Most parameters for which train comes first: it is as fast as cross there, and more exact. Where
+# trajectories have sparse factors, cross takes a quarter to three quarters of its time
+_FEW_PARAMETERS = 1
+
+# Options about where to compute, which leave the choice of an engine open
+_RESOURCES = {"executor"}
+
+ENGINES: dict[str, Engine] = {
+    engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
+}
+
+
+def engines_for(
+    method: str,
+    options: Collection[str] = (),
+    parameters: int = 0,
+    *,
+    separated: bool = True,
+    states: int = 0,
+) -> tuple[Engine, ...]:
+    """The engines to try for a method and its options.
+
+    ======  ===================  ================================================================
+    engine  takes                when ``method="auto"`` tries it
+    ======  ===================  ================================================================
+    cross   any right-hand side  first from two parameters on: the fastest on all problems
+                                 measured, and the only one for systems that do not separate
+    train   separated systems    first up to one parameter and 63 states, with a small part of the
+                                 budget; else with what is left of it (22 %) where cross does not
+                                 reach the tolerance and nothing is steep
+    greedy  separated systems    never, only by ``method="greedy"``
+    ======  ===================  ================================================================
+
+    An option that only one engine has leaves the other engine out; ``executor`` does not count. An
+    OptionError if there is no such method, or an option belongs to another one.
+    """
+    if isinstance(method, str) and method == AUTO:
+        few = parameters <= _FEW_PARAMETERS and states < SPARSE_STATES
+        order = ("train", "cross") if few else ("cross", "train")
+        possible = [ENGINES[name] for name in order if separated or name == "cross"]
+        chosen = set(options) - _RESOURCES
+        knowing = [e for e in possible if chosen <= set(e.options.names())]
+        if knowing:
+            return tuple(knowing)
+        engine = max(possible, key=lambda e: _knows(e, options))
+    elif isinstance(method, str) and method in ENGINES:
+        engine = ENGINES[method]
+    else:
+        methods = (AUTO, *ENGINES)
+        raise OptionError(
+            f"method={method!r} is unknown{did_you_mean(str(method), methods)}",
+            remedy=f"choose from {', '.join(methods)}",
+        )
+    for option in sorted(set(options).difference(engine.options.names())):
+        owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
+        if owners:
+            raise OptionError(
+                f"option {option!r} belongs to {' and '.join(owners)}, not to method={method!r}",
+                remedy=f"choose {' or '.join(owners)}, or leave the option out",
+            )
+    return (engine,)
+
+
+def _knows(engine: Engine, options: Collection[str]) -> tuple[int, float]:
+    """How many of the options an engine has, and how similar its own are to the others."""
+    names = engine.options.names()
+    similarity = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
+    return len(set(options) & set(names)), similarity
+
+
+# -----------------------------------------------------------------------------
+# A solve that tries one engine after another, and what is known of the solution then.
+
 
 # Statuses after which no other engine is tried
 _FINAL = (

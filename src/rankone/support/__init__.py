@@ -1,26 +1,22 @@
 """What every room uses: the version, errors, wording, files, progress, the budget of work.
 
-================  ==================================================================================
-``arrays``        the array type, points of a cube, corners, bisection
-``errors``        errors and warnings: message and remedy
-``wording``       quotes, lists, names, tables and equations in text
-``labelled``      results as tables of pandas, data sets of xarray, and in notebooks
-``budget``        counted work, and a deadline where a user asked for one
-``memory``        amounts of memory as users write and read them
-``costs``         what numerical work costs, in operations
-``sparse``        factors of one sparse matrix, counted
-``options``       options of engines: declared with their ranges, checked in one place
-``executors``     processes that end with this one, executors of others, clusters of dask
-``parcels``       what all tasks share, loaded once by each worker
-``tasks``         independent calls on them, also when workers die
-``counted``       work of tasks that are done elsewhere, charged here
-``threads``       BLAS on one thread while a solve runs
-``progress``      progress events, a bar, timings of stages
-``memory_files``  large answers of workers on this machine, which are not copied here
-``files``         several files written together, all of them or none
-``deferred``      tuples that are made when they are first read
-``plain_data``    frozen dataclasses as plain data and back
-================  ==================================================================================
+- ``arrays``: arrays: their types, points of a cube, bisection, and tuples that are made when
+  first read
+- ``budget``: the budget of a computation: work counted here and by workers, and a deadline where
+  a user asked for one
+- ``costs``: what numerical work costs, in operations of a budget, and sparse factors that are
+  counted
+- ``errors``: errors and warnings: what was given, where, what was expected, what to do
+- ``executors``: executors of tasks, what all tasks share, and how large answers come back
+- ``files``: files: free targets, and several files written together, all of them or none
+- ``labelled``: what results look like as tables of pandas, as data sets of xarray, and in
+  notebooks
+- ``options``: options, declared with their ranges at the field and checked in one place; amounts
+  of memory
+- ``plain_data``: frozen dataclasses as plain data, and rebuilt from it by their annotations
+- ``progress``: progress of a solve: events for a callback, or a bar on standard error
+- ``tasks``: independent calls on a pool, and the threads of BLAS while they run
+- ``wording``: text for people: quotes and lists in messages, names, tables and equations
 """
 
 from importlib.metadata import PackageNotFoundError, version

@@ -1,4 +1,5 @@
-"""The budget of a computation: counted work, and a deadline where a user asked for one.
+"""The budget of a computation: work counted here and by workers, and a deadline where a user asked
+for one.
 
 A unit of work is about one nanosecond of one core. Work is counted from the sizes of arrays and the
 number of calls, never measured, so a computation ends in the same way on a busy machine. The clock
@@ -8,12 +9,14 @@ is read only where a user gave ``max_seconds``.
 from __future__ import annotations
 
 import math
+import time
 import time as clock
 import weakref
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import NamedTuple, Self
+from contextvars import Context, ContextVar
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Self, TypeVar, cast
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError, OptionError
@@ -364,3 +367,69 @@ def operations_for(effort: str | float) -> float:
             raise OptionError(f"effort={effort!r} is unknown", term=effort, remedy=remedy)
         return NORMAL * _EFFORTS[effort]
     return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST_EFFORT, float))
+
+
+# -----------------------------------------------------------------------------
+# Counted work that is done elsewhere: by a worker, within what is left of the budget here.
+#
+# Each task counts anew, up to all that is left when it is sent. What it counted is charged here
+# when its answer is taken, so that it does not matter which of several tasks was done first.
+
+
+Answer = TypeVar("Answer")  # What a task comes to
+
+
+@dataclass(frozen=True)
+class LimitsElsewhere:
+    """What is left here: operations, the end by the clock on the wall, and bytes of each worker."""
+
+    operations: float
+    end: float
+    memory: float
+
+    @classmethod
+    def left(cls) -> LimitsElsewhere:
+        """What is left now."""
+        return cls(work_left(), time.time() + seconds_left(), memory_left())
+
+
+@dataclass(frozen=True)
+class Counted(Generic[Answer]):
+    """The answer of a task, or how it failed, and the work that was counted."""
+
+    work: float
+    answer: Answer | None = None
+    failure: Exception | None = None
+
+    @classmethod
+    def of(
+        cls,
+        limits: LimitsElsewhere,
+        failures: tuple[type[Exception], ...],
+        call: Callable[[], Answer],
+    ) -> Counted[Answer]:
+        """The answer of a call, and what it counted.
+
+        Other exceptions than ``failures`` and the end of a limit are raised. An executor may run it
+        in the thread of the solve, so it counts in a context of its own.
+        """
+        return Context().run(lambda: _counted(limits, (OutOfBudgetError, *failures), call))
+
+    def settled(self) -> Answer:
+        """The answer, after its work was charged here; a failure is raised."""
+        charge(self.work)
+        if self.failure is not None:
+            raise self.failure
+        return cast(Answer, self.answer)
+
+
+def _counted(
+    limits: LimitsElsewhere, failures: tuple[type[Exception], ...], call: Callable[[], Answer]
+) -> Counted[Answer]:
+    seconds = math.inf if limits.end == math.inf else limits.end - time.time()
+    with limited(limits.operations, seconds, limits.memory) as account:
+        try:
+            answer = call()
+        except failures as failure:
+            return Counted(account.done, failure=failure)
+        return Counted(account.done, answer)

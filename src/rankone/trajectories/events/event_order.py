@@ -8,17 +8,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.ir.events import Ending, EventOrder
-from rankone.ir.system import Clock, System
-from rankone.ir.verdict import Status
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
-from rankone.trajectories.diagnosis import first_to_end
+from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
-from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.periods import FAR, begin_in_step
-from rankone.trajectories.integrator import SpanIntegrator, Tolerances
+from rankone.trajectories.integrators.diagnosis import first_to_end
+from rankone.trajectories.integrators.integrator import SpanIntegrator, Tolerances
+from rankone.trajectories.system.events import Ending, EventOrder
+from rankone.trajectories.system.system import Clock, System
+from rankone.trajectories.system.verdict import Status
 
 SPARE = 0.05
 """Length of a last stretch beyond what all known trajectories need, over that."""

@@ -10,9 +10,9 @@ from itertools import takewhile
 
 import numpy as np
 
-from rankone.ir.events import CROSSINGS
 from rankone.support.arrays import Array
-from rankone.trajectories.paths import Path, joined
+from rankone.trajectories.integrators.integrator import Path, joined
+from rankone.trajectories.system.events import CROSSINGS
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 _MOST_NUMBERS = 4_000_000  # States at nodes that are held at once

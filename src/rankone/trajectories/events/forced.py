@@ -14,17 +14,22 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Clearance, Ending, ForcedOrder, Guard, Turn
-from rankone.ir.system import Clock, System
-from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
-from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.events.sides import on_sides
-from rankone.trajectories.integrator import EARLY_STEPS, SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Paths
-from rankone.trajectories.shares import SeparateRun, share_paths
+from rankone.trajectories.events.stretches import PseudoTimeTrajectories
+from rankone.trajectories.integrators.integrator import (
+    EARLY_STEPS,
+    Paths,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+)
+from rankone.trajectories.integrators.shares import SeparateRun, share_paths
+from rankone.trajectories.system.events import Clearance, Ending, ForcedOrder, Guard, Turn
+from rankone.trajectories.system.system import Clock, System
+from rankone.trajectories.system.timeline import CLOCK_STATES
 
 _LOOKS = 65  # Places at which a root is looked for
 _WIDER = (1.0, 4.0)  # Factors on the distance up to which it is looked for

@@ -11,17 +11,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.ir.events import Ending, EventOrder, Marker
-from rankone.ir.system import System
 from rankone.support.arrays import Array
+from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_order import SPARE
 from rankone.trajectories.events.event_trajectory import EventTrajectory
-from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.markers import rank_of
 from rankone.trajectories.events.periods import FAR
 from rankone.trajectories.events.stretches import timed_events
-from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Path, joined
+from rankone.trajectories.integrators.integrator import (
+    Path,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+    joined,
+)
+from rankone.trajectories.system.events import Ending, EventOrder, Marker
+from rankone.trajectories.system.system import System
 
 _SOME = 24  # Trajectories that are followed beyond the horizon
 _LEVELS = 0.5, 0.1, 0.9  # Levels that are tried, as shares of the range of a state

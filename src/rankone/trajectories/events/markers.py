@@ -17,20 +17,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Ending, EventOrder, Foreseen, Marker
-from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.trajectories.events.crossings import Crossings
+from rankone.trajectories.events.event_crossings import Crossings
+from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.instants import SAME_INSTANT
-from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.periods import repeated, repeating_from, repeats
 from rankone.trajectories.events.stretches import marker_event
-from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import NODES, Path, Paths
+from rankone.trajectories.integrators.integrator import (
+    NODES,
+    Path,
+    Paths,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+)
+from rankone.trajectories.system.events import Ending, EventOrder, Foreseen, Marker
+from rankone.trajectories.system.system import Clock, System
 
 OUT_OF_PHASE = 8.0
 """Spread of the times of a crossing, over the time in which the state runs through its range, from

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import FALLING, Beginning, ForcedOrder, Guard, Turn
 from rankone.support.arrays import Array, spread
 from rankone.trajectories.events.forced import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
+from rankone.trajectories.system.events import FALLING, Beginning, ForcedOrder, Guard, Turn
 
 _SAMPLES = 257  # Places behind an event at which its turn is looked for
 _LOWEST = 3  # One of so many of the turns, the lowest ones, begins the continuation

@@ -13,19 +13,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rankone.ir.events import (
-    BOTH,
-    Beginning,
-    Clearance,
-    Ending,
-    EventOrder,
-    ForcedOrder,
-    Guard,
-    Turn,
-)
-from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
+from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_order import (
     REMEDY,
     SAME_INSTANT,
@@ -41,9 +31,19 @@ from rankone.trajectories.events.forced import (
     forced_trajectories,
     guard_heights,
 )
-from rankone.trajectories.events.integration import integrate_to_events
 from rankone.trajectories.events.stretches import in_stretches
-from rankone.trajectories.integrator import SpanIntegrator, Tolerances
+from rankone.trajectories.integrators.integrator import SpanIntegrator, Tolerances
+from rankone.trajectories.system.events import (
+    BOTH,
+    Beginning,
+    Clearance,
+    Ending,
+    EventOrder,
+    ForcedOrder,
+    Guard,
+    Turn,
+)
+from rankone.trajectories.system.system import Clock, System
 
 _FIRST_CHUNK = 8  # Points to which an order is continued at once, or half as many as it has come to
 _FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths

@@ -15,14 +15,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.ir.events import Ending, Foreseen
-from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
+from rankone.trajectories.events.event_integration import Ahead, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
-from rankone.trajectories.events.integration import Ahead, integrate_to_events
-from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import Path, joined
-from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.integrators.integrator import (
+    Path,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+    joined,
+)
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.system.events import Ending, Foreseen
+from rankone.trajectories.system.system import Clock, System
 
 FAR = 10.0
 """Horizons beyond the horizon up to which events are waited for."""

@@ -8,13 +8,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from rankone.ir.events import OfTrajectory, Row, SystemEvent
-from rankone.ir.features import OfStates, VectorLike
-from rankone.ir.system import Clock, System
 from rankone.support.arrays import Array
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.events.event_order import OrderError, at_point, at_time
-from rankone.trajectories.known_states import of_known_states
+from rankone.trajectories.integrators.known_states import of_known_states
+from rankone.trajectories.system.events import OfTrajectory, Row, SystemEvent
+from rankone.trajectories.system.features import OfStates, VectorLike
+from rankone.trajectories.system.system import Clock, System
 
 _SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
 _ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from

@@ -10,9 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.events import Ending, SystemEvent
-from rankone.ir.system import Clock, System
-from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.events.event_order import (
@@ -24,19 +21,24 @@ from rankone.trajectories.events.event_order import (
 )
 from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
-from rankone.trajectories.events.over_stretches import PseudoTimeTrajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
-from rankone.trajectories.groups import OnWorkers, hold_all
-from rankone.trajectories.integrator import (
+from rankone.trajectories.events.stretches import PseudoTimeTrajectories
+from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
+    Path,
+    Paths,
     SampledTrajectories,
     SpanIntegrator,
     Spans,
     Tolerances,
+    joined,
 )
-from rankone.trajectories.paths import Path, Paths, joined
-from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks.integrator import StackedIntegrator
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.integrators.workers import OnWorkers, hold_all
+from rankone.trajectories.stacks.stack import StackedIntegrator
+from rankone.trajectories.system.events import Ending, SystemEvent
+from rankone.trajectories.system.system import Clock, System
+from rankone.trajectories.system.timeline import CLOCK_STATES
 
 _DIGITS = 12  # Decimal digits of pseudo-times that differ
 _LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states

@@ -1,24 +1,19 @@
-"""Trajectories over stretches: from event to event, each in a time of its own.
-
-Stretch ``i`` of a trajectory goes from its event before to the next one. Over the pseudo-time ``s``
-from i to i + 1 its clock runs evenly, and so all trajectories of a box meet their events together:
-
-    t = τ_i(p) + (s - i) T_i(p),  T_i = τ_{i+1} - τ_i.
-
-The states, and with them the clock ``t`` and the length ``T``, are as smooth over the parameters as
-the flow is.
-"""
+"""Trajectories over stretches: from event to event, each in a time of its own."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from rankone.ir.constraints import Constraints
-from rankone.ir.events import (
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import function_cost
+from rankone.trajectories.system.constraints import Constraints
+from rankone.trajectories.system.events import (
     RISING,
     EventOrder,
     ForcedOrder,
@@ -28,12 +23,55 @@ from rankone.ir.events import (
     SystemEvent,
     Turn,
 )
-from rankone.ir.features import Features, Jumps, VectorLike
-from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
-from rankone.ir.timeline import CLOCK_STATES
-from rankone.support.arrays import Array
-from rankone.support.budget import charge
-from rankone.support.costs import function_cost
+from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.system import Clock, ModuleSpecification, System, UserFunction
+from rankone.trajectories.system.timeline import CLOCK_STATES
+
+
+class PseudoTimeTrajectories(ABC):
+    """Trajectories from 0 to the number of stretches, all of which go to their end.
+
+    Subclasses fulfil :class:`DenseTrajectories`.
+    """
+
+    @property
+    @abstractmethod
+    def end(self) -> float:
+        """The number of stretches."""
+
+    @abstractmethod
+    def __call__(self, times: Array) -> Array:
+        """States at pseudo-times (T,): shape (n, m, T)."""
+
+    @property
+    def start(self) -> float:
+        return 0.0
+
+    @property
+    def has_begun(self) -> bool:
+        return True
+
+    @property
+    def state(self) -> Array:
+        return self(np.array([self.end]))[:, :, 0]
+
+    @property
+    def last(self) -> Array:
+        return self.state
+
+
+# -----------------------------------------------------------------------------
+# Trajectories over stretches: from event to event, each in a time of its own.
+#
+# Stretch ``i`` of a trajectory goes from its event before to the next one. Over the pseudo-time
+# ``s`` from i to i + 1 its clock runs evenly, and so all trajectories of a box meet their events
+# together:
+#
+#     t = τ_i(p) + (s - i) T_i(p),  T_i = τ_{i+1} - τ_i.
+#
+# The states, and with them the clock ``t`` and the length ``T``, are as smooth over the parameters
+# as the flow is.
+
 
 Answer = TypeVar("Answer")
 _STEP = 1e-6  # Step over which clearances are differentiated, in horizons

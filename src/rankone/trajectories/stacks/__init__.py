@@ -1,13 +1,13 @@
 """Trajectories that take their steps together, as one stacked system.
 
-===============  ============================================================================
-``integrator``   Taylor series, DOP853 and Radau behind the protocol of integrators
-``steppers``     its steps, made again where they missed something
-``taylor``       those of Taylor series, where rates are polynomials in the states
-``explicit``     those of DOP853
-``kinks``        those that some trajectories divide where the rates kink
-``implicit``     those of Radau, after SciPy's
-``newton``       Newton's matrices of its steps: dense inverses, or sparse factors
-``elimination``  sparse factors: in bands, or by SuperLU
-===============  ============================================================================
+- ``explicit``: explicit steps (DOP853) of stacked trajectories, and the step that suits all of
+  them
+- ``implicit``: implicit steps of stacked trajectories: Radau IIA, with a Jacobian for each
+  trajectory
+- ``kinks``: steps of DOP853 that are divided at kinks, for those trajectories of a stack that
+  cross one
+- ``newton``: Newton's matrices of stacked implicit steps, dense or sparse, and their factors
+- ``stack``: trajectories at many parameter points, integrated together as one stacked system by
+  SciPy
+- ``taylor``: taylor steps of stacked trajectories whose rates are polynomials in the states
 """

@@ -17,12 +17,12 @@ import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
 
-from rankone.discretization.radau import RadauCollocation
 from rankone.support.arrays import Array
-from rankone.trajectories.defects import DefectControl, Interpolant
-from rankone.trajectories.integrator import Tolerances
+from rankone.tensors.bases.radau import RadauCollocation
+from rankone.trajectories.integrators.defects import DefectControl, Interpolant
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.stacks.explicit import Piece, Rates, Stepper, powers_of
 from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices, PairedMatrices
-from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.integrate
 from numpy.typing import NDArray
 
-from rankone.ir.features import OfStates
-from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
-from rankone.trajectories.defects import Interpolant
+from rankone.trajectories.integrators.defects import Interpolant
+from rankone.trajectories.system.features import OfStates
+from rankone.trajectories.system.system import System
 
 _A, _B, _C, _D = (getattr(scipy.integrate.DOP853, name) for name in "ABCD")
 _E3, _E5 = scipy.integrate.DOP853.E3, scipy.integrate.DOP853.E5

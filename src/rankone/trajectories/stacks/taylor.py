@@ -19,13 +19,12 @@ import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
 
-from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.paths import NODES
+from rankone.trajectories.integrators.integrator import NODES, Tolerances
+from rankone.trajectories.stacks.explicit import Piece, Rates, Stepper, powers_of
 from rankone.trajectories.stacks.newton import SPARSE_STATES
-from rankone.trajectories.stacks.steppers import Piece, Rates, Stepper, powers_of
+from rankone.trajectories.system.system import System
 
 _LEAST_ORDER, _MOST_ORDER = 8, 40
 # Order of the series of affine rates over that of others: they converge everywhere, so that steps

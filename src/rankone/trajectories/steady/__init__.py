@@ -1,10 +1,7 @@
 """Steady states that trajectories reach, and starts at them.
 
-==================  ===================================================================
-``rest``            steady states by trajectories and Newton's method
-``conservation``    sums of states that no rate changes, which steady states keep
-``branches``        whether the steady states over a box are on one branch
-``bifurcations``    where a branch ends or turns unstable, and which kind of bifurcation it is
-``resting_start``   starts at the steady states of other conditions
-==================  ===================================================================
+- ``bifurcations``: branches of steady states, and where they end or turn unstable
+- ``rest``: steady states made exact by Newton's method, and the sums that no rate changes
+- ``resting_start``: starts at the steady state of other conditions: the initial values of a
+  system that has one
 """

@@ -9,14 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.ir.constraints import Constraints
-from rankone.ir.features import Features, Jumps, VectorLike
-from rankone.ir.rest import Rest
-from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError
-from rankone.trajectories.steady.branches import check_one_branch
+from rankone.trajectories.steady.bifurcations import check_one_branch
 from rankone.trajectories.steady.rest import SteadyStates
+from rankone.trajectories.system.constraints import Constraints
+from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.system import Rest, System
 
 _SUBJECT = "the start is a steady state"
 _OTHERWISE = "; or change `conditions` or `start` of SteadyState"

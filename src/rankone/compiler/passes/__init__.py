@@ -1,0 +1,50 @@
+"""Passes over a problem, from its equations to the separated form and the features.
+
+- ``feature_pass``: the features of a system: all that is not smooth, or so narrow that samples
+  may miss it
+- ``first_order``: from a problem to an explicit first-order system u' = f(t, p, u), and to its
+  weak form
+- ``levels``: functions with many levels, written as steps and kinks at those that trajectories
+  reach
+- ``lifting``: lifting: functions of the unknowns become unknowns themselves, with equations of
+  their own
+- ``over_stretches``: a system over the pseudo-time of its stretches, where all events are at
+  known times
+- ``rests``: what vanishes by the equations at a surface: speeds of states that rest there, jumps
+  of rates
+- ``separation``: the separated form: every term a product of functions of one coordinate
+- ``splitting``: splitting an expression into products of functions of one coordinate
+- ``superposition``: parameters whose effects add up, such as the amount of a dose
+- ``surfaces``: functions that vanish where a system is not smooth, or changes faster than samples
+  may see
+- ``switches``: switches of the rates, each held on one side of its surface until a trajectory
+  crosses it
+- ``well_posed``: is a problem well defined on a domain, its own or one that it is moved to?
+
+Each pass takes frozen data and returns frozen data. Code generation reads the last,
+:mod:`rankone.problem.forms`.
+"""
+
+from rankone.compiler.passes.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
+from rankone.compiler.passes.separation import separate, symbolic_forms
+from rankone.compiler.passes.well_posed import (
+    check_known,
+    check_moved,
+    check_stages,
+    check_start,
+    check_tables,
+)
+
+__all__ = [
+    "FirstOrderSystem",
+    "WeakForm",
+    "check_known",
+    "check_moved",
+    "check_stages",
+    "check_start",
+    "check_tables",
+    "first_order",
+    "separate",
+    "symbolic_forms",
+    "weak_form",
+]

@@ -1,0 +1,102 @@
+"""Measurements of a calibration problem as experiments that solutions are fitted to."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from rankone.inference.calibration.calibrated_parameters import Assigned, Records, Series
+from rankone.inference.calibration.experiment_conditions import Free, Settings
+from rankone.inference.estimation.experiments import Experiment
+from rankone.inference.estimation.formulas import Formula
+from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
+
+_LOG_10 = repr(math.log(10.0))
+
+
+def measured(records: Records, settings: Settings, position: int, free: Free) -> Experiment:
+    """What was measured in one experiment, for solutions with what is free."""
+    experiment = records.experiments[position]
+    numbers = settings.at[experiment.condition.name]
+    times: dict[str, Array] = {}
+    data: dict[str, Array] = {}
+    observe: dict[str, str] = {}
+    sigma: dict[str, str] = {}
+    noise: dict[str, str] = {}
+    for series in records.series:
+        for label, rows, placeholders in _groups(series, position, free):
+            _check(series, experiment.name, series.times[rows])
+            names = {**{n: free.number(a) for n, a in numbers.items() if n not in free.inputs},
+                     **placeholders, "time": records.model.time.name}  # fmt: skip
+            deviation = _text(series.observable.noise, names, free)
+            if series.observable.transformation == "log10":
+                deviation = f"{_LOG_10} * ({deviation})"
+            if series.observable.transformation != "lin":
+                noise[label] = "log-normal"
+            times[label], data[label] = series.times[rows], series.measurements[rows]
+            observe[label] = _text(series.observable.formula, names, free)
+            sigma[label] = deviation
+    fixed = {name: float(numbers[name]) for name in free.inputs}
+    return Experiment(data, times, fixed, observe, sigma, noise or None, name=experiment.name)
+
+
+def _groups(
+    series: Series, position: int, free: Free
+) -> Iterator[tuple[str, Any, dict[str, Assigned]]]:
+    """The measurements of an experiment that have the same placeholders, with a label for each."""
+    here = np.flatnonzero(series.experiments == position)
+    groups: dict[tuple[Assigned, ...], list[int]] = {}
+    for row in here.tolist():
+        key = tuple(free.number(column[row]) for column in series.placeholders.values())
+        groups.setdefault(key, []).append(row)
+    for i, (key, rows) in enumerate(groups.items(), 1):
+        name = series.observable.name
+        label = name if len(groups) == 1 else f"{name}_{i}"
+        yield label, np.array(rows), dict(zip(series.placeholders, key, strict=True))
+
+
+def _check(series: Series, experiment: str, times: Any) -> None:
+    """Raise for what solutions over time cannot be fitted to."""
+    name = series.observable.name
+    if series.observable.distribution != "normal":
+        raise ProblemError(
+            f"the noise of {quote(name)} is Laplace's, which fits of solutions do not have",
+            term=name,
+            remedy="use the objective, which is computed from trajectories",
+        )
+    if not np.isfinite(times).all():
+        raise ProblemError(
+            f"{quote(name)} is measured at the steady state in {quote(experiment)}, which "
+            "solutions over time do not reach",
+            term=name,
+            remedy="use the objective, which is computed from trajectories",
+        )
+
+
+def _text(formula: Formula, names: Mapping[str, Assigned], free: Free) -> str:
+    """A formula with numbers and other names put in."""
+
+    class Written(ast.NodeTransformer):
+        def visit_Name(self, node: ast.Name) -> ast.expr:
+            assigned = names.get(node.id, node.id)
+            if isinstance(assigned, str) and assigned in free.values:
+                assigned = free.number(assigned)
+            if isinstance(assigned, str):
+                return ast.Name(assigned, ast.Load())
+            return _number(assigned)
+
+        def visit_Call(self, node: ast.Call) -> ast.expr:
+            return ast.Call(node.func, [self.visit(each) for each in node.args], [])
+
+    return ast.unparse(Written().visit(ast.parse(ast.unparse(formula.body), mode="eval").body))
+
+
+def _number(number: float) -> ast.expr:
+    constant = ast.Constant(abs(number))
+    return constant if number >= 0.0 else ast.UnaryOp(ast.USub(), constant)

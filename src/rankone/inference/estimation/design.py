@@ -1,0 +1,368 @@
+"""Where to measure next: sampling times that tell the most about the parameters.
+
+The Fisher information of measurements is the sum of those of each, by the exact derivatives of the
+solution (Atkinson, Donev & Tobias, Optimum Experimental Designs, 2007). Times are chosen among
+candidates by exchanges from many starts (Fedorov 1972, ch. 3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rankone.inference.estimation.candidates import Candidates, Wanted, candidates_of
+from rankone.inference.estimation.fit import Fit
+from rankone.inference.estimation.intervals import checked_level, quantile_of
+from rankone.inference.estimation.observations import Sigma, checked_times
+from rankone.solution.evaluation.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError, with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.options import checked_number
+from rankone.support.wording import count, did_you_mean, listing, quote, shown
+from rankone.tensors.bases.coordinates import name_of
+
+_CANDIDATES = 201  # Even times over the horizon, where no candidates are given
+_MOST_TIMES = 200  # Most times of a design
+_STARTS = 24  # Starts of exchanges
+_MOST_ROUNDS = 200  # Most rounds of exchanges: each improves the criterion
+_SEED = 5  # Of the starts: a call repeats itself
+_EQUAL = 1e-6  # Difference of criteria at which searches agree
+_SAME = 1e-9  # Difference of criteria that counts as none
+# Least eigenvalue of the scaled information, relative to its largest, that counts as identified
+_LEAST_EIGENVALUE = 1e-10
+
+
+@dataclass(frozen=True, repr=False)
+class Design(Labelled):
+    """Sampling times, and what they will tell.
+
+    Attributes
+    ----------
+    times : ndarray (n,)
+        The chosen times, ascending; one may occur more than once.
+    criterion : {"D", "A", "E"}
+    parameters : tuple of str
+        Those that will be estimated.
+    at : dict of str to float
+        Their values for which the design is made; means if there are several.
+    information : ndarray (p, p)
+        The Fisher information of the chosen times, and of what was measured before.
+    candidates : ndarray (N,)
+    gain : ndarray (N,)
+        By how much one more measurement at each candidate would raise the logarithm of the
+        criterion, of its root 1/p for D; NaN if the times do not identify all parameters.
+    success : bool
+        Whether the times identify all parameters.
+    message : str
+    sigma_known : bool
+        Whether the size of the noise is known, by sigma, by levels in ``at`` or by a fit.
+    noise_given : bool
+        Whether the data will be fitted with this size: it is not estimated from them.
+    dof : float
+        Degrees of freedom of that fit, those of a fit before among them.
+    """
+
+    times: Array
+    criterion: str
+    parameters: tuple[str, ...]
+    at: dict[str, float]
+    information: Array
+    candidates: Array
+    gain: Array
+    success: bool
+    message: str
+    level: float
+    sigma_known: bool
+    noise_given: bool
+    dof: float
+    _blocks: Candidates = field(repr=False)
+    _score: Criterion = field(repr=False)
+
+    @property
+    def covariance(self) -> Array:
+        """The expected covariance of the estimates (p, p); infinite where not identified."""
+        if not self.success:
+            return np.full(self.information.shape, np.inf)
+        return np.asarray(np.linalg.inv(self.information))
+
+    @property
+    def std(self) -> dict[str, float]:
+        """The expected standard deviation of each estimate; in sigma if it was not given."""
+        roots = np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.parameters, map(float, roots), strict=True))
+
+    def interval(self, level: float | None = None) -> dict[str, tuple[float, float]]:
+        """The interval that is expected for each parameter, if its value is that of ``at``.
+
+        By Student's quantiles if the noise is estimated with the parameters.
+
+        Raises
+        ------
+        OptionError
+            If the size of the noise is not known, or the level is not between 0 and 1.
+        """
+        if not self.sigma_known:
+            raise OptionError(
+                "the design knows no sigma, so no interval can be expected",
+                remedy="give design(..., sigma=...)",
+            )
+        level = self.level if level is None else checked_level(level)
+        q = quantile_of(level, self.noise_given, self.dof)
+        return {
+            name: (self.at[name] - q * s, self.at[name] + q * s) for name, s in self.std.items()
+        }
+
+    def efficiency(self, times: ArrayLike) -> float:
+        """What other times tell, in shares of what the chosen ones do.
+
+        For criterion D the ratio of the determinants to the power 1/p, as if from so many times
+        fewer measurements; for A and E the ratio of the criteria.
+        """
+        other = self._blocks.at_times(times)
+        base, best = self._blocks.base, self._score(self._blocks.scaled(self.information[None]))
+        share = float(self._score(base + other.sum(axis=1))[0] - best[0])
+        return math.exp(share) if math.isfinite(share) else 0.0
+
+    def _table(self) -> Table:
+        intervals = self.interval() if self.sigma_known else {}
+        rows = []
+        for name, deviation in self.std.items():
+            expected = [f"{deviation:.4g} sigma", ""]
+            if not self.success:
+                expected = ["not identified", ""]
+            elif name in intervals:
+                low, high = intervals[name]
+                expected = [f"{deviation:.4g}", f"[{low:.6g}, {high:.6g}]"]
+            rows.append([name, *expected])
+        listed = ", ".join(f"{time:.6g}" for time in self.times)
+        return Table(
+            f"{self.criterion}-optimal design: {count(len(self.times), 'time')}, {listed}",
+            ["parameter", "expected std", f"{100 * self.level:g} % interval"],
+            rows,
+            [f"{'success' if self.success else 'no success'}: {self.message}"],
+        )
+
+    def _variables(self) -> Variables:
+        """Expected deviations and covariance; the gain at the candidates."""
+        names = list(self.parameters)
+        return Variables(
+            {
+                "std": (("parameter",), np.array(list(self.std.values()))),
+                "covariance": (("parameter", "other"), self.covariance),
+                "gain": (("time",), self.gain),
+            },
+            {"parameter": names, "other": names, "time": self.candidates},
+        )
+
+
+def design(
+    self: SolutionCore,
+    times: int,
+    candidates: ArrayLike | None = None,
+    *,
+    at: Mapping[Any, ArrayLike] | None = None,
+    after: Fit | None = None,
+    observe: object = None,
+    sigma: Sigma = None,
+    noise: object = None,
+    fixed: Mapping[Any, float] | None = None,
+    interest: object = None,
+    criterion: str = "D",
+    level: float = 0.95,
+) -> Design:
+    """Choose the sampling times that tell the most about the parameters.
+
+    Parameters
+    ----------
+    times : int
+        How many times; at each one all observables are measured. A time may be chosen more than
+        once.
+    candidates : array_like, optional
+        Times to choose from; by default 201 over the horizon.
+    at : mapping
+        Values of all parameters that are not fixed, also of those of observables and noise, for
+        which the design is made: what derivatives say depends on them. Several values of each,
+        ``posterior.sample(100)``, give the design that is best on average.
+    after : Fit, optional
+        A fit: its estimates are taken for ``at``, its observables, noise and fixed values for new
+        measurements, and its information is added.
+    observe, sigma, noise
+        What is to be measured, as for :meth:`fit`; after a fit perhaps the names of some of its
+        observables.
+    fixed : mapping, optional
+        Values of parameters that are known. After a fit the conditions of the new measurements: a
+        dose that differs between the experiments of the fit has to be given, others may be.
+    interest : name, symbol or list of them, optional
+        Parameters that matter, the others being estimated as well; by default all.
+    criterion : {"D", "A", "E"}
+        "D" makes the determinant of the information largest, so that the joint confidence region
+        is smallest; "A" makes the mean relative variance of the estimates smallest, "E" the
+        variance of the worst combination.
+    level : float
+        Level of expected intervals.
+
+    Returns
+    -------
+    Design
+        With ``times``, ``information``, ``std``, ``interval()``, ``gain`` and ``efficiency``.
+
+    Raises
+    ------
+    OptionError
+        If values of parameters are missing, there are too few times, or a name is unknown.
+    EvaluationError
+        If a candidate is outside the horizon, or a value outside the box.
+    """
+    self._evaluator  # noqa: B018 - raises if nothing was solved
+    times = checked_number("times", times, 1, _MOST_TIMES)
+    if criterion not in ("D", "A", "E"):
+        raise OptionError(f"criterion={shown(criterion)} is unknown", remedy='choose "D"')
+    clock = np.linspace(*self.time, _CANDIDATES) if candidates is None else candidates
+    clock = np.unique(checked_times(self, clock))
+    if after is not None and not isinstance(after, Fit):
+        raise OptionError(f"{shown(after)} is not a Fit", term=after)
+    blocks = candidates_of(self, clock, at, after, Wanted(observe, sigma, noise, fixed))
+    level = checked_level(level)
+    wanted = _interest(interest, blocks.names)
+    rows = tuple(blocks.names.index(name) for name in wanted)
+    _check_enough(times, blocks)
+    score = Criterion(criterion, rows)
+    indices, agreeing = _chosen(blocks, times, score)
+    whole = blocks.base + blocks.each[:, indices].sum(axis=1)
+    best = float(score(whole).mean())
+    more = score(whole[:, None] + blocks.each).mean(axis=0)
+    gain = more - best if math.isfinite(best) else np.full(more.shape, np.nan)
+    success = bool(_identified(whole).all())
+    message = f"{agreeing} of {_STARTS} searches among {count(len(clock), 'candidate')} agree"
+    if not success:
+        message = with_remedy(
+            "these measurements cannot identify all parameters, whatever the times",
+            "fix some, or observe more",
+        )
+    sigma_known, noise_given, dof = _noise(blocks, times, after)
+    return Design(
+        times=clock[np.sort(indices)],
+        criterion=criterion,
+        parameters=blocks.names,
+        at=blocks.values,
+        information=blocks.unscaled(whole).mean(axis=0),
+        candidates=clock,
+        gain=gain,
+        success=success,
+        message=message,
+        level=level,
+        sigma_known=sigma_known,
+        noise_given=noise_given,
+        dof=dof,
+        _blocks=blocks,
+        _score=score,
+    )
+
+
+def _check_enough(times: int, blocks: Candidates) -> None:
+    """Raise an OptionError if so few times cannot identify all parameters."""
+    needed = math.ceil((len(blocks.names) - np.linalg.matrix_rank(blocks.base[0])) / blocks.data)
+    if times < needed:
+        raise OptionError(
+            f"{count(times, 'time')} cannot identify {count(len(blocks.names), 'parameter')}, "
+            f"{listing(blocks.names)}",
+            term=times,
+            remedy=f"measure at {needed} times or more, or fix parameters",
+        )
+
+
+def _noise(blocks: Candidates, times: int, after: Fit | None) -> tuple[bool, bool, float]:
+    """Whether the size of noise is known, whether it is given, and degrees of freedom."""
+    row, data = blocks.trial.observations, times * blocks.data
+    if after is not None:
+        return True, after.noise_given, after.dof + data
+    dof = data - len(blocks.names) + len(row.levels)
+    return row.sigma_known, row.sigma_known and not row.levels, float(dof)
+
+
+def _interest(interest: object, names: tuple[str, ...]) -> list[str]:
+    if interest is None:
+        return list(names)
+    keys = interest if isinstance(interest, list | tuple) else [interest]
+    wanted = []
+    for key in keys:
+        name = name_of(key)
+        if name not in names:
+            raise OptionError(
+                f"interest: {quote(name)} is not estimated{did_you_mean(name, names)}",
+                term=key,
+                remedy=f"choose from {listing(names)}",
+            )
+        wanted.append(name)
+    if not wanted:
+        raise OptionError("interest names no parameter", term=interest)
+    return wanted
+
+
+def _identified(information: Array) -> Array:
+    """Whether all directions of information matrices (..., p, p) are seen."""
+    eigenvalues = np.linalg.eigvalsh(information)
+    largest = np.maximum(eigenvalues[..., -1], 1e-300)
+    return np.asarray(eigenvalues[..., 0] > _LEAST_EIGENVALUE * largest)
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A criterion of some parameters, by their positions, in logarithms: the larger the better."""
+
+    name: str
+    rows: tuple[int, ...]
+
+    def __call__(self, information: Array) -> Array:
+        """Values (...) for information (..., p, p); minus infinity where not all is seen."""
+        seen = _identified(information)
+        safe = np.where(seen[..., None, None], information, np.eye(information.shape[-1]))
+        covariance = np.linalg.inv(safe)[..., self.rows, :][..., self.rows]
+        if self.name == "D":
+            criterion = -np.linalg.slogdet(covariance)[1] / len(self.rows)
+        elif self.name == "A":
+            criterion = -np.log(np.trace(covariance, axis1=-2, axis2=-1))
+        else:
+            criterion = -np.log(np.linalg.eigvalsh(covariance)[..., -1])
+        return np.where(seen, criterion, -np.inf)
+
+
+def _chosen(blocks: Candidates, times: int, criterion: Criterion) -> tuple[NDArray[np.intp], int]:
+    """The best positions of candidates (n,), and how many searches end equally good."""
+    generator = np.random.default_rng(_SEED)
+    starts = generator.integers(0, blocks.each.shape[1], (_STARTS, times))
+    ends = [_exchanged(blocks, start, criterion) for start in starts]
+    top = max(score for score, _ in ends)
+    agreeing = sum(score >= top - _EQUAL for score, _ in ends)
+    return max(ends, key=lambda end: end[0])[1], agreeing
+
+
+def _exchanged(
+    blocks: Candidates, start: NDArray[np.intp], criterion: Criterion
+) -> tuple[float, NDArray[np.intp]]:
+    """The criterion and positions (n,) that no exchange of one time improves."""
+    indices, best = start.copy(), -math.inf
+    for _ in range(_MOST_ROUNDS):
+        before = best
+        for i in range(indices.size):
+            rest = blocks.base + blocks.each[:, np.delete(indices, i)].sum(axis=1)
+            scores = criterion(_ridged(rest[:, None] + blocks.each)).mean(axis=0)
+            k = int(np.argmax(scores))
+            if scores[k] > best + _SAME:
+                indices[i], best = k, float(scores[k])
+        if best <= before + _SAME:
+            break
+    return best, indices
+
+
+def _ridged(information: Array) -> Array:
+    """The information with a ridge just above what counts as identified: searches have a way."""
+    size = information.shape[-1]
+    trace = np.trace(information, axis1=-2, axis2=-1)[..., None, None]
+    return np.asarray(information + 2.0 * _LEAST_EIGENVALUE * trace * np.eye(size))

@@ -1,0 +1,364 @@
+"""The best parameters of a box: least or largest values of unknowns, with constraints."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize as scipy_minimize
+from scipy.spatial import cKDTree
+
+from rankone.inference.estimation.experiments import failure_of
+from rankone.inference.estimation.free_parameters import Bounds, ParameterValues, free_parameters
+from rankone.inference.estimation.objective import (
+    Constraint,
+    Limits,
+    Number,
+    Objective,
+    States,
+    constraints_of,
+    is_function,
+)
+from rankone.inference.estimation.observations import checked_times, state_name
+from rankone.solution.evaluation.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.budget import NORMAL, operations_for
+from rankone.support.errors import OptionError, with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.options import checked_number
+from rankone.support.wording import count, quote
+
+# Points all over the box at which the objective is evaluated first, for normal effort
+_SCREENED_POINTS = 1024
+_MOST_SCREENED_POINTS = 2**17  # Most of these points, whatever the effort
+_MOST_CORNERS = 64  # Most corners of the box among these points
+_MOST_STARTS = 256  # Most searches from basins, whatever the effort
+# Searches from basins of the sample, for each search from the last generation
+_FIRST_PER_SECOND_SEARCH = 2
+_GENERATIONS = 30  # Generations of differential evolution, for normal effort
+_POPULATION = 32  # Points of a generation
+# Range of the factors of differences, around the 0.5 to 0.8 that Storn and Price advise
+_DIFFERENCE_FACTORS = (0.4, 0.9)
+_CROSSED_SHARE = 0.6  # Share of the coordinates that are exchanged
+_SEED = 7  # Of the shifted Sobol sequence and of differential evolution: a call repeats itself
+_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which points are in different basins
+# Difference of objectives, in shares of their range over the box, that counts as none
+_SAME_OBJECTIVE = 1e-6
+_MISSED_WEIGHT = 1e3  # Weight of constraints that are missed, beside the scaled objective
+# How far a constraint may be missed, in units of the spread of its unknown over the box
+_FEASIBLE_MISS = 1e-6
+_TOLERANCES = (1e-12, 1e-9, 1e-7)  # Tolerances of the scaled objective, one after the other
+_MOST_ITERATIONS = 300  # Most iterations of one search with one tolerance
+_GLOBAL = "; it is the best of the box as far as it was sampled"
+_LOCAL = "; it may be a local one"
+_LOCAL_REMEDY = "raise effort, or narrow the bounds"
+
+
+@dataclass(frozen=True, repr=False)
+class Optimum(Labelled):
+    """The best parameters found.
+
+    Attributes
+    ----------
+    x : dict of str to float
+        The free parameters.
+    fun : float
+        The objective there.
+    success : bool
+        Whether a search converged to a minimum that fulfils the constraints, of a solution that
+        is a success itself.
+    message : str
+    values : dict of str to float or ndarray
+        The unknowns there, at the times of the objective.
+    parameters : dict of str to float
+        All parameters, fixed ones as well.
+    evaluations : int
+        Number of evaluations of the objective with its derivatives.
+    searches : int
+        Number of searches.
+    agreeing : int
+        How many of them ended at an equally good value.
+    is_global : bool
+        Whether this is the best of the box as far as it was sampled: several searches agree, or
+        every basin of the sample was searched. Otherwise it may be local.
+    """
+
+    x: dict[str, float]
+    fun: float
+    success: bool
+    message: str
+    values: dict[str, Number]
+    parameters: dict[str, float]
+    evaluations: int
+    searches: int = 1
+    agreeing: int = 1
+    is_global: bool = False
+
+    def _table(self) -> Table:
+        """The free parameters; the others and the values there are below."""
+        rows = [[name, f"{x:.6g}"] for name, x in self.x.items()]
+        remarks = [f"{'success' if self.success else 'no success'}: {self.message}"]
+        held = {name: x for name, x in self.parameters.items() if name not in self.x}
+        if held:
+            fixed = ", ".join(f"{name} = {x:.6g}" for name, x in held.items())
+            remarks.insert(0, f"fixed: {fixed}")
+        return Table(f"Optimum: {self.fun:.6g}", ["parameter", "best"], rows, remarks)
+
+    def _variables(self) -> Variables:
+        best = np.array(list(self.x.values()))
+        return Variables({"best": (("parameter",), best)}, {"parameter": list(self.x)})
+
+
+def minimize(
+    self: SolutionCore,
+    objective: object,
+    t: ArrayLike | None = None,
+    *,
+    sense: str = "min",
+    fixed: ParameterValues = None,
+    start: ParameterValues = None,
+    bounds: Bounds = None,
+    constraints: Limits = None,
+    starts: int = 16,
+    effort: str | float = "normal",
+) -> Optimum:
+    """The parameters for which an unknown, or a function of the unknowns, is least.
+
+    The objective is sampled all over the box (a Sobol sequence, the centre, corners). Searches
+    start from the best points of the basins of this sample, and from the best points after 30
+    generations of differential evolution. They use sequential quadratic programming (SciPy) with
+    derivatives from the separated form. The same call gives the same result.
+
+    Parameters
+    ----------
+    objective : name, symbol or callable
+        An unknown, whose value at the time ``t`` is the objective, or a smooth function
+        ``f(values, parameters)`` of two dictionaries: all states at ``t`` by name, numbers or
+        arrays like ``t``, and all parameters.
+    t : float or array_like
+        Time of the objective; several for a function. None if nothing depends on time.
+    sense : {"min", "max"}
+    fixed, start, bounds
+        As for :meth:`fit`.
+    starts : int
+        Most searches from basins of the box; half as many follow from the last generation. 0
+        with a ``start`` searches from that start alone.
+    effort : {"low", "normal", "high"} or float
+        Factor on the numbers of points, generations and searches: 0.2, 1, 10 or any other.
+    constraints : mapping, optional
+        For unknowns ``(lower, upper)`` at the times ``t``, or ``(lower, upper, times)``; None
+        for no limit. Limits are numbers, or one for each time; they hold at these times.
+
+    Returns
+    -------
+    Optimum
+        With ``x``, ``fun``, ``success``, ``message`` and ``values``. ``is_global`` says
+        whether it is the best of the box as far as it was sampled, or may be local.
+
+    Raises
+    ------
+    OptionError, EvaluationError
+        As for :meth:`fit`, and if the objective is not a number or limits contradict each other.
+    """
+    self._evaluator  # noqa: B018 - raises if nothing was solved
+    if sense not in ("min", "max"):
+        raise OptionError(f"sense={sense!r} is unknown", remedy='choose "min" or "max"')
+    free = free_parameters([self], fixed, bounds, start)
+    starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
+    times, one = checked_times(self, t), t is None or np.ndim(t) == 0
+    function = objective if is_function(objective) else None
+    names = [state_name(self, objective)] if function is None else list(self.states)
+    if function is None and not one:
+        raise OptionError(
+            f"the objective {quote(names[0])} is given at several times",
+            term=t,
+            remedy="give one time, or a function of the values as the objective",
+        )
+    sign = 1.0 if sense == "min" else -1.0
+    goal = Objective(States(self, names, times, free), function, sign, one)
+    factor = operations_for(effort) / NORMAL
+    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
+    points = _screened(screened, len(free.names))
+    limits = constraints_of(self, constraints, t, free, points[:_MOST_STARTS])
+    objectives = goal.many(points)
+    usable = np.isfinite(objectives)
+    if not usable.any():
+        raise OptionError("the objective is not finite anywhere in the box", term=objective)
+    goal.scale = float(np.ptp(objectives[usable])) or 1.0
+    merit = _Merit(goal, limits)
+    merits = merit(points, objectives)
+    lowest = points[_basins(points, merits)]
+    minima = [] if free.start is None else [merit.search(free.start)]
+    minima += [merit.search(point) for point in lowest[:starts]]
+    if starts:
+        ends = np.array([minimum.z for minimum in minima])
+        pool = np.concatenate([ends, points]), np.concatenate([merit(ends), merits])
+        descendants = _evolved(merit, *pool, math.ceil(factor * _GENERATIONS))
+        most = -(-starts // _FIRST_PER_SECOND_SEARCH)
+        minima += [merit.search(point) for point in descendants[:most]]
+    best = _optimum(merit, minima, len(lowest) <= starts)
+    if self.success:
+        return best
+    message = f"{failure_of(self)}; {best.message}"
+    return replace(best, success=False, message=message)
+
+
+@dataclass(frozen=True)
+class _Minimum:
+    """The end of a search: scaled objective, and by how much a constraint is missed."""
+
+    z: Array
+    objective: float
+    missed: float
+    ended: bool
+    message: str
+
+    def as_good_as(self, best: _Minimum) -> bool:
+        """Whether a search ended at a minimum that is as good as the best one."""
+        equal = self.objective <= best.objective + _SAME_OBJECTIVE
+        return self.missed <= best.missed and equal
+
+
+@dataclass(frozen=True)
+class _Merit:
+    """The scaled objective with a penalty for missed constraints."""
+
+    goal: Objective
+    limits: Sequence[Constraint]
+
+    def __call__(self, points: Array, objectives: Array | None = None) -> Array:
+        """Merits of points (N, n), the least the best; infinite where the objective is not."""
+        objectives = self.goal.many(points) if objectives is None else objectives
+        merits = self.goal.sign * objectives / self.goal.scale
+        for limit in self.limits:
+            merits = merits + _MISSED_WEIGHT * limit.missed(points)
+        return np.where(np.isfinite(merits), merits, np.inf)
+
+    def search(self, start: Array) -> _Minimum:
+        """The minimum that sequential quadratic programming reaches from a start.
+
+        If rounding stops it early, it goes on with a tolerance that it can meet.
+        """
+        inequalities = [{"type": "ineq", "fun": c.margins, "jac": c.slopes} for c in self.limits]
+        for tolerance in _TOLERANCES:
+            end = scipy_minimize(
+                self.goal,
+                start,
+                jac=True,
+                method="SLSQP",
+                bounds=[(0.0, 1.0)] * start.size,
+                constraints=inequalities,
+                options={"ftol": tolerance, "maxiter": _MOST_ITERATIONS},
+            )
+            z = start = np.clip(end.x, 0.0, 1.0)
+            if end.success:
+                break
+        missed = max((float(-limit.margins(z).min()) for limit in self.limits), default=0.0)
+        missed = missed if missed > _FEASIBLE_MISS else 0.0
+        objective = float(end.fun) if math.isfinite(end.fun) else math.inf
+        return _Minimum(z, objective, missed, bool(end.success), str(end.message))
+
+
+def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Optimum:
+    """The best of the minima; ``every_basin``: all basins of the sample were searched."""
+    best = min(minima, key=lambda minimum: (minimum.missed, minimum.objective))
+    best = next((each for each in minima if each.ended and each.as_good_as(best)), best)
+    agreeing = sum(minimum.as_good_as(best) for minimum in minima)
+    goal, free = merit.goal, merit.goal.states.free
+    states, x = goal.states(best.z)[0], free.named(best.z)
+    success = best.ended and not best.missed
+    is_global = success and (every_basin or agreeing > 1)
+    ended = f"{agreeing} of {count(len(minima), 'search', 'searches')} ended"
+    return Optimum(
+        x=x,
+        fun=goal.at(states, best.z),
+        success=success,
+        message=_message(merit, best, ended, is_global),
+        values=goal.named(states),
+        parameters=free.complete(x),
+        evaluations=goal.evaluations,
+        searches=len(minima),
+        agreeing=agreeing,
+        is_global=is_global,
+    )
+
+
+def _message(merit: _Merit, best: _Minimum, ended: str, is_global: bool) -> str:
+    """What to say of the best minimum; ``ended`` says how many searches ended there."""
+    if best.missed:
+        limit = min(merit.limits, key=lambda limit: float(limit.margins(best.z).min()))
+        amount = -float(limit.margins(best.z).min()) * limit.scale
+        return (
+            "no parameters were found that fulfil the constraints: "
+            f"{quote(limit.states.names[0])} misses its limits by {amount:.4g}"
+        )
+    if not best.ended:
+        return best.message
+    extremum = "minimum" if merit.goal.sign > 0 else "maximum"
+    at_bounds = merit.goal.states.free.at_bounds(best.z)
+    ends = [f"{quote(name)} at its {end} bound" for name, end in at_bounds.items()]
+    message = (
+        f"{ended} at this {extremum}"
+        + (f", with {' and '.join(ends)}" if ends else "")
+        + (_GLOBAL if is_global else _LOCAL)
+    )
+    return with_remedy(message, None if is_global else _LOCAL_REMEDY)
+
+
+# --- where searches begin ------------------------------------------------------------------------
+
+
+def _screened(count: int, d: int) -> Array:
+    """Points (N, d) of the unit cube: centre, corners, and ``count`` of a shifted Sobol points."""
+    corners = itertools.islice(itertools.product((0.0, 1.0), repeat=d), _MOST_CORNERS)
+    sequence = scipy.stats.qmc.Sobol(d, scramble=False).random_base2(max(count - 1, 1).bit_length())
+    shifted = (sequence[:count] + np.random.default_rng(_SEED).random(d)) % 1.0
+    return np.concatenate([np.full((1, d), 0.5), np.array(list(corners)), shifted])
+
+
+def _basins(points: Array, merits: Array) -> NDArray[np.intp]:
+    """Indices of points (N, d) that are no worse than their neighbours, the best first.
+
+    They are the minima of the graph that joins each point to its 2 d + 1 nearest neighbours.
+    """
+    neighbours = min(2 * points.shape[1] + 2, len(points))
+    _, nearest = cKDTree(points).query(points, k=neighbours)
+    around = merits[nearest.reshape(len(points), -1)].min(axis=1)
+    lowest = np.flatnonzero((merits <= around) & np.isfinite(merits))
+    return lowest[np.argsort(merits[lowest], kind="stable")]
+
+
+def _evolved(
+    merit: Callable[[Array], Array], points: Array, merits: Array, generations: int
+) -> list[Array]:
+    """Points (d,) in different basins after differential evolution (Storn, Price 1997).
+
+    The best of the points (N, d), by their merits (N,), are the first generation.
+    """
+    generator = np.random.default_rng(_SEED)
+    chosen = np.argsort(merits, kind="stable")[:_POPULATION]
+    population, best_merits = points[chosen], merits[chosen]
+    m, d = population.shape
+    for _ in range(generations):
+        base, plus, minus = (population[generator.permutation(m)] for _ in range(3))
+        trial = base + generator.uniform(*_DIFFERENCE_FACTORS, (m, 1)) * (plus - minus)
+        crossed = generator.random((m, d)) < _CROSSED_SHARE
+        crossed[np.arange(m), generator.integers(0, d, m)] = True
+        outside = (trial < 0.0) | (trial > 1.0)
+        trial = np.where(outside, generator.random((m, d)), trial)
+        trial = np.where(crossed, trial, population)
+        trial_merits = merit(trial)
+        better = trial_merits < best_merits
+        population = np.where(better[:, None], trial, population)
+        best_merits = np.where(better, trial_merits, best_merits)
+    apart: list[Array] = []
+    for point in population[np.argsort(best_merits, kind="stable")]:
+        if all(np.abs(point - end).max() > _DISTINCT_DISTANCE for end in apart):
+            apart.append(point)
+    return apart

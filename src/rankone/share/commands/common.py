@@ -1,0 +1,234 @@
+"""Shared by all commands: parsers, problem files and saved solutions, summaries, exit status."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    from rankone.problem.problem import Problem
+    from rankone.solution.solution import Solution
+
+SUCCESS = 0  # Exit status: the measured error is within the tolerance
+FAILURE = 1  # Exit status: it is not, or is not known
+BAD_INPUT = 2  # Exit status: an argument or a file is wrong
+PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
+MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)"
+SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
+_DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
+
+spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
+"""How messages of the running command are written."""
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    *,
+    usage: str | None = None,
+    help: str,
+    description: str,
+    epilog: str | None = None,
+) -> argparse.ArgumentParser:
+    """Add the parser of a command; ``run`` gets its arguments and returns the exit status."""
+    parser = commands.add_parser(
+        name,
+        usage=usage,
+        help=help,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter if epilog else argparse.HelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_solve_arguments(parser: argparse.ArgumentParser) -> None:
+    """What a problem file is solved with."""
+    help_text = "relative tolerance for a problem file (default: 1e-6)"
+    parser.add_argument("--rtol", type=float, help=help_text)
+    add_set(parser)
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    help_text = "other numbers of constants of a problem file; a parameter is fixed at its number"
+    parser.add_argument("--set", metavar="NAME=VALUE", nargs="+", action="extend", help=help_text)
+
+
+def add_states(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--states",
+        choices=("unknowns", "all"),
+        help="all: derivatives that are states (x_t) as well (default: unknowns)",
+    )
+
+
+def add_model_arguments(parser: argparse.ArgumentParser) -> None:
+    add_solve_arguments(parser)
+    parser.add_argument("--method", help="the engine (default: auto)")
+    parser.add_argument(
+        "--model-rtol",
+        metavar="RTOL",
+        type=float,
+        help="by how much the model may differ from the solution, to be smaller (default: not)",
+    )
+    parser.add_argument(
+        "--allow-failed",
+        action="store_true",
+        help="write it also if the error is not within the tolerance (status 1)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+
+
+def toml_help() -> str:
+    """The layout of a TOML file, for the help."""
+    from rankone.problem.toml_layout import TOML_LAYOUT
+
+    return "layout of a TOML file:\n" + "".join(
+        f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
+    )
+
+
+def is_saved(path: Path) -> bool:
+    return path.suffix in (".npz", ".nc")
+
+
+def problem_of(path: Path, numbers: Sequence[str] | None) -> Problem:
+    """The problem of a file, with other numbers of constants, ``m=2.5``."""
+    from rankone.problem.problem_files import load_problem
+
+    return with_numbers(load_problem(path), numbers)
+
+
+def with_numbers(problem: Problem, numbers: Sequence[str] | None) -> Problem:
+    """A problem with the numbers of ``--set``."""
+    from rankone.share.export.program import pairs_of
+
+    return problem.set(pairs_of("--set", numbers, float)) if numbers else problem
+
+
+def solution_of(
+    arguments: argparse.Namespace, method: str | None = None, effort: str | float = "normal"
+) -> Solution:
+    """Load a saved solution, which takes no tolerance and no method, or solve a problem file."""
+    import rankone
+    from rankone.problem.models.document import is_model_file
+    from rankone.support.budget import preparing
+    from rankone.support.errors import OptionError, ProblemError
+
+    path, rtol, numbers = arguments.file, arguments.rtol, arguments.set
+    if is_saved(path):
+        for option, argument in (("--rtol", rtol), ("--method", method), ("--set", numbers)):
+            if argument is not None:
+                raise OptionError(
+                    f"{option} is for problem files; `{path}` is solved already",
+                    remedy=f"leave {option} out, or solve again",
+                )
+        return rankone.load(path)
+    if path.suffix not in (".py", ".toml"):
+        solved_first = f"rankone solve {path} --t-final 10 --save {path.stem}.npz"
+        raise ProblemError(
+            f"`{path}` is neither a saved solution nor a problem file",
+            term=path,
+            remedy=f"solve the model first: {solved_first}"
+            if is_model_file(path)
+            else "give an .npz, .nc, .py or .toml file",
+        )
+    with preparing(None):
+        compiled = rankone.compile(problem_of(path, numbers))
+    rtol = _DEFAULT_RTOL if rtol is None else rtol
+    engine = "auto" if method is None else method
+    return compiled.solve(rtol=rtol, method=engine, effort=effort)  # type: ignore[arg-type]
+
+
+def model_problem(path: Path, box: Mapping[str, Any], t_final: float | None) -> Problem:
+    """The problem of a model file: its box and the end of its horizon, which starts at 0."""
+    from rankone.problem.models.sbml import read_sbml
+    from rankone.support.errors import OptionError
+
+    model = read_sbml(path)
+    if t_final is None:
+        raise OptionError(
+            f"`{path}` is a model, which has no horizon", remedy="give its end: --t-final 10"
+        )
+    intervals = {name: tuple(interval) for name, interval in box.items()}
+    return model.problem(intervals, time=(0.0, t_final))
+
+
+def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:
+    """Whether to write a model of a solution; if not, say so on the standard error stream."""
+    if solution.success or arguments.allow_failed:
+        return True
+    from rankone.support.errors import with_remedy
+
+    again = "solve again" if is_saved(arguments.file) else "another --rtol"
+    message = f"error: nothing was written: {solution.message}"
+    complain(with_remedy(message, f"{again}, or --allow-failed to write it as it is"))
+    return False
+
+
+def status_of(solution: Solution) -> int:
+    """The exit status; a failure is reported on the standard error stream."""
+    if solution.success:
+        return SUCCESS
+    complain(f"warning: the error is not within the tolerance: {solution.message}")
+    return FAILURE
+
+
+def complain(text: str) -> None:
+    print(f"rankone: {spelled.get()(text)}", file=sys.stderr)
+
+
+def display(result: object) -> None:
+    """Print a summary, in the words of the command line."""
+    print(spelled.get()(str(result)))
+
+
+def summary(solution: Solution) -> dict[str, object]:
+    """How good a solution is and how it was computed, as JSON; unknown numbers are null."""
+    measured = solution.outcome.measured
+    return {
+        "success": solution.success,
+        "status": solution.status.name.lower(),
+        "message": spelled.get()(solution.message),
+        "method": solution.method,
+        "rtol": solution.rtol,
+        "error": finite_or_none(solution.error),
+        "errors": {name: finite_or_none(error) for name, error in solution.errors.items()},
+        "corner_error": finite_or_none(solution.corner_error),
+        "checked": measured
+        and {
+            "trajectories": measured.points,
+            "cover": measured.cover,
+            "unknowns": [
+                solution.states[i] for i in measured.counted or range(len(solution.states))
+            ],
+            "quantile95": measured.quantile,
+            "worst": dict(zip(solution.parameters, measured.worst, strict=False)),
+            "integrator": measured.integrator,
+            "integration_method": measured.method,
+        },
+        "unknowns": list(solution.unknowns),
+        "time": None if solution.metadata.timeless else list(solution.time),
+        "parameters": {name: list(interval) for name, interval in solution.parameters.items()},
+        "slabs": len(solution.ranks),
+        "rank": solution.rank,
+        "nodes": list(solution.nodes),
+        "timings": solution.timings,
+        "version": solution.metadata.version,
+        "units": dict(solution.metadata.units),
+        "narrower": solution.outcome.verdict.narrower,
+    }
+
+
+def finite_or_none(x: float) -> float | None:
+    """A number that JSON can hold, or None."""
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,50 @@
+"""Plots of a solution: its values, statistics and base functions, and how it was found.
+
+They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` in the folder of the
+sources.
+
+Nothing is shown: ``ax.figure.savefig("name.png")`` writes a figure, ``matplotlib.pyplot.show()``
+shows it. All draw into the axes given as ``ax``, or into those of a new figure, and return them,
+those with several panels an array of them.
+
+- ``arguments``: arguments of plots: the solution, the unknowns and the times that they select,
+  checked
+- ``estimate_plots``: what data say about parameters: `plot_posterior`, `plot_profiles` and
+  `plot_design`
+- ``fit_plots``: measurements, fitted curves and residuals, of fits and of calibrations
+- ``line_ends``: names at the ends of lines, which are moved apart whenever a figure is drawn
+- ``loops``: what happened in the loops of a solve: `plot_history`
+- ``mode_plots``: densities, base functions and surfaces of unknowns
+- ``population_plots``: curves of the subjects of a population, and its predictive check:
+  `plot_population`
+- ``sensitivity_plots``: what the parameters do to an unknown: `plot_sobol` and
+  `plot_main_effects`
+- ``style``: figures and axes, how they look, legends and labels: what all plots share
+- ``trajectory_plots``: unknowns over time, for given parameters or over the box:
+  `plot_trajectories`, `plot_bands`
+"""
+
+from rankone.share.plotting.estimate_plots import plot_design, plot_posterior, plot_profiles
+from rankone.share.plotting.fit_plots import plot_calibration, plot_fit
+from rankone.share.plotting.loops import plot_history
+from rankone.share.plotting.mode_plots import plot_density, plot_modes, plot_surface
+from rankone.share.plotting.population_plots import plot_population
+from rankone.share.plotting.sensitivity_plots import plot_main_effects, plot_sobol
+from rankone.share.plotting.trajectory_plots import plot_bands, plot_trajectories
+
+__all__ = [
+    "plot_bands",
+    "plot_calibration",
+    "plot_density",
+    "plot_design",
+    "plot_fit",
+    "plot_history",
+    "plot_main_effects",
+    "plot_modes",
+    "plot_population",
+    "plot_posterior",
+    "plot_profiles",
+    "plot_sobol",
+    "plot_surface",
+    "plot_trajectories",
+]

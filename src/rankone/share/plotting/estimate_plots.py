@@ -1,0 +1,247 @@
+"""What data say about parameters: `plot_posterior`, `plot_profiles` and `plot_design`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.inference.estimation.design import Design
+from rankone.inference.estimation.fit import Fit
+from rankone.inference.estimation.identification import Stop
+from rankone.inference.estimation.posterior import Posterior
+from rankone.share.plotting import style
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+    from rankone.solution.solution import Solution
+
+_SAMPLES = 20_000  # Points from which pairs of parameters are drawn
+_BINS = 40  # Bins of a pair in each direction
+_LEVELS = (0.95, 0.5)  # Shares of the probability inside of contours
+_CURVE_POINTS = 201  # Points of a marginal density
+_SHOWN_RISE = 2.5  # Largest rise of a profile that is shown, in units of that at the interval
+
+
+def plot_posterior(
+    posterior: Posterior, *, seed: int = 0, ax: object = None
+) -> NDArray[np.object_]:
+    """Plot the marginal density of each parameter, and of each pair below: a corner plot.
+
+    The 95 % interval of each parameter is shaded; contours hold 50 and 95 % of a pair.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        What :meth:`rankone.Solution.posterior` or :func:`rankone.posterior` returns.
+    seed : int
+        Of the random points from which pairs are drawn.
+    ax : axes of Matplotlib, (n, n), optional
+
+    Returns
+    -------
+    ndarray (n, n) of matplotlib.axes.Axes
+        Those above the diagonal are hidden.
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    OptionError
+        If it is no posterior, or there are not n times n axes.
+    """
+    _check("plot_posterior", posterior, Posterior, "what solution.posterior(...) returns")
+    names = posterior.parameters
+    axes = _square(ax, len(names))
+    solution = cast("Solution", posterior.fit.solution)
+    points = posterior.sample(_SAMPLES, seed=seed)
+    wide = posterior.interval(0.998)
+    ends = {name: _padded(*wide[name]) for name in names}
+    for i, row in enumerate(names):
+        for j, column in enumerate(names):
+            panel = axes[i, j]
+            if j > i:
+                panel.set_visible(False)
+                continue
+            if i == j:
+                _draw_marginal(panel, posterior, row, ends[row])
+            else:
+                _draw_pair(panel, points[column], points[row], (ends[column], ends[row]))
+            panel.set_xlim(*ends[column])
+            panel.tick_params(labelbottom=i == len(names) - 1, labelleft=j == 0 < i)
+            if i == len(names) - 1:
+                panel.set_xlabel(_label(solution, column))
+            if j == 0 < i:
+                panel.set_ylabel(_label(solution, row))
+    return axes
+
+
+def plot_profiles(
+    fit: Fit, parameters: Sequence[object] | None = None, *, ax: object = None
+) -> NDArray[np.object_]:
+    """Plot how much worse the data are fitted as each parameter is held away from its estimate.
+
+    The ordinate is the rise of -2 log L, or of the squares over their mean where sigma is not
+    known. The dashed line is the limit at the level of the fit: the interval lies below it. The
+    dotted curve is the linearised model.
+
+    Parameters
+    ----------
+    fit : Fit
+    parameters : list of names or symbols, optional
+        By default all free parameters.
+    ax : axes of Matplotlib, one for each parameter, optional
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    OptionError
+        If it is no fit, or there is no such parameter.
+    """
+    _check("plot_profiles", fit, Fit, "what solution.fit(...) returns")
+    free = fit._problem.free
+    names = [free.names[free.index(p)] for p in (parameters or free.names)]
+    axes = style.several_axes(ax, len(names), "Profile likelihoods")
+    for panel, name in zip(axes, names, strict=True):
+        _draw_profile(panel, fit, name)
+        panel.set_xlabel(_label(cast("Solution", fit.solution), name))
+    axes[0].set_ylabel("rise of −2 log L")
+    return axes
+
+
+def plot_design(design: Design, *, ax: Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+    """Plot the expected curves with the chosen times, and below them what others would add.
+
+    Parameters
+    ----------
+    design : Design
+        What :meth:`rankone.Solution.design` returns.
+    ax : two axes of Matplotlib, optional
+
+    Returns
+    -------
+    tuple of matplotlib.axes.Axes
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    OptionError
+        If it is no design, or there are not two axes.
+    """
+    _check("plot_design", design, Design, "what solution.design(...) returns")
+    trial = design._blocks.trial
+    solution = cast("Solution", trial.solution)
+    upper, lower = style.stacked(0.9, 0.5) if ax is None else style.several_axes(ax, 2, "")
+    curves = design._blocks.curves()
+    names = trial.observations.names
+    colours = style.colours_for(upper, len(names))
+    times, counts = np.unique(design.times, return_counts=True)
+    lines: list[Line2D] = []
+    for name, curve, colour in zip(names, curves, colours, strict=True):
+        lines += upper.plot(design.candidates, curve, color=colour, label=name)
+        chosen = np.interp(times, design.candidates, curve)
+        upper.scatter(times, chosen, 26.0 * counts, color=colour, zorder=3)
+    style.name_ends(upper, lines, names)
+    lower.plot(design.candidates, design.gain, color=style.PALETTE[6])
+    for panel in (upper, lower):
+        for time in times:
+            panel.axvline(float(time), color="0.6", linewidth=0.8, linestyle=":", zorder=0)
+    upper.set_ylabel("expected")
+    lower.set_ylabel("gain of one\nmore")
+    lower.set_xlabel(style.label_of(solution, solution.metadata.time))
+    return upper, lower
+
+
+def _check(function: str, given: object, kind: type, what: str) -> None:
+    if not isinstance(given, kind):
+        raise OptionError(
+            f"{function} needs a {kind.__name__}, not {type(given).__name__}",
+            term=given,
+            remedy=f"give {what}",
+        )
+
+
+def _label(solution: Solution, name: str) -> str:
+    """A parameter with its unit; those of observables and noise have none."""
+    return style.label_of(solution, name)
+
+
+def _square(ax: object, n: int) -> NDArray[np.object_]:
+    axes = style.several_axes(ax, n * n, "") if ax is not None else style.grid_of(n)
+    return axes.reshape(n, n)
+
+
+def _padded(low: float, high: float) -> tuple[float, float]:
+    room = 0.05 * (high - low)
+    return low - room, high + room
+
+
+def _draw_marginal(panel: Axes, posterior: Posterior, name: str, ends: tuple[float, float]) -> None:
+    colour = style.PALETTE[0]
+    x = np.linspace(*ends, _CURVE_POINTS)
+    density = posterior.density(name, x)
+    low, high = posterior.interval()[name]
+    panel.plot(x, density, color=colour)
+    inside = (x >= low) & (x <= high)
+    panel.fill_between(x[inside], density[inside], color=colour, alpha=0.2, linewidth=0)
+    panel.set_ylim(bottom=0.0)
+    panel.set_yticks([])
+
+
+def _draw_pair(
+    panel: Axes, x: Array, y: Array, ends: tuple[tuple[float, float], tuple[float, float]]
+) -> None:
+    """Contours of a histogram that hold shares of the points."""
+    counts, xs, ys = np.histogram2d(x, y, _BINS, range=ends)
+    smooth = _smoothed(counts)
+    order = np.sort(smooth.ravel())[::-1]
+    inside = np.cumsum(order) / order.sum()
+    heights = [float(order[np.searchsorted(inside, level)]) for level in _LEVELS]
+    centres = (0.5 * (edges[1:] + edges[:-1]) for edges in (xs, ys))
+    top = float(order[0]) * (1.0 + 1e-9)
+    if heights[0] < heights[1] < top:
+        colours = [f"{style.PALETTE[0]}40", f"{style.PALETTE[0]}A0"]
+        panel.contourf(*centres, smooth.T, levels=[*heights, top], colors=colours)
+    panel.set_ylim(*ends[1])
+
+
+def _smoothed(counts: Array) -> Array:
+    """Counts averaged with their neighbours."""
+    kernel = np.array([0.25, 0.5, 0.25])
+    for axis in (0, 1):
+        counts = np.apply_along_axis(lambda row: np.convolve(row, kernel, "same"), axis, counts)
+    return counts
+
+
+def _draw_profile(panel: Axes, fit: Fit, name: str) -> None:
+    free = fit._problem.free
+    j = free.names.index(name)
+    profile, limit, unit = fit.profile(name), fit.rise(name), 1.0
+    if not fit.unit_known:
+        unit = fit.sigma**2 or 1.0
+    shown = profile.rise <= _SHOWN_RISE * limit
+    x = free.values(profile.path)[:, j]
+    panel.plot(x[shown], profile.rise[shown] / unit, color=style.PALETTE[0])
+    panel.axhline(limit / unit, color="0.4", linestyle="--", linewidth=1)
+    deviation = fit.std[name]
+    if np.isfinite(deviation) and shown.any():
+        line = np.linspace(x[shown].min(), x[shown].max(), _CURVE_POINTS)
+        panel.plot(line, ((line - fit.x[name]) / deviation) ** 2, color="0.5", linestyle=":")
+    panel.axvline(fit.x[name], color="0.8", linewidth=1, zorder=0)
+    for end in (profile.lower, profile.upper):
+        if end.stop is Stop.DATA:
+            place = free.values(np.where(np.arange(len(free.names)) == j, end.z, 0.5))[j]
+            panel.plot([place], [limit / unit], "o", color=style.PALETTE[0], markersize=4)
+    panel.set_ylim(0.0, _SHOWN_RISE * limit / unit)

@@ -1,0 +1,253 @@
+"""Figures and axes, how they look, legends and labels: what all plots share."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError, optional_module
+from rankone.support.wording import shown
+from rankone.tensors.bases.scales import LOG
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.lines import Line2D
+
+    from rankone.solution.solution import Solution
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
+"""Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
+MOST_NAMED = 8
+"""Lines up to which each one is named: as many as there are colours."""
+
+_MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
+_SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark nor too light
+_FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
+_PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
+_WIDEST_GRID = 9.0  # Width of a figure of many small panels, in inches
+_MOST_FIXED = 12  # Values that are named above a plot
+_TITLE_WIDTH = 76  # Letters of a line of them: the width of a figure
+_FIXED = "fixed values"
+
+
+def several_axes(ax: object, count: int, title: str) -> NDArray[np.object_]:
+    """Axes of some panels, (count,): those given, or those of a new figure.
+
+    A new figure has a title, and at most three panels in a row (four as two by two).
+    """
+    axes = np.empty(count, dtype=object)
+    if ax is not None:
+        several = list(np.ravel(np.asarray(ax, dtype=object)))
+        if len(several) != count:
+            raise OptionError(
+                f"{len(several)} axes were given for {count} panels",
+                term=ax,
+                remedy=f"give {count}, or leave ax out",
+            )
+        axes[:] = [axes_for(one) for one in several]
+        return axes
+    columns = 2 if count in (2, 4) else min(count, 3)
+    rows = -(-count // columns)
+    width, height = _PANEL_SIZE
+    figure, grid = _pyplot().subplots(
+        rows, columns, figsize=(width * columns, height * rows), layout="constrained", squeeze=False
+    )
+    for unused in [*grid.flat][count:]:
+        unused.remove()
+    axes[:] = [_dressed(one) for one in [*grid.flat][:count]]
+    figure.suptitle(title)
+    return axes
+
+
+def grid_of(n: int) -> NDArray[np.object_]:
+    """Axes of a new figure in n rows and columns, (n * n,)."""
+    width = min(_PANEL_SIZE[1], _WIDEST_GRID / n)
+    _, grid = _pyplot().subplots(
+        n, n, figsize=(width * n, width * n), layout="constrained", squeeze=False
+    )
+    axes = np.empty(n * n, dtype=object)
+    axes[:] = [_dressed(one) for one in grid.flat]
+    return axes
+
+
+def stacked(*heights: float) -> tuple[Axes, ...]:
+    """Axes of a new figure below each other, with one common abscissa."""
+    width, height = _FIGURE_SIZE
+    _, grid = _pyplot().subplots(
+        len(heights),
+        figsize=(width, height * sum(heights)),
+        height_ratios=heights,
+        sharex=True,
+        layout="constrained",
+        squeeze=False,
+    )
+    return tuple(_dressed(axes) for axes in grid.flat)
+
+
+def axes_for(ax: object) -> Axes:
+    """The axes that were given, or those of a new figure; empty ones get a light grid."""
+    pyplot = _pyplot()
+    if ax is None:
+        _, ax = pyplot.subplots(figsize=_FIGURE_SIZE, layout="constrained")
+    from matplotlib.axes import Axes
+
+    if not isinstance(ax, Axes):
+        raise OptionError(
+            f"ax={shown(ax)} are not axes of Matplotlib",
+            term=ax,
+            remedy="figure, ax = matplotlib.pyplot.subplots()",
+        )
+    return ax if ax.has_data() or ax.name != "rectilinear" else _dressed(ax)
+
+
+def figure_of(ax: Axes) -> Figure | SubFigure:
+    """The figure that axes are in."""
+    figure = ax.get_figure()
+    assert figure is not None
+    return figure
+
+
+def _dressed(ax: Axes) -> Axes:
+    ax.set_prop_cycle(color=PALETTE)
+    ax.grid(True, color="0.9", linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def _pyplot() -> ModuleType:
+    pyplot: ModuleType = optional_module(
+        "matplotlib.pyplot", "plots need Matplotlib", "pip install matplotlib"
+    )
+    return pyplot
+
+
+def colours_for(ax: Axes, count: int) -> list[str]:
+    """Colours of new lines: the next ones of the palette, or of a scale for many lines."""
+    if count > len(PALETTE):
+        return shades(np.linspace(0.0, 1.0, count))
+    first = len(ax.get_lines())
+    return [PALETTE[(first + i) % len(PALETTE)] for i in range(count)]
+
+
+def shades(shares: Array) -> list[str]:
+    """Colours of a scale that gets lighter, for numbers from 0 to 1."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    darkest, lightest = _SHADES
+    colours = colormaps["viridis"](darkest + (lightest - darkest) * shares)
+    return [to_hex(colour) for colour in colours]
+
+
+def colour_scale(ax: Axes, mappable: ScalarMappable, label: str) -> None:
+    """A colour scale beside the axes."""
+    bar = figure_of(ax).colorbar(mappable, ax=ax, label=label, pad=0.02)
+    bar.outline.set_visible(False)
+
+
+def legend_inside(ax: Axes, handles: Sequence[Artist]) -> None:
+    """A legend where it hides least."""
+    ax.legend(handles=handles, fontsize="small", framealpha=0.8)
+
+
+def legend_above(ax: Axes, handles: Sequence[Artist]) -> None:
+    """A legend above the axes, where it hides nothing."""
+    ax.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.2,
+        ncols=len(handles),
+        frameon=False,
+        fontsize="small",
+    )
+
+
+def legend_beside(ax: Axes, handles: Sequence[Artist]) -> None:
+    """A legend to the right of the axes, where it hides nothing."""
+    ax.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(1.02, 1.0),
+        borderaxespad=0.0,
+        frameon=False,
+        fontsize="small",
+    )
+
+
+def name_ends(ax: Axes, lines: Sequence[Line2D], names: Sequence[str]) -> None:
+    """Write names at the right ends of lines, moved apart; in a legend if there are many."""
+    from rankone.share.plotting.line_ends import EndNames
+
+    last = [float(np.asarray(line.get_ydata())[-1]) for line in lines]
+    if len(lines) > MOST_NAMED or not np.isfinite(last).all():
+        for line, name in zip(lines, names, strict=True):
+            line.set_label(name)
+        legend_beside(ax, lines)
+        return
+    EndNames(ax, lines, names)
+
+
+def name_fixed(ax: Axes, solution: Solution, values: Mapping[str, float]) -> None:
+    """Name the coordinates that have one value, above axes without a title.
+
+    A second drawing into the same axes with other values takes the first one's away.
+    """
+    texts = [value_of(solution, name, value) for name, value in values.items()]
+    if len(texts) > _MOST_FIXED:
+        texts[_MOST_FIXED:] = [f"and {len(texts) - _MOST_FIXED} more"]
+    text = textwrap.fill(", ".join(texts), _TITLE_WIDTH)
+    title = ax.findobj(lambda each: each.get_gid() == _FIXED, include_self=False)
+    if title and title[0].get_text() != text:  # type: ignore[attr-defined]
+        title[0].set(text="", gid=None)
+    elif text and not ax.has_data() and not ax.get_title() and not ax.get_title(loc="left"):
+        ax.set_title(text, fontsize="small", loc="left", color="0.3", gid=_FIXED)
+
+
+def label_of(solution: Solution, name: str) -> str:
+    """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
+    return labels_of(solution, [name])
+
+
+def value_of(solution: Solution, name: str, point: float) -> str:
+    """A value of a coordinate with its unit: ``t = 2 s``."""
+    return f"{name} = {point:.4g} {dict(solution.metadata.units).get(name, '')}".rstrip()
+
+
+def shares_of(solution: Solution, name: str, points: Array) -> Array:
+    """Where values of a parameter lie in its interval, from 0 to 1, on its scale."""
+    scale = solution._scale(name)
+    lower, upper = scale.to_scale(np.array(solution.parameters[name]))
+    return np.asarray((scale.to_scale(points) - lower) / (upper - lower))
+
+
+def axis_scale(solution: Solution, name: str) -> str:
+    """The scale of an axis of a coordinate, as Matplotlib calls it."""
+    return "log" if solution._scale(name).kind == LOG else "linear"
+
+
+def range_of(solution: Solution, name: str) -> str:
+    """The interval of a parameter with its unit: ``m: 1 to 2 kg``."""
+    lower, upper = solution.parameters[name]
+    unit = dict(solution.metadata.units).get(name, "")
+    return f"{name}: {lower:.4g} to {upper:.4g} {unit}".rstrip()
+
+
+def labels_of(solution: Solution, names: Sequence[str]) -> str:
+    """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
+    units = dict(solution.metadata.units)
+    text = "unknowns" if len(names) > _MOST_IN_LABEL else ", ".join(names)
+    if len({units.get(name) for name in names}) == 1:
+        unit = units.get(names[0])
+        return f"{text} [{unit}]" if unit else text
+    return text if len(names) > _MOST_IN_LABEL else ", ".join(label_of(solution, n) for n in names)

@@ -1,0 +1,110 @@
+"""Options and tuning constants of the tensor-train engine.
+
+The constants were measured over the reference problems.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from rankone.support.costs import CALL, Cost
+from rankone.support.options import Options, choice, integer
+from rankone.tensors.bases import BASES
+
+# Accuracy of slabs
+
+# First inner tolerance, relative to rtol, where corners of the box count
+CORNERS_TOLERANCE_SHARE = 0.06
+# First inner tolerance, relative to rtol, where only interior points count
+INTERIOR_TOLERANCE_SHARE = 0.4
+# Norm of the entries dropped from an accepted slab, relative to its resolution
+THINNING_SHARE = 0.5
+# Largest loss from coarser parameter nodes at the end of a slab, relative to its tolerance
+COARSENING_SHARE = 0.02
+# Largest error of the states after a jump, relative to the tolerance of the slab before it
+JUMP_SHARE = 0.1
+
+# Lengths of slabs
+
+DIVERGED_FACTOR = 0.5  # Factor on the length of a slab whose sweeps diverged
+SLOW_FACTOR = 0.7  # Factor on the length of the next slab after many sweeps
+FAST_FACTOR = 1.5  # Factor on the length of the next slab after few sweeps
+RECOVERY_FACTOR = 1.15  # Largest growth of the length per slab after a rejection
+REFERENCE_NOISE = 1e-7  # Relative size below which the dense output of the reference is not smooth
+RETRY_LENGTH_RATIO = 0.8  # A slab whose proper length is below this part of its own is solved again
+MEMORY_HALVING_LIMIT = 1e-3  # Shortest slab, relative to the horizon, that is halved to save memory
+SHORTEST_SLAB = 1e-10  # Shortest slab, relative to the horizon
+
+# Convergence of sweeps
+
+SLOWEST_CONTRACTION = 0.6  # Sweeps that contract less than this after the fourth will not converge
+RELIABLE_CONTRACTION = 0.5  # A smaller ratio of two residuals predicts the next residual
+LEAST_CONTRACTION = 0.15  # The predicted contraction is never taken below this
+# Residual, in units of the states' sizes, above which the sweeps have diverged
+DIVERGED_RESIDUAL = 1e2
+STAGNANT_CONTRACTION = 0.3  # Contraction above which a slab at the rank limit counts as solved
+FIRST_SWEEP_FACTOR = 30.0  # Largest tolerance of the first sweep, relative to the final one
+MAX_PROBES = 8  # Largest number of random sums that widen the frame
+
+# Parameter nodes
+
+# Up to this many parameters, known functions are resolved and kept to rounding level
+FEW_PARAMETERS = 2
+ROUNDING_LEVEL = 1e-14  # Relative size of modes at rounding level
+# Relative size of the last modes above which a function counts as unresolved
+UNRESOLVED_TAIL = 1e-12
+PROBE_MODES = 3  # Modes of a probe; higher ones would look like a need for more nodes
+MAX_REFINEMENTS = 24  # Largest number of refinements of the nodes at a jump
+
+# Counted work
+
+BLOCK_MULTIPLICATIONS = 5e9  # Multiplications between two looks at the budget
+BLOCK_COUNT = 4  # Blocks of rows in which a packed product is formed
+# Operations of the kernel of a group: once, and for each number of its output
+GROUP_COST = Cost(30.0 * CALL, 4.0)
+
+
+@dataclass(frozen=True)
+class TrainOptions(Options):
+    """Limits and discretisation of ``method="train"``.
+
+    Attributes
+    ----------
+    basis : {"chebyshev", "legendre"}
+        Nodal basis of the parameters.
+    time_nodes : int or None
+        Radau nodes per slab; None chooses by the tolerance.
+    max_rank : int
+        Largest rank of the train.
+    max_degree : int
+        Largest number of nodes of one parameter element; beyond it the interval is split.
+    max_nodes : int
+        Largest number of nodes in one parameter.
+    max_slabs : int
+        Largest number of accepted and rejected slabs in one attempt.
+    max_sweeps : int
+        Largest number of sweeps on one slab.
+    max_attempts : int or None
+        How often the solve may be repeated with a tighter inner tolerance;
+        None: 5 times, and more while that pays.
+    """
+
+    usual_attempts: ClassVar[int] = 5
+
+    basis: str = choice("chebyshev", BASES)
+    time_nodes: int | None = integer(None, 2, 32)
+    max_rank: int = integer(250)
+    max_degree: int = integer(64, 4)
+    max_nodes: int = integer(400, 4)
+    max_slabs: int = integer(2000)
+    max_sweeps: int = integer(14, 3)
+    max_attempts: int | None = integer(None)
+
+    def nodes_in_time(self, rtol: float) -> int:
+        """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""
+        if self.time_nodes is not None:
+            return self.time_nodes
+        digits = -math.log10(rtol)
+        return int(min(max(round(4.6 + 1.4 * digits), 6), 18))

@@ -1,0 +1,356 @@
+"""Errors measured against the reference set of a solve, also over clock time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.solvers.outcome import Measured
+from rankone.solvers.request import Domain
+from rankone.solvers.verification.points import check_points, worst_apart
+from rankone.solvers.verification.reference import Reference
+from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.support.arrays import Array
+from rankone.support.budget import charge, unlimited
+from rankone.support.costs import Cost
+from rankone.tensors.bases.time_grid import times_within
+from rankone.tensors.evaluators.evaluator import TrainEvaluator
+from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.trains.slab import SlabTrain, modes_in_time
+from rankone.trajectories.events.event_trajectory import EventTrajectory
+from rankone.trajectories.events.stretch_integrator import StretchTrajectories
+from rankone.trajectories.system.system import Clock, System
+from rankone.trajectories.system.timeline import CLOCK_STATES, Timeline
+
+_TIMES = 41  # Evenly spaced times of the horizon at which values are compared
+_SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
+_BEYOND = 0.02  # How far beyond where an order holds its errors count, in horizons
+_TOGETHER = 1 << 21  # Numbers of solutions that are read together
+_BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
+
+
+@dataclass(frozen=True)
+class ClockErrors:
+    """Errors against trajectories, n states and m points.
+
+    ``states`` (n, m) are the largest ones at clock times, and ``largest`` (n, m) the largest states
+    there; ``at_shares`` (n, m) are those where both are at the same share of the same stretch, up
+    to the end of the horizon. ``time`` is the largest error of the time of an event before the end,
+    over the horizon. ``off_constraints`` (n, m) is how far states are from satisfying constraints.
+    """
+
+    states: Array
+    largest: Array
+    at_shares: Array
+    time: float
+    off_constraints: Array
+
+
+def clock_errors(
+    reference: Reference, clock: Clock, slabs: Sequence[SlabTrain], rtol: float
+) -> ClockErrors:
+    """The errors of slabs over stretches.
+
+    Times within ``rtol`` horizons of an event that resets states are left out. An error is
+    infinite where the slabs have no value and the reference has one, or the other way round.
+    """
+    evaluator = TimelineEvaluator(slabs, clock.horizon, Timeline.of(clock).affine_borders)
+    n = clock.n_states
+    errors, largest, off = np.zeros((3, n, len(reference.points)))
+    rows, time_error = slice(0, n), 0.0
+    columns = np.ascontiguousarray(reference.points.T)
+    borders = evaluator.borders(columns)
+    all_times = [
+        _compared(batch.trajectories[at], clock.system, clock.horizon, batch.borders[at], rtol)
+        for batch, at in _each(reference)
+    ]
+    solutions = _curves(evaluator, all_times, columns, rows)
+    each = zip(reference.points, _each(reference), all_times, solutions, strict=True)
+    for k, (point, (batch, at), times, solution) in enumerate(each):
+        exact = batch.at(at, times)
+        missing = np.isnan(exact)
+        if missing.any() and not clock.terminal:
+            errors[:, k] = np.inf
+            continue
+        defects = np.abs(solution - exact)
+        defects = np.where(missing & np.isnan(solution), 0.0, np.nan_to_num(defects, nan=np.inf))
+        errors[:, k] = defects.max(axis=1, initial=0.0)
+        exact_borders = batch.borders[at]
+        inside = exact_borders <= clock.horizon[1]
+        missed = np.abs(borders[:, k] - exact_borders)[inside].max(initial=0.0)
+        time_error = max(time_error, float(missed) / clock.length)
+        largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
+        off[:, k] = _clock_off_constraints(clock.system, times, solution, point)
+    begins = np.arange(clock.order.stretches)[:, None]
+    pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
+    exact = np.swapaxes(reference(pseudo), 1, 2)
+    solved = evaluator.trains.curves(pseudo[:, None], columns, rows)
+    before = exact[n] <= clock.horizon[1]  # the row behind the states is the clock
+    at_shares = np.where(before, np.abs(solved - exact[:n]), 0.0).max(axis=1)
+    return ClockErrors(errors, largest, at_shares, time_error, off)
+
+
+def _curves(
+    evaluator: TimelineEvaluator, all_times: Sequence[Array], points: Array, rows: slice
+) -> Iterator[Array]:
+    """States (n, T) at the times (T,) of each of the points (d, m), which are read together."""
+    longest = max(times.size for times in all_times)
+    together = max(_TOGETHER // (longest * evaluator.count(rows)), 1)
+    for first in range(0, len(all_times), together):
+        some = all_times[first : first + together]
+        padded = np.stack([np.pad(times, (0, longest - times.size), "edge") for times in some], 1)
+        states = evaluator.curves(padded, points[:, first : first + together], rows)
+        for k, times in enumerate(some):
+            yield states[:, : times.size, k]
+
+
+def _clock_off_constraints(system: System, times: Array, states: Array, point: Array) -> Array:
+    """How far states (n, T) of a trajectory are from satisfying constraints, at most: (n,)."""
+    there = ~np.isnan(states).any(axis=0)
+    if not system.constraints.names or not there.any():
+        return np.zeros(len(states))
+    times, states = times[there], states[:, there]
+    sizes = np.abs(states).max(axis=1)
+    sizes = np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
+    columns = np.repeat(point[:, None], times.size, axis=1)
+    return np.asarray(system.constraints.distances(times, states, columns, sizes).max(axis=1))
+
+
+def _each(reference: Reference) -> Iterator[tuple[StretchTrajectories, int]]:
+    for batch in reference.batches:
+        assert isinstance(batch, StretchTrajectories)
+        for k in range(len(batch.trajectories)):
+            yield batch, k
+
+
+def compared_times(
+    trajectory: EventTrajectory, system: System, horizon: tuple[float, float], rtol: float
+) -> Array:
+    """The clock times at which a trajectory over a horizon is compared."""
+    borders = np.array([horizon[0], *(each.time for each in trajectory.occurrences), horizon[1]])
+    return _compared(trajectory, system, horizon, borders, rtol)
+
+
+def _compared(
+    trajectory: EventTrajectory,
+    system: System,
+    horizon: tuple[float, float],
+    borders: Array,
+    rtol: float,
+) -> Array:
+    """The clock times at which a trajectory with stretches between borders is compared."""
+    start, end = horizon
+    out = rtol * (end - start)
+    times = [np.linspace(start, end, _TIMES), borders[0] + (end - borders[0]) * _SHARES]
+    times += [a + (b - a) * _SHARES for a, b in itertools.pairwise(borders)]
+    resets = np.array([o.time for o in trajectory.occurrences if system.events[o.event].jumps])
+    times += [resets - _BESIDE * out, resets + _BESIDE * out]
+    all_times = np.unique(np.concatenate(times))
+    all_times = all_times[(all_times >= start) & (all_times <= end)]
+    if resets.size:
+        away = np.abs(all_times[:, None] - resets).min(axis=1) >= out
+        all_times = all_times[away]
+    return np.asarray(all_times)
+
+
+def forced_errors(
+    reference: Reference, clock: Clock, slabs: Sequence[SlabTrain]
+) -> tuple[Array, Array]:
+    """Errors of slabs of a forced order, and the largest values, (rows, m) each.
+
+    Rows are states, guards, clock and length at equal shares of stretches. What is far beyond where
+    the order holds does not count.
+    """
+    n = clock.n_states + clock.n_guards
+    begins = np.arange(clock.order.stretches)[:, None]
+    pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
+    exact = np.swapaxes(reference(pseudo), 1, 2)
+    evaluator = TrainEvaluator(slabs)
+    columns = np.ascontiguousarray(reference.points.T)
+    ours = evaluator.curves(pseudo[:, None], columns, slice(0, n + 2))
+    beyond = _BEYOND * clock.length
+    lengths, now = exact[n + 1], exact[n]
+    counts = (now <= clock.horizon[1] + beyond) & (lengths >= -beyond).all(axis=0)
+    errors = np.where(counts, np.abs(ours - exact), 0.0).max(axis=1)
+    return errors, np.where(counts, np.abs(exact), 0.0).max(axis=1)
+
+
+# -----------------------------------------------------------------------------
+# Errors measured against the reference set of a solve.
+
+
+_CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked times, in slab lengths
+SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+# Operations of a least change that satisfies constraints, for each entry of their slopes
+_CONSTRAINT_COST = Cost(50e3, 400.0)
+_DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
+_DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])  # Compared times, in slab lengths
+
+
+def measure(reference_set: ReferenceSet, slabs: Sequence[SlabTrain]) -> Measured | None:
+    """Errors of the slabs over their whole time span; None without check or slabs.
+
+    They are in units of the sizes; at corners, of the largest size there if that is larger.
+    """
+    if not slabs or not reference_set.checked:
+        return None
+    reference, m = reference_set.reference, len(reference_set.reference.points)
+    corners, unknowns = slice(1, 1 + reference_set.corners), len(reference_set.system.unknowns)
+    if reference_set.observed is not None:
+        unknowns = len(reference_set.names)
+    all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]
+    if (clock := reference_set.system.clock) is not None:
+        return _over_clock_time(reference_set, clock, slabs)
+    with unlimited():
+        errors, largest = np.zeros((reference_set.states.size, m)), reference_set.states
+        off = np.zeros_like(errors)
+        carried = with_contractions(slabs, reference.points)
+        count = _CHECK_SHARES.size
+        all_exact = (
+            exact
+            for block in reference.blocks(np.concatenate(all_times), count)
+            for exact in np.split(block, block.shape[2] // count, axis=2)
+        )
+        all_modes = modes_in_time(slabs, all_times)
+        for (slab, contraction), times, modes, exact in zip(
+            carried, all_times, all_modes, all_exact, strict=True
+        ):
+            exact = reference_set.seen(times, exact)
+            states = slab.on_grid(times, contraction, modes)
+            errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
+            off = np.maximum(off, _off_constraints(reference_set, times, states))
+            at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
+            at_corners += reference_set.added_to_seen
+            largest = np.maximum(largest, at_corners)
+            at_narrow = _narrow_errors(reference_set, slab, contraction)
+            errors = np.maximum(errors, at_narrow)
+    units = np.repeat(reference_set.states[:, None], m, axis=1)
+    units[:, corners] = largest[:, None]
+    errors = (np.where(np.isfinite(errors), errors, np.inf) / units)[:unknowns]
+    return measured_from(reference_set, errors, (off / units)[:unknowns])
+
+
+def _narrow_errors(
+    reference_set: ReferenceSet, slab: SlabTrain, contraction: Array
+) -> Array | float:
+    """Largest errors of quantities where they are narrow inside a slab, (n, m)."""
+    times = reference_set.narrow_times
+    times = times[(times >= slab.start) & (times < slab.end)]
+    if not times.size:
+        return 0.0
+    exact = np.concatenate([*reference_set.quantities(times)], axis=2)
+    return np.asarray(np.abs(slab.on_grid(times, contraction) - exact).max(axis=2))
+
+
+def _off_constraints(reference_set: ReferenceSet, times: Array, states: Array) -> Array:
+    """How far states (n, m, T) are from satisfying the constraints, at most: (n, m)."""
+    constraints, (n, m, count) = reference_set.system.constraints, states.shape
+    if not constraints.names or reference_set.observed is not None:
+        return np.zeros((n, m))
+    charge(_CONSTRAINT_COST(m * count * n * len(constraints.names)))
+    columns = np.repeat(reference_set.reference.points.T, count, axis=1)
+    flat = states.reshape(n, m * count)
+    off = constraints.distances(np.tile(times, m), flat, columns, reference_set.states)
+    return np.asarray(off.reshape(n, m, count).max(axis=2))
+
+
+def _over_clock_time(
+    reference_set: ReferenceSet, clock: Clock, slabs: Sequence[SlabTrain]
+) -> Measured:
+    """Errors of slabs over stretches, over clock time, in units of the sizes over it."""
+    unknowns = len(reference_set.system.unknowns)
+    slabs = [slab.with_first(slab.cores[0][:unknowns]) for slab in slabs]
+    if clock.forced is not None:
+        return _of_forced(reference_set, clock, slabs)
+    with unlimited():
+        errors = clock_errors(reference_set.reference, clock, slabs, reference_set.rtol)
+    largest = errors.largest + reference_set.added[: len(errors.largest), None]
+    interior = reference_set.interior(largest, axis=1).max(axis=1)
+    units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
+    corners = slice(1, 1 + reference_set.corners)
+    at_corners = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))
+    units[:, corners] = np.where(at_corners > 0.0, at_corners, 1.0)[:, None]
+    measured = measured_from(reference_set, errors.states / units, errors.off_constraints / units)
+    at_shares = float((errors.at_shares / units).max())
+    return replace(measured, time_error=errors.time, share_error=at_shares)
+
+
+def _of_forced(reference_set: ReferenceSet, clock: Clock, slabs: Sequence[SlabTrain]) -> Measured:
+    """Errors of slabs of a forced order; those of its guards and times count for each state."""
+    with unlimited():
+        errors, largest = forced_errors(reference_set.reference, clock, slabs)
+    units = largest.max(axis=1, keepdims=True)
+    units = np.where(units > 0.0, units, 1.0)
+    units[-CLOCK_STATES:] = clock.length
+    relative, n = errors / units, clock.n_states
+    of_states = np.maximum(relative[:n], relative[n:].max(axis=0))
+    return measured_from(reference_set, of_states, np.zeros_like(of_states))
+
+
+def measured_from(reference_set: ReferenceSet, errors: Array, off: Array) -> Measured:
+    """What errors (unknowns, m) in units of the sizes amount to.
+
+    The distances ``off`` from where constraints hold are errors as well.
+    """
+    drift = float(off.max(initial=0.0)) if _has_constraints(reference_set) else None
+    errors = np.maximum(errors, off)
+    reference, corners = reference_set.reference, slice(1, 1 + reference_set.corners)
+    counts = np.ones(errors.shape[1], dtype=bool)
+    counts[corners] = reference_set.whole_box
+    of_states = errors if reference_set.counted is None else errors[list(reference_set.counted)]
+    of_points = of_states[:, counts].max(axis=0)
+    corner_errors = errors[:, corners].max(axis=1, initial=0.0)
+    spread = counts.copy()
+    spread[reference_set.places_on_lines] = False
+    worst, *also_bad = worst_apart(reference_set.domain, reference.points[counts], of_points)
+    return Measured(
+        interior=tuple(errors[:, counts].max(axis=1).tolist()),
+        corners=tuple(corner_errors.tolist()) if reference_set.corners else (),
+        points=counts.size,
+        method=reference.method,
+        cover="box" if reference_set.whole_box else "interior",
+        quantile=float(np.quantile(of_points[spread[counts]], SAFE_QUANTILE, method="higher")),
+        worst=worst,
+        also_bad=tuple(also_bad),
+        counted=reference_set.counted,
+        integrator=reference.integrator,
+        constraint_drift=drift,
+    )
+
+
+def _has_constraints(reference_set: ReferenceSet) -> bool:
+    clock = reference_set.system.clock
+    system = reference_set.system if clock is None else clock.system
+    return bool(system.constraints.names) and reference_set.observed is None
+
+
+def with_contractions(
+    slabs: Sequence[SlabTrain], points: Array
+) -> Iterator[tuple[SlabTrain, Array]]:
+    """Each slab with its trains over the parameters at points (m, d), made once if shared."""
+    last, contraction = None, points
+    for slab in slabs:
+        if last is None or not slab.shares_parameters(last):
+            last, contraction = slab, slab.over_parameters(points.T)
+        yield slab, contraction
+
+
+def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
+    """Largest difference between lifted states and what they stand for, relative to their sizes.
+
+    ``s`` for ``sin(x)`` and ``c`` for ``cos(x)`` are on the circle as long as both stay sine and
+    cosine of the ``x`` that is solved for with them.
+    """
+    points = check_points(domain.bounds, _DRIFT_POINTS, scales=domain.coordinates)
+    count = system.n_lifted
+    size, worst = np.zeros(count), np.zeros(count)
+    for slab, contraction in with_contractions(slabs, points):
+        times = times_within(slab.start, slab.end, _DRIFT_SHARES)
+        states = slab.on_grid(times, contraction)
+        lifted, meant = states[-count:], system.meanings(times, states, points.T[:, :, None])
+        size = np.maximum(size, np.abs(lifted).max(axis=(1, 2)))
+        worst = np.maximum(worst, np.abs(lifted - meant).max(axis=(1, 2)))
+    return float(np.nan_to_num(worst / np.where(size > 0.0, size, 1.0), nan=np.inf).max())

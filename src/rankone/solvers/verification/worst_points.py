@@ -1,0 +1,182 @@
+"""Where slabs are worst: points that a few reference trajectories do not see.
+
+The residual u' - f(t, p, u) costs a microsecond a point instead of a trajectory. It is not an
+error, but at any one time the two are in about the same ratio everywhere, and points with known
+errors give this ratio.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from rankone.solvers.verification.coverage import Coverage
+from rankone.solvers.verification.measure import with_contractions
+from rankone.solvers.verification.points import FEW_PARAMETERS, Climb, climbed, points_in_elements
+from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import function_cost
+from rankone.tensors.trains.slab import SlabTrain
+
+_CANDIDATES = 512  # Points at which residuals are looked at, with up to three parameters
+_MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
+_WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth of a second
+_MOST_SLABS = 4  # Slabs on which residuals are looked at, and jumps of a kind
+_MORE_POINTS = 32  # Random points that are taken where there are no residuals
+_CHOSEN = 8  # Worst points that are taken
+_CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
+_CORNER_POWER = 1.0 / 3.0  # Power of the distance from the centre: draws points to corners
+_CORNER_ERROR = 5.0  # Factor on the error tolerated there unless corners count: points are few
+_RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])  # Times of residuals, in slab lengths
+_NEGLIGIBLE = 1e-3  # Smaller errors and residuals count as this part of the tolerance
+# Expected error over the tolerance from which a point is doubtful. On smooth problems expected
+# errors are too large and reach 1.4; where something was missed, 3.
+_DOUBTFUL_ERROR = 1.5
+_MOST_COMPARED = 64  # Reference trajectories whose residuals tell what a residual amounts to
+_JUMP_CANDIDATES = 16_384  # Most points where a jump that is not a polynomial is checked
+_JUMP_ERROR = 3.0  # Error after a jump, over the tolerance, from which a point is doubtful
+_CLIMBERS = 64  # Points with the largest errors after a jump, from which larger ones are looked for
+# The way to them. The last steps are as short as the kinks are thin.
+_TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
+
+
+def worst_points(
+    reference_set: ReferenceSet, slabs: Sequence[SlabTrain], error: float, rtol: float, attempt: int
+) -> Array | None:
+    """Points (m, d) where the error is expected to be above the tolerance; None if there are none.
+
+    ``error`` is the measured one over the tolerance. Each attempt has points of its own.
+    """
+    if not reference_set.domain.box or not slabs or not reference_set.checked:
+        return None
+    generator = np.random.default_rng((20141, attempt + 1))
+    search = _WorstPoints(reference_set, slabs, rtol, generator)
+    if reference_set.observed is not None:
+        return search.anywhere()
+    points = np.concatenate([search.by_residual(error), search.after_jumps()])
+    return points if len(points) else None
+
+
+@dataclass(frozen=True)
+class _WorstPoints:
+    """A search for points where slabs are wrong."""
+
+    reference_set: ReferenceSet
+    slabs: Sequence[SlabTrain]
+    rtol: float
+    generator: np.random.Generator
+
+    def by_residual(self, error: float) -> Array:
+        """Points (m, d) where the residual, beside those of known trajectories, is large."""
+        unit, tolerated = self._candidates(len(self.reference_set.domain.box))
+        if self.reference_set.whole_box:
+            tolerated = np.ones(len(unit))
+        candidates = self._points(unit)
+        compared = self.reference_set.interior_points[-_MOST_COMPARED:]
+        indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, _MOST_SLABS)})
+        points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
+        ratios = np.zeros(len(candidates))
+        for slab, contraction in with_contractions(slabs, points):
+            residuals = self._residuals(slab, points, contraction)
+            floor = _NEGLIGIBLE * self.rtol / (slab.end - slab.start)
+            usual = np.maximum(residuals[:, : len(compared)].max(axis=1, keepdims=True), floor)
+            ratios = np.maximum(ratios, (residuals[:, len(compared) :] / usual).max(axis=0))
+        ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
+        worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
+        doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
+        return np.asarray(candidates[worst[doubtful]])
+
+    def anywhere(self) -> Array:
+        """Random points (m, d): quantities that are observed have no residual."""
+        d = len(self.reference_set.domain.box)
+        return self._points(self.generator.random((_MORE_POINTS, d)))
+
+    def _points(self, shares: Array) -> Array:
+        """Points (m, d) at shares of the box: on the scales of the domain and of the solution."""
+        here, scales = Coverage.of_domain(self.reference_set.domain), self.slabs[-1].bases
+        points = here.points(shares)
+        points[::2] = Coverage.of_bases(scales).points(shares[::2])
+        return points
+
+    def _candidates(self, d: int) -> tuple[Array, Array]:
+        """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
+        if d <= FEW_PARAMETERS:
+            return self.generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
+        affordable = _affordable(self.slabs[-1:])
+        points = self.generator.random((min(max(affordable, _CANDIDATES), _MOST_CANDIDATES), d))
+        near = np.arange(len(points)) % _CORNER_INTERVAL == 0
+        offset = 2.0 * points[near] - 1.0
+        points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
+        return points, np.where(near, _CORNER_ERROR, 1.0)
+
+    def _residuals(self, slab: SlabTrain, points: Array, contraction: Array) -> Array:
+        """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
+        system, units = self.reference_set.system, self.reference_set.states[:, None, None]
+        times = slab.start + (slab.end - slab.start) * _RESIDUAL_SHARES
+        modes = slab.time_modes(times)
+        states, slopes = (
+            each.on_grid(times, contraction, modes).swapaxes(1, 2)
+            for each in (slab, slab.derivative())
+        )
+        cost = function_cost(system.rhs, system.user_functions)
+        charge(cost(len(times) * len(points)) + 2.0 * states.size)
+        with np.errstate(all="ignore"):
+            rates = system.rhs(times[:, None], states, points.T[:, None])
+            residuals = (np.abs(slopes - rates) / units).max(axis=0)
+        return np.asarray(np.nan_to_num(residuals, nan=np.inf))
+
+    def after_jumps(self) -> Array:
+        """Points (m, d) where the states after a jump are not what it makes of those before it."""
+        jumps, bounds = self.reference_set.system.jumps, self.reference_set.domain.bounds
+        if not jumps.times:
+            return np.zeros((0, len(bounds)))
+        affordable = _affordable(self.slabs)
+        count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
+        anywhere = self._points(self.generator.random((count, len(bounds))))
+        climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
+        doubtful, looks = [anywhere[:0]], Counter[int]()
+        for before, after in itertools.pairwise(self.slabs):
+            kind = jumps.kind_at(before.end)
+            if kind is None or looks[kind] == _MOST_SLABS:
+                continue
+            looks[kind] += 1
+            rough = kind in jumps.rough_kinds
+            error = partial(self._jump_error, kind, before, after)
+            points = anywhere if rough else anywhere[:_CANDIDATES]
+            inside = points_in_elements(after.bases, len(points) // 2, self.generator)
+            points = np.concatenate([points, inside])
+            errors = error(points)
+            # Points from everywhere, and not the worst alone, which may lie at one border.
+            wrong = np.flatnonzero(errors > _JUMP_ERROR * self.rtol)
+            doubtful.append(points[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])
+            if rough:  # kinks are thin: climb towards them
+                best = np.argsort(-errors, kind="stable")[:_CLIMBERS]
+                points, errors = climbed(error, points[best], errors[best], bounds, climb)
+            worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
+            doubtful.append(points[worst[errors[worst] > _JUMP_ERROR * self.rtol]])
+        return np.concatenate(doubtful)
+
+    def _jump_error(self, kind: int, before: SlabTrain, after: SlabTrain, points: Array) -> Array:
+        """Largest error of a state after a jump, in units of the sizes, at points (m, d): (m,)."""
+        system, time = self.reference_set.system, np.array([before.end])
+        charge(function_cost(system.jumps.jumped, system.user_functions)(len(points)))
+        start, end = (
+            slab.on_grid(time, contraction)[:, :, 0]
+            for slab, contraction in with_contractions([before, after], points)
+        )
+        with np.errstate(all="ignore"):
+            errors = np.abs(end - system.jumps.jumped(kind, start, points.T))
+        largest = (errors / self.reference_set.states[:, None]).max(axis=0)
+        return np.asarray(np.nan_to_num(largest, nan=np.inf))
+
+
+def _affordable(slabs: Sequence[SlabTrain]) -> int:
+    """Points at which trains can be evaluated within the work allowed."""
+    work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
+    return int(_WORK / max(work, 1))

@@ -1,0 +1,377 @@
+"""Trajectories integrated one by one with SciPy's LSODA, each with steps of its own.
+
+For systems whose trajectories do not share steps: where each jumps at its own time, the common
+steps of a stack are short all the time.
+
+LSODA is called by ``odeint``, which stays in compiled code between two calls of the rates. Steps as
+functions of time take two passes: the times at which the first one calls the rates tell its steps,
+and the second one reads the states at nodes within them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import scipy.integrate
+
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
+from rankone.support.costs import Cost
+from rankone.tensors.bases.radau import inset
+from rankone.trajectories.integrators.defects import SHORTENING, DefectControl
+from rankone.trajectories.integrators.dense_paths import SingleTrajectories, StepsOfOne
+from rankone.trajectories.integrators.diagnosis import switching_state
+from rankone.trajectories.integrators.integrator import (
+    NODES,
+    Path,
+    SampledTrajectories,
+    Spans,
+    Tolerances,
+    joined,
+)
+from rankone.trajectories.integrators.lsoda import (
+    Border,
+    Crawl,
+    Jacobian,
+    Rates,
+    called_by_lsoda,
+    recording,
+)
+from rankone.trajectories.stacks.stack import has_smooth_rates
+from rankone.trajectories.system.features import Jumps
+from rankone.trajectories.system.system import System
+
+_TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
+_LEAST_RELATIVE = 3e-14  # Tightest relative tolerance that LSODA takes
+_CHECKED_STEPS = 256  # Steps whose defects are looked at together
+_SHORTEST = 1e-12  # Step, in horizons, that is not made shorter any more
+_SHORT_STEPS = 10  # Short steps at least after one that had to be made again
+_NEARER = 0.25  # Length of a step that missed something, over the distance of a border
+_LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
+_COINCIDENT = 1e-13  # Times that are closer, relative to their size, belong to the same step
+_NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
+_ONE_AT_A_TIME = threading.RLock()  # LSODA in Fortran keeps its state in common blocks
+_NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
+
+Span: TypeAlias = "tuple[float, float]"  # From a time to another
+
+
+@dataclass(frozen=True)
+class _Lengths:
+    """The longest step of LSODA, and the first one that it tries; with zero it takes its own.
+
+    Its own one depends on the times that are asked for: two passes need the same to step alike,
+    and the ``second`` one goes as far as the first.
+    """
+
+    longest: float = math.inf
+    first: float = 0.0
+    second: bool = False
+
+
+@dataclass(frozen=True)
+class SingleIntegrator:
+    """An :class:`Integrator` of one trajectory after the other.
+
+    With ``looks_anywhere`` steps are checked at random places too, and not only at state surfaces.
+    Systems whose rates are smooth are never checked.
+    """
+
+    looks_anywhere: bool = False
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> SingleTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        initial = system.initial(np.ascontiguousarray(points.T))
+        paths: list[Path] = []
+        end = edges[-1]
+        for point, start in zip(points, initial.T, strict=True):
+            single = _Single(system, point, edges, tolerances, self.looks_anywhere)
+            path = single.path(start, end)
+            hold(path, path.nbytes, (len(points) - len(paths) - 1) * path.nbytes)
+            paths.append(path)
+            end = min(end, paths[-1].end)
+        times = np.array([end])
+        states = [p.state if p.end == end or not p.steps else p(times)[:, 0] for p in paths]
+        return SingleTrajectories(tuple(paths), end, np.stack(states, axis=1))
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        initial = system.initial(np.ascontiguousarray(points.T))
+        states = np.empty((times.size, *initial.shape))
+        final, end, reached = initial.copy(), edges[-1], times.size
+        for j, (point, start) in enumerate(zip(points, initial.T, strict=True)):
+            single = _Single(system, point, edges, tolerances, self.looks_anywhere)
+            path: Path | None = None
+            sampled = single.sampled(start, times[:reached])
+            if sampled is None:
+                path = single.path(start, end)
+                end = min(end, path.end)
+                reached = int(np.searchsorted(times, end, side="right"))
+                sampled = path(times[:reached]).T if path.steps else start[None]
+            states[:reached, :, j] = sampled[:reached]
+            final[:, j] = sampled[-1] if path is None else path.state
+        return SampledTrajectories(states, reached, end, final, "single")
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> list[Path]:
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
+        system, paths = replace(system, jumps=Jumps()), list[Path]()
+        each = zip(points, spans.starts.tolist(), spans.states.T, spans.ends.tolist(), strict=True)
+        for point, a, state, b in each:
+            single = _Single(system, point, (a, b), tolerances, self.looks_anywhere, inset(a, b))
+            try:
+                paths.append(single.path(state, b))
+            except OutOfBudgetError as out:
+                reached = out.reached
+                if reached is not None and reached.time is not None:
+                    waiting = spans.starts[len(paths) + 1 :]
+                    reached = reached._replace(time=float(min([reached.time, *waiting])))
+                raise out.at(reached) from out
+        return paths
+
+
+@dataclass(frozen=True)
+class _Single:
+    """The integration at one point (d,)."""
+
+    system: System
+    point: Array
+    edges: Sequence[float]
+    tolerances: Tolerances
+    looks_anywhere: bool
+    near: float = 0.0  # how far times stay inside of a span of its own
+
+    @property
+    def horizon(self) -> float:
+        return self.edges[-1] - self.edges[0]
+
+    @cached_property
+    def tighter(self) -> Tolerances:
+        """The tolerances that LSODA gets."""
+        tolerances = self.tolerances.times(_TOLERANCE)
+        absolute = np.broadcast_to(tolerances.absolute, (self.system.n_differential, 1))
+        relative = max(tolerances.relative, _LEAST_RELATIVE)
+        return Tolerances(relative, absolute, tolerances.longest_step)
+
+    @cached_property
+    def checked(self) -> bool:
+        """Whether something narrow may hide within a step."""
+        return not has_smooth_rates(self.system, self.edges[0]) and (
+            self.looks_anywhere or self.system.features.n_state_surfaces > 0
+        )
+
+    def path(self, start: Array, end: float) -> Path:
+        """The trajectory at all times up to an end, or as far as it goes."""
+        nothing = np.zeros((0, NODES.size, start.size))
+        paths = [Path(np.array([self.edges[0]]), nothing, start)]
+        try:
+            for a, b in self._segments(end):
+                begun = self._begun(a, paths[-1].state)
+                if begun is None:
+                    break
+                for stretch in self._stretches(a, b, begun):
+                    paths.append(stretch)
+                if paths[-1].end < b:
+                    break
+        except OutOfBudgetError as out:
+            raise out.at(self._reached(paths[-1])) from out
+        return joined(paths)
+
+    def sampled(self, start: Array, times: Array) -> Array | None:
+        """States (T, n) at times; None where steps have to be looked at, or do not reach them."""
+        if self.checked:
+            return None
+        states = np.empty((times.size, start.size))
+        state, first = start, 0
+        for a, b in self._segments(self.edges[-1]):
+            begun = self._begun(a, state)
+            if begun is None:
+                return None
+            last = int(np.searchsorted(times, b, side="right"))
+            passed = np.concatenate([[a], times[first:last], [b]])
+            try:
+                path = self._integrated((a, b), begun, passed, _Lengths())
+            except Border:
+                return None
+            states[first:last] = path[1:-1]
+            state, first = path[-1], last
+        return states
+
+    def _segments(self, end: float) -> Iterator[tuple[float, float]]:
+        """The segments that begin before an end."""
+        for a, b in itertools.pairwise(self.edges):
+            if a < end:
+                yield a, min(b, end)
+
+    def _begun(self, a: float, state: Array) -> Array | None:
+        """The state after the jump where a segment begins; None if it is not finite."""
+        kind = self.system.jumps.kind_at(a)
+        if kind is None:
+            return state
+        column = self.point[:, None]
+        with np.errstate(all="ignore"):
+            after = self.system.jumps.jumped(kind, state[:, None], column)
+            rates = self.system.rhs(a, after, column)
+        if a == self.edges[0] or (np.isfinite(after).all() and np.isfinite(rates).all()):
+            return np.asarray(after[:, 0])
+        return None
+
+    def _reached(self, path: Path) -> Reached:
+        """How far it came."""
+        state = path.state[:, None]
+        switch = switching_state(self.system, path.end, state, self.point[None], self.horizon)
+        return Reached(path.end, path.steps, None if switch is None else switch[0])
+
+    def _stretches(self, a: float, b: float, state: Array) -> Iterator[Path]:
+        """Paths from a to b, or as far as they go.
+
+        Where steps missed something, or met rates that are not finite, they are made again and
+        shorter; then stretches become longer again.
+        """
+        time, length, longest = a, b - a, math.inf
+        while time < b:
+            end = b if b - time <= length * (1.0 + _COINCIDENT) else time + length
+            good, again = self._stretch((a, b), (time, end), state, longest)
+            if good.steps:
+                yield good
+                time, state = good.end, good.state
+            if again is None:
+                length, longest = _LONGER * length, math.inf
+                continue
+            longest = SHORTENING * (again if good.steps else min(again, longest))
+            if longest < _SHORTEST * self.horizon:
+                return
+            length = _SHORT_STEPS * longest
+
+    def _stretch(
+        self, segment: Span, span: Span, state: Array, longest: float
+    ) -> tuple[Path, float | None]:
+        """A path over a span, as far as it missed nothing, and the length of the step that did.
+
+        The length is zero where an integration creeps.
+        """
+        (start, end), again = span, None
+        called: list[float] = []
+        try:
+            self._integrated(segment, state, np.array([start, end]), _Lengths(longest), called)
+        except Border as border:
+            safe = max((t for t in called if t < border.time), default=start)
+            end = safe if border.safe is None else max(border.safe, start)
+            if not isinstance(border, Crawl):
+                again = _NEARER * (border.time - end) if border.safe is None else 0.0
+        try:
+            first = next((t - start for t in called if t > start), 0.0)
+            breaks = _steps_of(called, start, end)
+            path = self._read(segment, state, breaks, _Lengths(longest, first, second=True))
+        except Border as border:
+            return self._nothing(start, state), _NEARER * (border.time - start)
+        missed = self._missed(path, end)
+        if missed is None:
+            return path, again
+        breaks = path.breaks[: missed + 1]
+        good = Path(breaks, path.nodal[:missed], path.nodal[missed, 0])
+        return good, float(path.breaks[missed + 1] - path.breaks[missed])
+
+    def _nothing(self, start: float, state: Array) -> Path:
+        return Path(np.array([start]), np.zeros((0, NODES.size, state.size)), state)
+
+    def _read(self, segment: Span, state: Array, breaks: Array, lengths: _Lengths) -> Path:
+        """The path whose steps are between these times."""
+        if breaks.size < 2:
+            return self._nothing(float(breaks[0]), state)
+        within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES[1:-1]
+        times = np.append(breaks[:1], np.concatenate([within, breaks[1:, None]], axis=1).ravel())
+        charge(_NODE_COST(state.size) * times.size)
+        states = self._integrated(segment, state, times, lengths)
+        later = states[1:].reshape(len(within), -1, state.size)
+        first = np.concatenate([states[:1], later[:-1, -1]])[:, None]
+        return Path(breaks, np.concatenate([first, later], axis=1), states[-1])
+
+    def _missed(self, path: Path, end: float) -> int | None:
+        """The first of the steps that missed something; shorter ones than rounding are good."""
+        if not self.checked:
+            return None
+        shortest = 1e3 * np.spacing(max(abs(path.breaks[0]), abs(end)))
+        for first in range(0, path.steps, _CHECKED_STEPS):
+            last = min(first + _CHECKED_STEPS, path.steps)
+            some = Path(path.breaks[first : last + 1], path.nodal[first:last], path.state)
+            points = np.tile(self.point, (some.steps, 1))
+            control = DefectControl(self.system, points, self.looks_anywhere)
+            steps = StepsOfOne(self.system, self.point, some, self.tighter, end)
+            with np.errstate(all="ignore"):
+                missed = control.missed(steps, steps.before) & (np.diff(some.breaks) > shortest)
+            if missed.any():
+                return first + int(np.argmax(missed))
+        return None
+
+    def _integrated(
+        self,
+        segment: Span,
+        state: Array,
+        times: Array,
+        lengths: _Lengths,
+        called: list[float] | None = None,
+    ) -> Array:
+        """States (T, n) at times, the first of which is the start; a Border where it ends.
+
+        The times at which rates are ``called`` are appended.
+        """
+        rates, jacobian = self._called(*segment, restarts=not lengths.second)
+        if called is not None:
+            rates = recording(rates, called)
+        longest = min(lengths.longest, self.tighter.longest_step)
+        with _ONE_AT_A_TIME, np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("error", scipy.integrate.ODEintWarning)
+            try:
+                states = scipy.integrate.odeint(
+                    rates,
+                    state,
+                    times,
+                    Dfun=jacobian,
+                    tfirst=True,
+                    tcrit=times[-1:],
+                    rtol=self.tighter.relative,
+                    atol=self.tighter.absolute[:, 0],
+                    h0=lengths.first,
+                    hmax=0.0 if longest == math.inf else longest,  # zero: no limit
+                    mxstep=_NO_LIMIT,
+                )
+            except scipy.integrate.ODEintWarning:
+                raise Border(times[-1], times[0]) from None
+        if not np.isfinite(states).all():
+            raise Border(times[-1], times[0])
+        return np.asarray(states)
+
+    def _called(self, a: float, b: float, *, restarts: bool) -> tuple[Rates, Jacobian | None]:
+        """What LSODA calls on a segment; factors of time are never taken at its very ends."""
+        near = inset(a, b) if len(self.edges) > 2 else self.near
+        span = a + near, b - near
+        return called_by_lsoda(self.system, self.point, span, self.horizon, restarts=restarts)
+
+
+def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
+    """The times at which steps begin and end, by those at which rates were called."""
+    times = np.minimum.accumulate(np.array([*called, end])[::-1])[::-1]  # no refused attempts
+    times = np.unique(times)
+    least = _COINCIDENT * max(abs(start), abs(end))
+    times = times[(times > start + least) & (times < end - least)]
+    times = times[np.diff(times, prepend=start) > least]
+    return np.concatenate([[start], times, [end]]) if end > start else np.array([start])
