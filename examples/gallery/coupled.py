@@ -57,7 +57,7 @@ def compute(
             solution = compiled.solve(
                 rtol=1e-6,
                 method="greedy",
-                check=False,
+                check=0,
                 tolerance=1e-7,
                 max_iterations=count,
                 **{"max_attempts": 1, **VARIANTS[name]},

@@ -134,7 +134,7 @@ def compute(
             }
 
             def solve(options: dict[str, Any] = options) -> ro.Solution:
-                return compiled.solve(rtol=1e-2, method="greedy", check=False, **options)
+                return compiled.solve(rtol=1e-2, method="greedy", check=0, **options)
 
             errors[name].append(error_of(compiled, solve()))
             times[name].append(median_seconds(solve, 1 if "preset" in options else repeats))

@@ -77,7 +77,6 @@ def test_compiling_warns_of_a_parameter_that_appears_nowhere():
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((1e-3, "greedy"), {}, "'greedy' is given by position; remedy: .* method='greedy'"),
         ((1e-3,), {"preset": "slides"}, "'preset' belongs to method='greedy', not to method='auto"),
         ((1e-3,), {"method": "greedy", "max_rank": 3}, "'max_rank' belongs to method='train'"),
         (
@@ -93,10 +92,16 @@ def test_options_of_solve_that_are_refused(arguments, options, message):
         ro.solve(problem, *arguments, **options)
 
 
-def test_export_takes_the_method_by_keyword(tmp_path):
+def test_all_but_the_tolerance_is_given_by_keyword(tmp_path):
     problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
-    with pytest.raises(ro.OptionError, match="method='greedy'"):
-        ro.compile(problem).export(tmp_path / "solver.py", "greedy")
+    for call in (
+        lambda: ro.solve(problem, 1e-3, "greedy"),
+        lambda: ro.compile(problem).solve(1e-3, "greedy"),
+        lambda: ro.compile(problem).export(tmp_path / "solver.py", "greedy"),
+        lambda: ro.solve_many(problem, problem.split(k=2), 1e-3, 2),
+    ):
+        with pytest.raises(TypeError, match="positional arguments"):
+            call()
 
 
 def test_the_keywords_of_solve_are_those_of_its_errors():

@@ -69,11 +69,11 @@ def test_an_engine_solves_on_the_domain_it_is_given(name: str) -> None:
 @pytest.mark.parametrize("name", ENGINES)
 def test_requests_are_checked(name: str) -> None:
     system, groups = ro.compile(REFERENCE["decay"]()).system, [ENGINES[name].options]
-    request = SolveRequest.of(system, groups, {}, check=True)
+    request = SolveRequest.of(system, groups, {})
     assert request.check.points == 96
     assert isinstance(request.options_of(groups[0]), groups[0])
-    assert SolveRequest.of(system, groups, {}, check=False).check.points == 0
-    for rtol, check, options in [(0.5, True, {}), (1e-3, -1, {}), (1e-3, True, {"max_slab": 1})]:
+    assert SolveRequest.of(system, groups, {}, check=0).check.points == 0
+    for rtol, check, options in [(0.5, 96, {}), (1e-3, -1, {}), (1e-3, 96, {"max_slab": 1})]:
         with pytest.raises(OptionError):
             SolveRequest.of(system, groups, options, rtol=rtol, check=check)
 

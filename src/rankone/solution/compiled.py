@@ -27,7 +27,7 @@ from rankone.problem.user_markers import warn_of_missed_markers, with_markers
 from rankone.solution.evaluation.core import raise_blow_up
 from rankone.solution.solution import Solution
 from rankone.solvers.observation import Observation
-from rankone.solvers.request import SOLVE_ARGUMENTS, Domain, SolveRequest
+from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, SolveRequest
 from rankone.solvers.selection import engines_for, solve_with
 from rankone.solvers.ways import Engine
 from rankone.support.budget import preparing
@@ -38,7 +38,6 @@ from rankone.support.errors import (
     bounded_depth,
     check_kind,
 )
-from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import one_thread
 from rankone.trajectories.system.verdict import Status
@@ -72,12 +71,12 @@ class CompiledProblem(CompiledStages):
     def solve(
         self,
         rtol: float = 1e-6,
-        *arguments: object,
+        *,
         method: Literal["auto", "cross", "train", "greedy"] = "auto",
         parameters: Mapping[Any, Sequence[float | str]] | None = None,
         t_final: float | None = None,
         progress: bool | Report = False,
-        check: bool | int = True,
+        check: int = USUAL_POINTS,
         cover: Literal["interior", "box"] | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,
@@ -110,9 +109,9 @@ class CompiledProblem(CompiledStages):
         progress : bool or callable
             True shows a bar on stderr; a callable gets a
             :class:`~rankone.support.progress.ProgressEvent` after each slab, or batch of samples.
-        check : bool or int
-            Number of check points in the interior, spread evenly (96 for True, at most 100000).
-            False skips the check; the solution then does not count as a success.
+        check : int
+            Number of check points in the interior, spread evenly (at most 100000). 0 skips the
+            check; the solution then does not count as a success.
         cover : {"interior", "box"}, optional
             What success covers: points of the interior, or corners of the box as well. By
             default "box" up to three parameters; beyond, corners are measured and stated.
@@ -170,7 +169,6 @@ class CompiledProblem(CompiledStages):
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
-        refuse_positional(arguments, "method")
         checked = self._checked(
             rtol=rtol,
             method=method,
@@ -304,7 +302,7 @@ class CompiledProblem(CompiledStages):
     def export(
         self,
         path: str | PathLike[str],
-        *arguments: object,
+        *,
         method: str = "auto",
         overwrite: bool = False,
     ) -> Path:
@@ -332,7 +330,6 @@ class CompiledProblem(CompiledStages):
         OptionError
             If there is no such method.
         """
-        refuse_positional(arguments, "method")
         from rankone.share.export import export_solver
 
         return export_solver(self, path, method=method, overwrite=overwrite)
@@ -381,12 +378,10 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     return compiled
 
 
-def solve_problem(
-    problem: Problem, rtol: float = 1e-6, *arguments: object, **options: Any
-) -> Solution:
+def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
     See :meth:`CompiledProblem.solve` for the options; ``max_seconds`` includes compiling.
     """
     with preparing(options.get("max_seconds")):
-        return compile_problem(problem).solve(rtol, *arguments, **options)
+        return compile_problem(problem).solve(rtol, **options)

@@ -27,7 +27,6 @@ from rankone.support.errors import (
 )
 from rankone.support.executors import Parcel, Pool, checked_executor, open_pool, packed, unpacked
 from rankone.support.labelled import Labelled, Table, Variables
-from rankone.support.options import refuse_positional
 from rankone.support.progress import StepReport, counting_bar
 from rankone.support.tasks import Tasks
 from rankone.support.wording import count, shown
@@ -129,7 +128,7 @@ def solve_many(
     problem: Problem | CompiledProblem,
     boxes: Sequence[Box],
     rtol: float = 1e-6,
-    *arguments: object,
+    *,
     executor: Any = None,
     checkpoint: str | PathLike[str] | None = None,
     progress: Progress = False,
@@ -187,7 +186,6 @@ def solve_many(
     >>> pieces.success, pieces.join()(t=1.0, k=2.0).round(5)
     (True, array([0.13534]))
     """
-    refuse_positional(arguments, "executor")
     kind: Any = CompiledProblem if isinstance(problem, CompiledProblem) else Problem
     check_kind("solve_many", problem, kind, remedy="build one with rankone.Problem(...)")
     options = _checked_options(options, rtol)

@@ -15,7 +15,7 @@ from rankone.problem.problem import Problem
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
-from rankone.solvers.request import SolveRequest
+from rankone.solvers.request import USUAL_POINTS, SolveRequest
 from rankone.solvers.selection import ENGINES, solve_with
 from rankone.solvers.verification.points import branch_points
 from rankone.support.arrays import Array
@@ -40,7 +40,7 @@ def steady_state(
     settle: float | None = None,
     *,
     rtol: float = 1e-6,
-    check: bool | int = True,
+    check: int = USUAL_POINTS,
     effort: str | float = "normal",
     max_seconds: float | None = None,
 ) -> Solution:

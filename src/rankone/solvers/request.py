@@ -41,9 +41,8 @@ _MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memor
 # Smallest tolerance: the reference, three digits better, comes close to rounding errors there
 _TIGHTEST_RTOL = 1e-10
 _LOOSEST_RTOL = 0.1  # Largest tolerance: beyond it a solution says little
-# Interior check points for ``check=True``: a twentieth of the box is missed with probability below
-# 1 %
-_USUAL_POINTS = 96
+USUAL_POINTS = 96
+"""Interior check points: a twentieth of the box is missed with probability below 1 %."""
 _MOST_POINTS = 100_000  # Most interior check points, so that their trajectories fit into memory
 _COVERS = ("interior", "box")
 # Factor on the budget of work where functions of the user are called, which may be slow
@@ -215,7 +214,7 @@ class Check:
     those that are asked for, whose error counts; None for all.
     """
 
-    points: int = _USUAL_POINTS
+    points: int = USUAL_POINTS
     cover: str | None = None
     states: tuple[int, ...] | None = None
 
@@ -223,14 +222,12 @@ class Check:
     def of(
         cls,
         system: System,
-        check: bool | int = True,
+        check: int = USUAL_POINTS,
         cover: str | None = None,
         unknowns: object = None,
     ) -> Check:
         """The check for arguments of ``solve``, or an OptionError."""
-        points = _USUAL_POINTS * check
-        if not isinstance(check, bool):
-            points = checked_number("check", check, 0, _MOST_POINTS)
+        points = checked_number("check", check, 0, _MOST_POINTS)
         if cover is not None and (not isinstance(cover, str) or cover not in _COVERS):
             raise OptionError(
                 f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
@@ -304,7 +301,7 @@ class SolveRequest:
         rtol: float = 1e-6,
         parameters: Mapping[object, Sequence[object]] | None = None,
         t_final: float | None = None,
-        check: bool | int = True,
+        check: int = USUAL_POINTS,
         cover: str | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,

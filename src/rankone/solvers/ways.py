@@ -11,7 +11,7 @@ from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.observation import Observation
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.remedies import box_of_one_order
-from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.request import USUAL_POINTS, Domain, SolveRequest
 from rankone.solvers.stretches_by_markers import (
     FirstPoints,
     SolveStart,
@@ -284,7 +284,7 @@ class Engine:
         rtol: float = 1e-6,
         *,
         domain: Domain | None = None,
-        check: bool | int = True,
+        check: int = USUAL_POINTS,
         report: Report = quiet,
         **options: object,
     ) -> Outcome:

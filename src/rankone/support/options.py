@@ -43,15 +43,6 @@ def checked_count(name: str, value: object, least: int, each: int) -> int:
     return int(checked_number(name, value, least, max(least, _MOST_POINT_NUMBERS // max(each, 1))))
 
 
-def refuse_positional(arguments: Sequence[object], keyword: str) -> None:
-    """Raise an OptionError if there are arguments by position; it shows the keyword."""
-    if arguments:
-        raise OptionError(
-            f"{arguments[0]!r} is given by position",
-            remedy=f"give it by its keyword: {keyword}={arguments[0]!r}",
-        )
-
-
 def integer(default: int | None, least: int = 1, most: int = _LARGEST_INTEGER) -> Any:
     """Declare an integer from ``least`` to ``most``."""
     return _declared(default, lambda name, value: checked_number(name, value, least, most))

@@ -311,7 +311,7 @@ def test_derivatives_and_corners_by_the_program(alone, tmp_path):
     saved = str(tmp_path / "saved.npz")
     at = ["--load", saved, "--at", "t=0.5", "k=1.5", "--json"]
     grid = ["--load", saved, "--grid", "4", "--save", "grid.npz"]
-    script = "s = solver.solve(1e-4, check=False); print(s['x_t'](t=0, k=1) + 1, s.corner_error)"
+    script = "s = solver.solve(1e-4, check=0); print(s['x_t'](t=0, k=1) + 1, s.corner_error)"
     save = ["--rtol", "1e-4", "--save", saved]
     runs = alone(tmp_path, save, at, [*at, *_ALL], [*grid, *_ALL], script)
     assert not any(run.returncode for run in runs), runs

@@ -25,6 +25,7 @@ from rankone.share.commands.common import (
     with_numbers,
 )
 from rankone.share.export.program import pairs_of
+from rankone.solvers.request import USUAL_POINTS
 from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
@@ -218,7 +219,7 @@ def _solve(arguments: argparse.Namespace) -> int:
         "rtol": arguments.rtol,
         "method": arguments.method,
         "t_final": None if of_model else arguments.t_final,
-        "check": True if arguments.check is None else arguments.check or False,
+        "check": USUAL_POINTS if arguments.check is None else arguments.check,
         "cover": arguments.cover,
         "effort": arguments.effort,
         "max_seconds": arguments.max_seconds,

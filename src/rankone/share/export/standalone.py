@@ -138,7 +138,7 @@ def solve(
     *,
     parameters: Mapping[str, Sequence[float]] | None = None,
     t_final: float | None = None,
-    check: bool | int = True,
+    check: int = 96,
     cover: str | None = None,
     effort: str | float = "normal",
     max_seconds: float | None = None,
@@ -157,8 +157,8 @@ def solve(
         SciPy trajectories after the solve; `success` of the solution says whether it is kept.
     parameters, t_final : mapping of str to (float, float), float, optional
         Other ranges of parameters, another end of the horizon.
-    check : bool or int
-        Number of check points in the interior, 96 for True; without any the error is not known.
+    check : int
+        Number of check points in the interior; without any the error is not known.
     cover : {{"interior", "box"}}, optional
         Whether success covers the corners of the box too; by default up to three parameters.
     effort, max_seconds : {{"low", "normal", "high"}} or float, float, optional

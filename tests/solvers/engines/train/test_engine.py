@@ -200,7 +200,7 @@ def test_a_partial_solution_ends_where_it_was_solved():
 
 
 def test_unchecked_is_no_success():
-    solution = solve(REFERENCE["decay"](), check=False)
+    solution = solve(REFERENCE["decay"](), check=0)
     assert not solution.success
     assert np.isnan(solution.error)
     assert solution.status is ro.Status.UNCHECKED
