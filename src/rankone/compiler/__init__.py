@@ -8,7 +8,7 @@ the module is compared with the expressions that the user wrote. Out go its text
   System
 - ``passes``: passes over a problem, from its equations to the separated form and the features
 - ``observed``: outputs of a solve: quantities that are evaluated along its trajectories
-- ``pipeline``: the pipeline: from a problem to a generated module, compared with it
+- ``pipeline``: from a problem to a generated module, compared with it
 - ``reformulated``: other forms of a compiled problem: lifted, held, over stretches, with other
   numbers
 - ``stages``: what is derived from a problem before numbers come in: its stages, and the forms of

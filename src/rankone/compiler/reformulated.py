@@ -161,7 +161,7 @@ def lifted_problem(
 # The form of a problem in which each switch of its rates is held on one side of its surface.
 
 
-_HELD_POINTS = 32  # Points of the box at which rates are compared
+_COMPARED_POINTS = 32  # Points of the box at which rates are compared
 _BESIDE = 0.1  # Their distance from the initial states
 _AGREEMENT = 1e-10  # Relative difference of rates beyond rounding
 _COARSE_POINTS, _COARSE_STEPS = 8, 512  # Trajectories, besides corners, that reach levels
@@ -240,7 +240,7 @@ def _agrees(held: System, system: System) -> bool:
     And whether the factors of the held ones are finite.
     """
     bounds = np.array(system.box, dtype=float).reshape(-1, 2)
-    p = np.ascontiguousarray(check_points(bounds, _HELD_POINTS, every_corner=True).T)
+    p = np.ascontiguousarray(check_points(bounds, _COMPARED_POINTS, every_corner=True).T)
     n, t = system.n_differential, np.full(p.shape[1], system.horizon[0])
     with np.errstate(all="ignore"):
         start = system.initial(p)

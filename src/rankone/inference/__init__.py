@@ -7,5 +7,5 @@ below this room imports it.
   one solution
 - ``estimation``: parameters from data, posterior distributions, designs and best values: methods
   of a solution
-- ``populations``: populations: parameters that differ between subjects, from data of all of them
+- ``populations``: parameters that differ between subjects, from data of all of them
 """

@@ -22,7 +22,7 @@ In come equations, parameters with their intervals, initial values and events; o
   of time
 - ``jumps``: jumps at known times: doses, kicks and restarts, also those written as ``DiracDelta``
   of time
-- ``problem``: problem: what the user wrote, validated once and immutable
+- ``problem``: what the user wrote, validated once and immutable
 - ``problem_files``: problems from files: Python files with a variable ``problem``, and TOML files
 - ``run_time``: which constants of a problem are run-time values, and which are written in
 - ``shorthand``: constants and definitions that a problem names, and what is often mistaken for an
@@ -31,7 +31,7 @@ In come equations, parameters with their intervals, initial values and events; o
   is disturbed
 - ``text``: problems as text: formulas by name, turned into the expressions that the checks take
 - ``toml_layout``: the tables of a TOML file: problems read from them and written to them
-- ``user_events``: events: what happens where an expression of the states crosses zero
+- ``user_events``: what happens where an expression of the states crosses zero
 - ``user_markers``: markers that users give: expressions that end stretches of time where they
   cross zero
 """

@@ -101,20 +101,18 @@ def text_arguments(content: Mapping[str, Any], file: str) -> dict[str, Any]:
     """
     _check_keys(content, file)
     return {
-        "rhs": {
-            n: str(_formula("rhs", n, f)) for n, f in _toml_tables_table(content, "rhs").items()
-        },
+        "rhs": {n: str(_formula("rhs", n, f)) for n, f in _read_table(content, "rhs").items()},
         "initial": _start(content, _formulas(content, "initial")),
         "constants": _formulas(content, "constants"),
         "definitions": _formulas(content, "definitions"),
-        "atol": dict(_toml_tables_table(content, "atol")),
+        "atol": dict(_read_table(content, "atol")),
         "parameters": {
             name: ends if isinstance(ends, str) else _scaled(name, ends)
-            for name, ends in _toml_tables_table(content, "parameters").items()
+            for name, ends in _read_table(content, "parameters").items()
         },
         "time": _horizon(content["time"]),
         "jumps": _jumps(content.get("jumps", [])),
-        "units": dict(_toml_tables_table(content, "units")),
+        "units": dict(_read_table(content, "units")),
         "events": _events(content.get("events", [])),
         "correlation": _correlation(content.get("correlation", [])),
         **{key: content[key] for key in _AS_THEY_ARE if key in content},
@@ -157,7 +155,7 @@ def _start(content: Mapping[str, Any], initial: dict[str, str | float]) -> Mappi
     """Initial values; or the steady state that is reached from them, if there is its table."""
     if "steady_state" not in content:
         return initial
-    table = _toml_tables_table(content, "steady_state")
+    table = _read_table(content, "steady_state")
     elsewhere = "; initial values are in [initial]"
     _check_known("[steady_state]", table, ("conditions", "settle"), elsewhere)
     return SteadyState(_formulas(table, "conditions"), initial, table.get("settle"))
@@ -187,7 +185,7 @@ def _events(tables: object) -> list[dict[str, Any]]:
             if key in event:
                 event[key] = _formula("events", key, event[key])
         if "then" in event:
-            then = _toml_tables_table(event, "then", remedy='write then = { x = "0" }')
+            then = _read_table(event, "then", remedy='write then = { x = "0" }')
             event["then"] = {name: _formula("events", name, f) for name, f in then.items()}
         events.append(event)
     return events
@@ -237,7 +235,7 @@ def _jumps(tables: object) -> dict[tuple[float, ...] | str, dict[str, str | floa
     return jumps
 
 
-def _toml_tables_table(
+def _read_table(
     content: Mapping[str, Any], key: str, remedy: str | None = None
 ) -> Mapping[str, Any]:
     """A table of the file; an empty one if it is left out."""
@@ -253,7 +251,7 @@ def _toml_tables_table(
 
 def _formulas(content: Mapping[str, Any], key: str) -> dict[str, str | float]:
     """A table of formulas and numbers."""
-    return {name: _formula(key, name, f) for name, f in _toml_tables_table(content, key).items()}
+    return {name: _formula(key, name, f) for name, f in _read_table(content, key).items()}
 
 
 def _formula(table: str, name: str, formula: object) -> str | float:
@@ -373,16 +371,16 @@ class _Writer:
             yield "equations = ["
             yield from (f"    {_literal(self._equation(e))}," for e in written["equations"])
             yield "]"
-        yield from _table("rhs", rates or {})
-        yield from _table("initial", self._values(written["initial"]))
+        yield from _written_table("rhs", rates or {})
+        yield from _written_table("initial", self._values(written["initial"]))
         yield from self._steady_state()
         for key in ("constants", "definitions"):
-            yield from _table(key, self._values(written[key] or {}))
-        yield from _table("units", self._named(written["units"] or {}))
-        yield from _table("atol", self._named(written["atol"] or {}))
+            yield from _written_table(key, self._values(written[key] or {}))
+        yield from _written_table("units", self._named(written["units"] or {}))
+        yield from _written_table("atol", self._named(written["atol"] or {}))
         yield from self._jumps()
         yield from self._events()
-        yield from _table("parameters", parameters)
+        yield from _written_table("parameters", parameters)
 
     def _steady_state(self) -> Lines:
         start = self.written["initial"]
@@ -473,7 +471,7 @@ class _Writer:
                     yield f"{key} = false"
 
 
-def _table(key: str, entries: Mapping[str, Any]) -> Lines:
+def _written_table(key: str, entries: Mapping[str, Any]) -> Lines:
     """A table with its header after an empty line; nothing if it is empty."""
     if entries:
         yield from ("", f"[{key}]", *_pairs(entries))

@@ -5,7 +5,7 @@ solutions of their own, and files. Applications (``inference``, ``share``) are o
 a solution when these are called, and by nothing else here.
 
 - ``evaluation``: a solution: evaluation, smaller solutions, tables with labels, summaries
-- ``outputs``: outputs: quantities of interest of a solution, as solutions of their own
+- ``outputs``: quantities of interest of a solution, as solutions of their own
 - ``statistics``: statistics of a solution over its box: every integral is a product of one-
   dimensional ones
 - ``storage``: saving and loading solutions in open formats, without pickle
@@ -15,7 +15,6 @@ a solution when these are called, and by nothing else here.
 - ``many``: many solves of one problem: on pieces of its box, under conditions, for designs
 - ``other_forms``: a solution in other forms: canonical sums, tables, figures, pages, and exported
   models
-- ``solution``: solution: what users hold after a solve, for every parameter value and time at
-  once
+- ``solution``: what users hold after a solve, for every parameter value and time at once
 - ``steady``: steady states as solutions of the parameters alone
 """

@@ -46,7 +46,7 @@ def function_digest(name: str, function: Callable[..., object]) -> str:
     An OptionError where it holds something whose state cannot be read, such as an open file.
     """
     try:
-        return _digests_digest(function)
+        return _state_digest(function)
     except Exception as error:  # objects of users raise what they like
         raise OptionError(
             f"checkpoint= cannot tell function {quote(name)} from another, as it holds something "
@@ -57,7 +57,7 @@ def function_digest(name: str, function: Callable[..., object]) -> str:
         ) from error
 
 
-def _digests_digest(held: object) -> str:
+def _state_digest(held: object) -> str:
     written = io.BytesIO()
     _StatePickler(written, _PROTOCOL).dump(held)
     return hashlib.sha256(written.getvalue()).hexdigest()
@@ -79,7 +79,7 @@ class _StatePickler(pickle.Pickler):
         if isinstance(held, _lru_cache_wrapper):
             return "cached", held.__wrapped__
         if type(held) in (set, frozenset):
-            return "set", *sorted(map(_digests_digest, held))  # type: ignore[call-overload]
+            return "set", *sorted(map(_state_digest, held))  # type: ignore[call-overload]
         if not isinstance(held, FunctionType | type):
             return None
         if id(held) in self._met:  # such as a function that calls itself
@@ -219,7 +219,7 @@ class Checkpoint:
         return SolveFiles(self._path(asked), self._path([*asked, limit]))
 
     def _path(self, asked: list[Any]) -> Path:
-        return self.folder / f"solve-{_digest(json.dumps(asked, sort_keys=True))[:24]}.npz"
+        return self.folder / f"solve-{_text_digest(json.dumps(asked, sort_keys=True))[:24]}.npz"
 
 
 @dataclass(frozen=True)
@@ -251,10 +251,10 @@ def problem_digest(compiled: CompiledProblem) -> str:
         name: function_digest(name.removeprefix("f_"), getattr(guarded, "value", guarded))
         for name, guarded in sorted(compiled.user_functions.items())
     }
-    return _digest(json.dumps([plain(compiled.metadata()), functions], sort_keys=True))
+    return _text_digest(json.dumps([plain(compiled.metadata()), functions], sort_keys=True))
 
 
-def _digest(text: str) -> str:
+def _text_digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 

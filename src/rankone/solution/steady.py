@@ -101,22 +101,22 @@ def steady_state(
     states = compiled.first_order.states
     rows = [i for i, state in enumerate(states) if state.role is Role.UNKNOWN]
     engine = ENGINES["cross"]
-    with one_thread(), limited() as account:
-        steady = SteadyStates(system, end - start, longest)
-        resting = at_rest(steady, rows)
-        request = SolveRequest.of(
-            resting,
-            [engine.options],
-            {},
-            rtol=rtol,
-            check=check,
-            effort=effort,
-            max_seconds=max_seconds,
-            integrator="stack",
-        )
+    steady = SteadyStates(system, end - start, longest)
+    resting = at_rest(steady, rows)
+    request = SolveRequest.of(
+        resting,
+        [engine.options],
+        {},
+        rtol=rtol,
+        check=check,
+        effort=effort,
+        max_seconds=max_seconds,
+        integrator="stack",
+    )
+    with one_thread(), limited(seconds=request.limits.seconds) as account:
         points = branch_points(request.domain)
         try:
-            with limited(request.limits.operations, request.limits.seconds):
+            with limited(request.limits.operations):
                 check_one_branch(steady, points)
         except OutOfBudgetError as out:
             raise ConvergenceError(

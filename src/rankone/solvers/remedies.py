@@ -49,7 +49,7 @@ _SLOWEST_DECAY = 0.97  # Largest ratio of successive modes: slower decay looks l
 _FASTEST_DECAY = 0.1  # Smallest one: rounding errors hide faster decay
 _RANK_SHARE = 0.5  # Ranks over the largest possible ones for the nodes on either side
 _ELEMENT_GROWTH = 2.0  # Factor on the nodes of elements whose modes have not fallen
-_NARROWING_DIGITS = 2  # Significant digits of the ends that are told
+_BOX_DIGITS = 2  # Significant digits of the ends that are told
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _part(basis: Basis1D, share: float) -> Interval:
     lower, upper = on_scale(scale, ends, 0.5 + np.array([-0.5, 0.5]) * share).tolist()
     lengths = (upper - lower,) * 2 if scale.is_identity else (lower, upper)
     lower, upper = (
-        round(end, _NARROWING_DIGITS - 1 - math.floor(math.log10(abs(length))))
+        round(end, _BOX_DIGITS - 1 - math.floor(math.log10(abs(length))))
         for end, length in zip((lower, upper), lengths, strict=True)
     )
     return max(lower, ends[0]), min(upper, ends[1])
@@ -312,7 +312,7 @@ _HALF = 0.5  # Part of what is left that goes into one kind of remedy if others 
 _EACH = 0.25  # Part of that which one box may take
 _FIRST_ENDS = (1 / 64, 1 / 512)  # Parts of the horizon, in turn up to a success
 _LATER_ENDS = (2.0, 4.0, 8.0, 16.0, 32.0, 48.0)  # Times this part, in turn up to a failure
-_DIGITS = 3  # Significant digits of an end
+_END_DIGITS = 3  # Significant digits of an end
 _SMALLER = (1.0, 0.5, 0.25)  # Parts of predicted intervals, around their middles
 _BESIDE = (0.35, 0.65)  # Distances from a front, over the interval beside it
 _AROUND = 0.15  # Distance from a front's other parameters, over their intervals, if it moves
@@ -435,7 +435,7 @@ class Trials:
         length = end - start
 
         def solved(share: float) -> float | None:
-            digits = _DIGITS - 1 - math.floor(math.log10(max(abs(start), share * length)))
+            digits = _END_DIGITS - 1 - math.floor(math.log10(max(abs(start), share * length)))
             earlier = round(start + share * length, digits)
             domain = replace(self.request.domain, horizon=(start, earlier))
             later = (earlier > start and self.trial(replace(self.request, domain=domain))) or None

@@ -46,7 +46,7 @@ from rankone.trajectories.system.events import Ending, EventOrder
 from rankone.trajectories.system.system import Clock, System
 
 _PILOTS = 16  # Trajectories, besides corners, that tell the order of events
-_STRETCHES_PILOT_RTOL = 1e-6  # Their relative tolerance
+_ORDER_PILOT_RTOL = 1e-6  # Their relative tolerance
 _PILOT_FLOOR = 1e-6  # Size of a state, over that at the start, below which accuracy is absolute
 
 
@@ -62,8 +62,8 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     """
     domain = request.domain
     timed, cuts = timed_system(system, domain)
-    points, tolerances = pilots(system, domain, _STRETCHES_PILOT_RTOL)
-    chosen = span_integrator_for(timed, request.integrator, accuracy=_STRETCHES_PILOT_RTOL)
+    points, tolerances = pilots(system, domain, _ORDER_PILOT_RTOL)
+    chosen = span_integrator_for(timed, request.integrator, accuracy=_ORDER_PILOT_RTOL)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
 
@@ -102,7 +102,7 @@ def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRe
 # Operations of a reference over clock time above which pilots tell whether markers pay, since
 # trajectories that are out of phase take many common steps
 _FIRST_LOOK = 2e8
-_PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
+_MARKER_PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
 _PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be enough
 # Part of the budget that a reference over stretches may take where one over clock time is there:
 # its samples take several times as much
@@ -208,7 +208,7 @@ def _by_pilots(
 
     They go over a part of the horizon at first, which is enough where all of them repeat.
     """
-    points, tolerances = pilots(system, request.domain, _PILOT_RTOL)
+    points, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
     paths: Sequence[Path] = ()
     for paths in _pilot_paths(system, request, points, tolerances):
         try:
@@ -230,7 +230,7 @@ def _pilot_paths(
     None further where one does not reach the end of a part.
     """
     (start, end) = request.domain.horizon
-    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator, accuracy=_MARKER_PILOT_RTOL)
     time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
     for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
         ends = np.full(len(points), end if share == 1.0 else start + share * (end - start))
@@ -245,7 +245,7 @@ def _pilot_paths(
 
 def _by_events(system: System, request: SolveRequest, first_points: FirstPoints) -> SolveStart:
     """The start over stretches between events of the user that interrupt nothing."""
-    points, tolerances = pilots(system, request.domain, _PILOT_RTOL)
+    points, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
     clock = Clock(system, _NO_ORDER, request.domain.horizon, in_step=True)
     for paths in _pilot_paths(system, request, points, tolerances):
         start = _in_step(clock, request, points, paths, tolerances, first_points)
@@ -265,8 +265,8 @@ def _by_late_front(
     if not is_autonomous(system):
         return None
     horizon = request.domain.horizon
-    _, tolerances = pilots(system, request.domain, _PILOT_RTOL)
-    chosen = span_integrator_for(system, request.integrator, accuracy=_PILOT_RTOL)
+    _, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator, accuracy=_MARKER_PILOT_RTOL)
     try:
         with limited(_LATE_SHARE * work_left()):
             found = late_front(system, points, paths, horizon, chosen, tolerances)

@@ -1,14 +1,13 @@
 """What every room uses: the version, errors, wording, files, progress, the budget of work.
 
-- ``arrays``: arrays: their types, points of a cube, bisection, and tuples that are made when
-  first read
+- ``arrays``: their types, points of a cube, bisection, and tuples that are made when first read
 - ``budget``: the budget of a computation: work counted here and by workers, and a deadline where
   a user asked for one
 - ``costs``: what numerical work costs, in operations of a budget, and sparse factors that are
   counted
 - ``errors``: errors and warnings: what was given, where, what was expected, what to do
 - ``executors``: executors of tasks, what all tasks share, and how large answers come back
-- ``files``: files: free targets, and several files written together, all of them or none
+- ``files``: free targets, and several files written together, all of them or none
 - ``labelled``: what results look like as tables of pandas, as data sets of xarray, and in
   notebooks
 - ``options``: options, declared with their ranges at the field and checked in one place; amounts

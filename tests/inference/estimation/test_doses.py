@@ -88,9 +88,14 @@ def test_what_else_is_refused():
         bolus().fit(table(), observe={"u": "u/dose"}, **AMOUNT)
     with pytest.raises(ro.OptionError, match="the data are none"):
         bolus().fit(SAMPLES, exact(SAMPLES, 0.3, ONE), **AMOUNT)
-    for rows in (table(), {key.replace("amt", "AMT"): each for key, each in table().items()}):
-        with pytest.raises(ro.OptionError, match=r"(?i)`amt` .* has doses.*`doses` does not say"):
+    for column in ("amt", "AMT"):
+        rows = {key.replace("amt", column): each for key, each in table().items()}
+        with pytest.raises(ro.OptionError, match=r"has doses.*`doses` does not say") as refused:
             bolus().fit(rows, sigma=0.01)
+        assert refused.value.term == column
+        assert f'doses={{"dose": "{column}"}}' in refused.value.remedy
+        named = {**rows, "u": rows["u"]}
+        assert bolus().fit(named, sigma=0.01, doses={"dose": column}).success
     with pytest.raises(ro.OptionError, match=r"`amt` .* has doses") as refused:
         bolus().fit_population(columns(), random=["k"])
     assert 'doses={"dose": "amt"}' in refused.value.remedy

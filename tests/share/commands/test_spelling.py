@@ -22,7 +22,7 @@ SOLVE = (
     "t_final",
 )
 OPTIONS = [
-    ("try rtol=1e-03: predicted error 2e-04", "try --rtol 1e-03: predicted error 2e-04"),
+    ("try rtol=1e-03: it was solved to 2e-04", "try --rtol 1e-03: it was solved to 2e-04"),
     ("method='cross', the default", "--method cross, the default"),
     ("leave method= out, or take cross", "leave --method out, or take cross"),
     ("unknowns=('x', 'y') asks for these", "--unknowns x y asks for these"),

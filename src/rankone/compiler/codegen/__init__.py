@@ -2,16 +2,15 @@
 
 - ``array_code``: systems of many states as array code: sparse matrices times products of states
 - ``constraint_code``: constraints and starts at rest in the generated module
-- ``kernels``: kernels: the separated right-hand side of one group, acting on many columns at once
+- ``kernels``: the separated right-hand side of one group, acting on many columns at once
 - ``law_code``: rates of many states with laws of a few forms, as array code
 - ``layout``: layout of generated Python text, as ``ruff format`` would write it, and its
   identifiers
 - ``loading``: how generated source becomes a system, in this process and in others
-- ``lowering``: lowering: from the separated form to the quadratic system that is printed
+- ``lowering``: from the separated form to the quadratic system that is printed
 - ``module``: the generated module: its sections in the order a person reads them
-- ``module_header``: header: what a generated module is, for a person who opens it
-- ``output_expressions``: outputs: SymPy expressions of a solution's unknowns, as functions of
-  arrays
+- ``module_header``: what a generated module is, for a person who opens it
+- ``output_expressions``: SymPy expressions of a solution's unknowns, as functions of arrays
 - ``output_translation``: outputs in terms of a solution's states: derivatives, integrals,
   extremes and events listed
 - ``pointwise``: pointwise functions: rates, Jacobians, initial values, features, at given states

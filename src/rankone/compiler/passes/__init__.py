@@ -6,8 +6,7 @@
   weak form
 - ``levels``: functions with many levels, written as steps and kinks at those that trajectories
   reach
-- ``lifting``: lifting: functions of the unknowns become unknowns themselves, with equations of
-  their own
+- ``lifting``: functions of the unknowns become unknowns themselves, with equations of their own
 - ``over_stretches``: a system over the pseudo-time of its stretches, where all events are at
   known times
 - ``rests``: what vanishes by the equations at a surface: speeds of states that rest there, jumps

@@ -8,7 +8,7 @@
   tables
 - ``calibration_likelihood``: the objective of a calibration problem: states, observables,
   likelihood
-- ``calibration_problem``: calibration problems: what users hold
+- ``calibration_problem``: what users hold
 - ``descent``: the way down from one start, by least squares in a box of trust (Gauss–Newton)
 - ``dynamics``: the compiled model of a calibration problem, and its slopes in what varies
 - ``experiment_conditions``: what conditions make of a model, and problems of single experiments

@@ -6,10 +6,9 @@
 - ``design``: where to measure next: sampling times that tell the most about the parameters
 - ``doses``: doses of subjects at times of their own, from tables and as curves
 - ``estimates``: best values of a fit, its residuals, and how well the model describes the data
-- ``experiments``: experiments: what was measured under which conditions, checked against a
-  solution
+- ``experiments``: what was measured under which conditions, checked against a solution
 - ``findings``: reasons not to trust a fit, and what is odd about its residuals
-- ``fit``: a fit: best values, intervals, what the data identify, and reasons not to trust it
+- ``fit``: best values, intervals, what the data identify, and reasons not to trust it
 - ``fitted_models``: solutions, or integrated problems, at the times of data, with derivatives
 - ``formulas``: arithmetic of named quantities with derivatives, from text or symbols
 - ``free_parameters``: the free parameters, their bounds and scales, and the start of a search

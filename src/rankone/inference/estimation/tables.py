@@ -214,7 +214,7 @@ def measured_columns(
             remedy=f"name columns as one of {listing(solution.states)}, or say what they are with "
             "observe={column: expression}",
         )
-    _check_doses(solution, columns)
+    _check_doses(solution, columns, names)
     vocabulary = {*names, *GROUPS, *solution.states, *solution.parameters, time}
     for name in columns:
         if name in vocabulary or _is_sigma(name, names):
@@ -229,9 +229,12 @@ def measured_columns(
     return names
 
 
-def _check_doses(solution: SolutionCore, columns: Mapping[str, Any]) -> None:
+def _check_doses(
+    solution: SolutionCore, columns: Mapping[str, Any], measured: Sequence[str]
+) -> None:
     """Raise an OptionError if a column has doses, which nothing says how to take."""
-    own = {*solution.states, *solution.parameters}
+    own = {*solution.states, *solution.parameters, *measured}
+    amounts = next((name for name in columns if name.lower() == "amt"), "amt")
     for name in columns:
         if name.lower() not in _DOSES or name in own:
             continue
@@ -241,7 +244,7 @@ def _check_doses(solution: SolutionCore, columns: Mapping[str, Any]) -> None:
                 f"the column {quote(name)} of the table has doses, and `doses` does not say which "
                 "parameter is their amount",
                 term=name,
-                remedy=f'name both, doses={{"{amount}": "amt"}}, or drop the column',
+                remedy=f'name both, doses={{"{amount}": "{amounts}"}}, or drop the column',
             )
 
 

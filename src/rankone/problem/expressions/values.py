@@ -15,7 +15,7 @@ import sympy as sp
 from rankone.support.arrays import Array
 
 _NAMES = ("sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "log")
-_ARRAY_VALUES_FUNCTIONS = {
+_OF_SYMPY = {
     **{getattr(sp, name): getattr(np, name) for name in _NAMES},
     sp.atan: np.arctan,
     sp.erf: scipy.special.erf,
@@ -50,7 +50,7 @@ class ArrayProgram:
         if expression.is_Pow:
             base, exponent = arguments
             return base**exponent
-        function = _ARRAY_VALUES_FUNCTIONS.get(type(expression))
+        function = _OF_SYMPY.get(type(expression))
         return math.nan if function is None else function(*arguments)
 
 
@@ -67,7 +67,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Pow: operator.pow,
 }
 _AS_IN_NUMPY = ("sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "sqrt", "log", "arctan")
-_FUNCTIONS: dict[str, Callable[[Value], Value]] = {
+_OF_TEXT: dict[str, Callable[[Value], Value]] = {
     **{name: getattr(np, name) for name in _AS_IN_NUMPY},
     "atan": np.arctan,
     "erf": scipy.special.erf,
@@ -89,6 +89,6 @@ def value_of(tree: ast.expr, values: Mapping[str, Array]) -> Value:
             return value_of(operand, values)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](value_of(left, values), value_of(right, values))
-        case ast.Call(func=ast.Name(id=name), args=[argument]) if name in _FUNCTIONS:
-            return _FUNCTIONS[name](value_of(argument, values))
+        case ast.Call(func=ast.Name(id=name), args=[argument]) if name in _OF_TEXT:
+            return _OF_TEXT[name](value_of(argument, values))
     return _NO_VALUE

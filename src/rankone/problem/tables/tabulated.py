@@ -38,7 +38,7 @@ def tabulated_equations(equations: object, time: sp.Symbol, box: Box) -> object:
     rates = _rates(equations, time)
     if rates is None:
         return equations
-    reader = _TabulatedEquationsReader({state: i for i, state in enumerate(rates)}, {time, *box})
+    reader = _ExpressionReader({state: i for i, state in enumerate(rates)}, {time, *box})
     try:
         sums = [reader.terms(rate) for rate in rates.values()]
         table = reader.sums.table(tuple(rates), sums, rates=tuple(rates.values()))
@@ -63,7 +63,7 @@ def _rates(equations: Sequence[object], time: sp.Symbol) -> dict[sp.Expr, sp.Exp
     return rates
 
 
-class _TabulatedEquationsReader:
+class _ExpressionReader:
     """Takes expressions apart into sums of products."""
 
     def __init__(self, places: Mapping[sp.Expr, int], coordinates: set[sp.Basic]) -> None:
@@ -140,7 +140,7 @@ def table_of_texts(
 
     ``coordinates`` are time and the parameters by name.
     """
-    reader = _Reader({name: i for i, name in enumerate(states)}, coordinates)
+    reader = _TextReader({name: i for i, name in enumerate(states)}, coordinates)
     texts = tuple(rate for rate in rhs.values() if isinstance(rate, str))
     if len(texts) < len(rhs):
         return None
@@ -151,7 +151,7 @@ def table_of_texts(
         return None
 
 
-class _Reader(ast.NodeVisitor):
+class _TextReader(ast.NodeVisitor):
     """Evaluates texts in sums of products."""
 
     def __init__(self, places: Mapping[str, int], coordinates: Mapping[str, sp.Symbol]) -> None:

@@ -1,7 +1,7 @@
 """Export: solvers and solved models as files that need neither rankone nor SymPy.
 
 - ``explorer``: the page that explores a solution: one HTML file, without a server or a network
-- ``bundler``: the bundler: whole modules of the library inside one readable file
+- ``bundler``: whole modules of the library inside one readable file
 - ``model_branches``: evaluation of the solved model where the order of events changes inside the
   box
 - ``model_c``: the solved model in C99: one source file and its header, without any dependency

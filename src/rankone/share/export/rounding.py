@@ -68,7 +68,7 @@ def rounded_slabs(
     ``timeline`` the last state is the clock, and the others differ by at most ``rtol`` at clock
     times that are ``rtol`` horizons away from events that reset states or end them.
     """
-    comparison = _RoundingComparison(slabs, intervals, rtol, timeline)
+    comparison = _SlabComparison(slabs, intervals, rtol, timeline)
     cut = partial(smaller_slabs, slabs, comparison.sizes)
     best = loosest(cut, comparison.differences, rtol)
     unchanged = Rounding(tuple(slabs), (0.0,) * len(comparison.sizes))
@@ -101,7 +101,7 @@ def loosest(
     return best
 
 
-class _RoundingComparison:
+class _SlabComparison:
     """Slabs, and points at which smaller ones are compared with them; ``sizes`` of the states."""
 
     def __init__(
@@ -283,7 +283,7 @@ def rounded_branches(
     their sizes, as far as both are known, at clock times that are ``rtol`` horizons away from
     events that reset states or end them.
     """
-    comparison = _Comparison(slabs, intervals, rtol, timeline)
+    comparison = _BranchComparison(slabs, intervals, rtol, timeline)
     best = loosest(comparison.smaller, comparison.differences, rtol)
     if best is None:
         return slabs, timeline, (0.0,) * (1 + len(timeline.tolerances))
@@ -294,7 +294,7 @@ def rounded_branches(
     return smaller, replace(comparison.timeline, undecided=undecided), differences
 
 
-class _Comparison:
+class _BranchComparison:
     """Branches, and points at which smaller ones are compared with them.
 
     The ``timeline`` of the smaller ones has guards and times that are known less well.

@@ -1,11 +1,6 @@
 """Plots of a solution: its values, statistics and base functions, and how it was found.
 
-They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` in the folder of the
-sources.
-
-Nothing is shown: ``ax.figure.savefig("name.png")`` writes a figure, ``matplotlib.pyplot.show()``
-shows it. All draw into the axes given as ``ax``, or into those of a new figure, and return them,
-those with several panels an array of them.
+Their public names are those of :mod:`rankone.plotting`.
 
 - ``arguments``: arguments of plots: the solution, the unknowns and the times that they select,
   checked

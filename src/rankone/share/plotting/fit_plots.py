@@ -82,7 +82,7 @@ def plot_calibration(
         some = [each for each in calibration.comparisons if each.observable == observable]
         _draw_measurements(panel, some, experiments)
         panel.set_title(observable)
-    _calibrations_draw_residuals(axes[-2], calibration.comparisons, experiments)
+    _draw_calibration_residuals(axes[-2], calibration.comparisons, experiments)
     _draw_starts(axes[-1], calibration)
     return axes
 
@@ -123,7 +123,7 @@ def _draw_measurements(
     panel.set_xlabel("time")
 
 
-def _calibrations_draw_residuals(
+def _draw_calibration_residuals(
     panel: Axes, comparisons: Sequence[Comparison], experiments: Sequence[str]
 ) -> None:
     """All residuals by time, and which colour is which experiment."""

@@ -1,9 +1,9 @@
 """Where is a solution worst? Reference trajectories, candidate points, and the measured error.
 
-Read in this order:
 
-- ``enclosures``: enclosures: what samples on a piece of a trajectory show of a function, and what
-  they may hide
+
+- ``enclosures``: what samples on a piece of a trajectory show of a function, and what they may
+  hide
 - ``branch_errors``: errors of branches against trajectories that follow their own order of events
 - ``coverage``: where points of a box lie: evenly on the scale of a parameter, and over decades on
   two of them

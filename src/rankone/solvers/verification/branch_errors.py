@@ -25,7 +25,7 @@ _SURPRISING = 6  # Points with other events than their branch that are looked at
 _LOOKS = 17  # Times along a stretch at which other events are looked for
 _SHARE_POINTS = 2**14  # Points that tell the share of the box that is undecided
 _SHARE_TIMES = 17  # Times at which it is looked for
-_AT_ONCE = 1024  # Points at which branches are evaluated together
+_AT_ONCE = 1024  # Points, or curves of states, at which branches are evaluated together
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def branch_errors(
     decided = _margins(evaluator, points) >= evaluator.width
     decided &= ~_coincide(evaluator, points)
     all_times = [compared_times(each, system, evaluator.horizon, rtol) for each in trajectories]
-    for block in np.array_split(np.arange(len(points)), -(-len(points) * n // _AT_ONCE)):
+    for block in np.array_split(np.arange(len(points)), max(-(-len(points) * n // _AT_ONCE), 1)):
         most = max(len(all_times[k]) for k in block)
         times = np.stack([np.resize(all_times[k], most) for k in block], axis=1)
         exact = np.stack([trajectories[k](times[:, i])[:n] for i, k in enumerate(block)], axis=2)

@@ -83,7 +83,7 @@ def clock_errors(
         missed = np.abs(borders[:, k] - exact_borders)[inside].max(initial=0.0)
         time_error = max(time_error, float(missed) / clock.length)
         largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
-        off[:, k] = _clock_off_constraints(clock.system, times, solution, point)
+        off[:, k] = _off_along(clock.system, times, solution, point)
     begins = np.arange(clock.order.stretches)[:, None]
     pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
     exact = np.swapaxes(reference(pseudo), 1, 2)
@@ -107,7 +107,7 @@ def _curves(
             yield states[:, : times.size, k]
 
 
-def _clock_off_constraints(system: System, times: Array, states: Array, point: Array) -> Array:
+def _off_along(system: System, times: Array, states: Array, point: Array) -> Array:
     """How far states (n, T) of a trajectory are from satisfying constraints, at most: (n,)."""
     there = ~np.isnan(states).any(axis=0)
     if not system.constraints.names or not there.any():

@@ -1,8 +1,8 @@
 """Events along trajectories, and the system over stretches from event to event.
 
 - ``event_crossings``: where paths cross the roots of functions: all of a stack at once
-- ``event_integration``: events: roots of functions along trajectories, which end them or reset
-  their states
+- ``event_integration``: roots of functions along trajectories, which end them or reset their
+  states
 - ``event_order``: the order in which the trajectories of a box meet their events, and what does
   not follow it
 - ``event_trajectory``: a trajectory with events: what it has met, and what it still has ahead

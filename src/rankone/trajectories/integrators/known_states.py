@@ -2,7 +2,9 @@
 
 A generated function is arithmetic on arrays, which takes a microsecond for each operation however
 small the arrays. What follows from known numbers alone, such as sides of switches on a stretch, is
-computed once here, and branches of piecewise functions that they do not select are left out.
+computed once here, and branches of piecewise functions that they do not select are left out. What
+is multiplied by a known zero is left out as well, also where it is not finite: a branch that does
+not hold has no say.
 """
 
 from __future__ import annotations

@@ -26,9 +26,7 @@ from rankone.trajectories.integrators.integrator import Path, Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System
 
-_SENSITIVITIES_STAGES = (
-    5  # Of the collocation, unless fewer are asked for: order 9 at the ends of steps
-)
+_FINE_STAGES = 5  # Of the collocation, unless fewer are asked for: order 9 at the ends of steps
 _MOST_ROUNDS = 12  # Rounds in which steps are halved
 _MOST_STEPS = 20_000
 _UNRESOLVED = 1e-5  # Last coefficient of S in a step, over its size, above which it is halved
@@ -60,7 +58,7 @@ def sensitivities(
     forcing: Forcing,
     times: Array,
     *,
-    stages: int = _SENSITIVITIES_STAGES,
+    stages: int = _FINE_STAGES,
     halves: bool = True,
 ) -> Array:
     """Derivatives (n, w, m, T) of trajectories at points (m, d), at times (T,).

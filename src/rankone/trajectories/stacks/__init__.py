@@ -9,5 +9,5 @@
 - ``newton``: Newton's matrices of stacked implicit steps, dense or sparse, and their factors
 - ``stack``: trajectories at many parameter points, integrated together as one stacked system by
   SciPy
-- ``taylor``: taylor steps of stacked trajectories whose rates are polynomials in the states
+- ``taylor``: Taylor steps of stacked trajectories whose rates are polynomials in the states
 """

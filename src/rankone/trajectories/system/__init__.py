@@ -1,9 +1,7 @@
 """What trajectories are integrated of: a system as frozen data, and how a solve of it ended.
 
-- ``constraints``: constraints: expressions of the states that vanish on all trajectories of a
-  system
-- ``events``: events: roots along trajectories that reset or end them, and the order in which they
-  come
+- ``constraints``: expressions of the states that vanish on all trajectories of a system
+- ``events``: roots along trajectories that reset or end them, and the order in which they come
 - ``features``: all that is not smooth, or so narrow that samples may miss it, and the user's
   functions in workers
 - ``system``: a system as solvers see it: what a generated module defines, complete and typed

@@ -1,7 +1,6 @@
 """``method="cross"``: trajectories at chosen parameter points, interpolated in a tensor train.
 
-- ``cross_engine``: the cross engine: interpolate, check against SciPy, ask for more where it does
-  not suffice
+- ``cross_engine``: interpolate, check against SciPy, ask for more where it does not suffice
 - ``cross_options``: options and constants of the cross engine, and what its next attempt costs
 - ``sampled``: stacked trajectories on a time grid, held as coefficients in a growing orthonormal
   basis

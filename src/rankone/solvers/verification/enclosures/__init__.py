@@ -7,7 +7,7 @@ then the range of the function bounds it. The same holds for powers of powers, w
 carried along. So a peak of width 1e-9 shows by its height, wherever it is, and stiff differences of
 large numbers do not.
 
-Read in this order:
+
 
 - ``bounds``: ranges of values, bounds of functions over them, and zeros that quotients share
 - ``enclosure``: enclosures and their arithmetic; conditions over them
