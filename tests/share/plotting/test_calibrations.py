@@ -3,9 +3,9 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from rankone.plotting import plot_calibration
 
 import rankone as ro
+from rankone.plotting import plot_calibration
 
 TIMES = np.array([0.2, 0.5, 1.0, 2.0])
 
