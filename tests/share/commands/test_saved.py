@@ -213,7 +213,7 @@ def test_a_report_has_plots(run: Run) -> None:
 @pytest.mark.slow
 def test_a_report_in_a_directory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The plots are drawn at the centre and at the end of the horizon."""
-    plotting = pytest.importorskip("rankone.plotting")
+    plotting = pytest.importorskip("rankone.share.plotting")
     pytest.importorskip("matplotlib")
     asked = []
 
