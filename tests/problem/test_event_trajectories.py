@@ -85,6 +85,13 @@ def test_no_ball_falls_through_the_floor(restitution):
             made.trajectory(4.0, {**POINT, e: restitution, h: height})
 
 
+@pytest.mark.parametrize("then", [{x: 0, v: 0}, {v: 0}, {v: -0.0 * v}])
+def test_a_ball_at_rest_on_the_floor_does_not_fall_through_it(then):
+    landing = ro.Event(x, "falling", then=then, name="landing")
+    with pytest.raises(ro.ConvergenceError, match="event `landing` happens again and again"):
+        ball(landing).trajectory(4.0, POINT)
+
+
 def test_bounces_without_end_are_an_error():
     """The flights add up to a time inside the horizon."""
     fall = np.sqrt(2 * 2.0 / GRAVITY)

@@ -62,16 +62,23 @@ class Sides:
     def __init__(self, events: NumericEvents, point: Array) -> None:
         self.events, self.point = events, point
         self.sides = np.zeros(len(events), dtype=int)
+        self._before = np.zeros(len(events), dtype=int)  # sides before the last return to a surface
         self._expected = np.zeros(len(events), dtype=bool)  # sides that only rates have told
         self._sightings: list[tuple[float, int, int]] = []  # times, events and sides of a step
 
     def settle(
-        self, time: float, state: Array, rates: Array, unmoved: Collection[int] = ()
+        self,
+        time: float,
+        state: Array,
+        rates: Array,
+        unmoved: Collection[int] = (),
+        moving: Collection[int] = (),
     ) -> list[int]:
         """Take the sides after the start or a reset; return the events that it sets off.
 
         A trajectory that is on a surface goes to the side that its rates tell, and that is no
-        crossing. ``unmoved`` are events whose surface it is on, whatever rounding says.
+        crossing. ``unmoved`` are events whose surface it is on, whatever rounding says. Where it
+        was ``moving`` before a reset, and is at rest now, it is on the side that it came from.
         """
         slopes = self.events.slopes(time, rates, state, self.point)
         sides = self.beside(time, state, rates)
@@ -79,7 +86,8 @@ class Sides:
         for k, slope in enumerate(slopes):
             side = 0 if k in unmoved else int(sides[k])
             if side == 0 and self.sides[k] == 0:
-                self.sides[k] = np.sign(np.nan_to_num(slope))
+                at_rest = slope == 0.0 and k in moving
+                self.sides[k] = self._before[k] if at_rest else np.sign(np.nan_to_num(slope))
                 self._expected[k] = True
             elif side != 0:
                 if self.sides[k] == -side and self.events.counts(k, side):
@@ -154,6 +162,7 @@ class Sides:
 
     def return_to(self, events: Collection[int]) -> None:
         """The trajectory is on the surfaces of events."""
+        self._before = self.sides.copy()
         self.sides[list(events)] = 0
 
     def _root(

@@ -300,12 +300,12 @@ class Integration:
             if crossing.time <= self.times[-1]:
                 self._occurrences[crossing.event].append(crossing.time)
 
-    def _settled(self, unmoved: Collection[int] = ()) -> list[int]:
+    def _settled(self, unmoved: Collection[int] = (), moving: Collection[int] = ()) -> list[int]:
         """Take the sides of the present state; the events that a reset sets off."""
         if not self._occurrences:
             return []
         rates = self._rates(self._time, self._state)
-        fired = self._sides.settle(self._time, self._state, rates, unmoved)
+        fired = self._sides.settle(self._time, self._state, rates, unmoved, moving)
         for k, side in enumerate(self._sides.sides.tolist()):
             if self.equations.events.turned(k, side):
                 self._due[k] = []
@@ -333,11 +333,13 @@ class Integration:
                     (*fired, *now)[0], f"more than {_MOST_ROUNDS} times at one instant"
                 )
             before = events.when(time, self._state, self.point)
+            slopes = events.slopes(time, self._rates(time, self._state), self._state, self.point)
             self._reset(time, now, before)
             after = events.when(time, self._state, self.point)
             unmoved = [k for k in on_surface if before[k] == after[k]]
             self._sides.return_to([*fired, *on_surface])
-            fired, on_surface = self._settled(unmoved), ()
+            moving = np.flatnonzero(np.nan_to_num(slopes)).tolist()
+            fired, on_surface = self._settled(unmoved, moving), ()
         self.values[:, self.times == time] = self._state[:, None]
 
     def _any_due(self, time: float) -> bool:
