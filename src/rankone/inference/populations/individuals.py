@@ -126,6 +126,7 @@ def linearised(subjects: Subjects, layout: Layout, psi: Array, coordinates: Arra
     # displaced variances and levels of noise leave the coordinates where they are
     _, first, which = np.unique(coordinates, axis=0, return_index=True, return_inverse=True)
     points = subjects.points({name: row[first] for name, row in at.items()})
+    which = which.ravel()  # NumPy 2.0.0 gives it the axis of the coordinates
     states, moved = (each[which] for each in subjects.states.linearised(points, places))
     slopes = np.zeros((*states.shape, len(columns)))
     slopes[..., [columns[name] for name in order]] = moved
