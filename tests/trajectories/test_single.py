@@ -223,7 +223,7 @@ import solver
 solution = solver.solve(1e-4, integrator="single")
 assert solution.success
 assert {record.integrator for record in solution.outcome.history} == {"single"}
-(scalar,) = (m for name, m in sys.modules.items() if name.endswith("trajectories.scalar"))
+(scalar,) = (m for name, m in sys.modules.items() if name.endswith("integrators.lsoda"))
 assert scalar.scalar_rates(solver.SYSTEM) is not None
 """
     without_rankone = {"PYTHONPATH": str(tmp_path), "PATH": os.environ["PATH"]}
