@@ -255,6 +255,24 @@ class TimedBasis(GrowingBasis):
         return f"    basis: {rank} x {length:,} numbers, {size:.0f} MB; {share:.0%} of the seconds"
 
 
+def points_of(compiled: ro.CompiledProblem) -> np.ndarray:
+    """Random parameters (m, d)."""
+    box = np.array(compiled.system.box)
+    shares = np.random.default_rng(5).random((POINTS, len(box)))
+    return box[:, 0] + (box[:, 1] - box[:, 0]) * shares
+
+
+def largest_error(compiled: ro.CompiledProblem, solution: ro.Solution) -> float:
+    """Largest error of an unknown over its size, against SciPy's BDF."""
+    peer, system = Peer(compiled), compiled.system
+    times, points = np.linspace(*system.horizon, TIMES), points_of(compiled)
+    exact = np.stack([peer(point, times, 1e-10) for point in points])
+    ours = np.stack([solution(times, dict(zip(system.parameters, q))) for q in points.tolist()])
+    exact = exact[:, : ours.shape[1]]  # without derivatives that are states
+    size = np.abs(exact).max(axis=(0, 2))
+    return float((np.abs(ours - exact).max(axis=(0, 2)) / np.where(size > 0, size, 1)).max())
+
+
 def row(name: str, method: str, basis: bool) -> str:
     """One line of the table."""
     if basis:
@@ -267,16 +285,8 @@ def row(name: str, method: str, basis: bool) -> str:
     seconds = clock() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     peer, system = Peer(compiled), compiled.system
-    times = np.linspace(*system.horizon, TIMES)
-    box = np.array(system.box)
-    points = box[:, 0] + (box[:, 1] - box[:, 0]) * np.random.default_rng(5).random(
-        (POINTS, len(box))
-    )
-    exact = np.stack([peer(point, times, 1e-10) for point in points])
-    ours = np.stack([solution(times, dict(zip(system.parameters, q))) for q in points.tolist()])
-    exact = exact[:, : ours.shape[1]]  # without derivatives that are states
-    size = np.abs(exact).max(axis=(0, 2))
-    error = (np.abs(ours - exact).max(axis=(0, 2)) / np.where(size > 0, size, 1)).max()
+    times, points = np.linspace(*system.horizon, TIMES), points_of(compiled)
+    error = largest_error(compiled, solution)
     began = clock()
     peer(points[0], times, 0.1 * case.rtol)
     one = clock() - began
