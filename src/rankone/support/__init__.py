@@ -13,6 +13,7 @@
 - ``options``: options, declared with their ranges at the field and checked in one place; amounts
   of memory
 - ``plain_data``: frozen dataclasses as plain data, and rebuilt from it by their annotations
+- ``precision``: what counts as rounding, as the same place, and as nothing
 - ``progress``: progress of a solve: events for a callback, or a bar on standard error
 - ``tasks``: independent calls on a pool, and the threads of BLAS while they run
 - ``wording``: text for people: quotes and lists in messages, names, tables and equations
