@@ -22,7 +22,7 @@ def system_of(rates, initial, box, end, **further):
 def trajectories(system, points, events, integrator, edges=None, rtol=1e-10):
     n = system.n_differential
     tolerances = Tolerances(rtol, np.full((n, 1), 1e-2 * rtol))
-    chosen = span_integrator_for(system, integrator, accuracy=rtol)
+    chosen = span_integrator_for(system, integrator)
     edges = edges or list(system.horizon)
     return integrate_to_events(chosen, system, np.array(points), edges, tolerances, events)
 

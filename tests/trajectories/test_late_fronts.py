@@ -22,7 +22,7 @@ def found(rates, box, end):
     system = ro.compile(problem).system
     domain = Domain((0.0, end), tuple(box.values()))
     points, tolerances = pilots(system, domain, 1e-4)
-    integrator = span_integrator_for(system, "auto", accuracy=1e-4)
+    integrator = span_integrator_for(system, "auto")
     states = system.initial(np.ascontiguousarray(points.T))
     spans = Spans(np.zeros(len(points)), states, np.full(len(points), end))
     paths = integrator.paths(system, points, spans, tolerances)

@@ -40,12 +40,12 @@ def followed(system, accuracy=ACCURACY, repeats_from=8):
     marker = Marker(0, 5.0)
     clock = Clock(timed, order, (0.0, END), (), (marker,), True, repeats_from=repeats_from)
     tolerances = Tolerances(accuracy, accuracy * np.ones((system.n_differential, 1)))
-    integrator = span_integrator_for(timed, accuracy=accuracy)
+    integrator = span_integrator_for(timed)
     return clock, follow(clock, integrator, POINTS, tolerances, COUNT)
 
 
 def goes_on(clock, trajectories):
-    integrator = span_integrator_for(clock.system, accuracy=ACCURACY)
+    integrator = span_integrator_for(clock.system)
     return repeating_from(clock, integrator, POINTS, trajectories, ACCURACY)
 
 
@@ -98,7 +98,7 @@ def test_paths_go_from_one_time_between_to_the_next():
     starts, ends, columns = np.zeros(3), np.array([3.0, 3.5, 4.0]), POINTS.T.copy()
     whole = Spans(starts, system.initial(columns), ends)
     divided = dataclasses.replace(whole, between=np.array([[0.7, 2.0], [0.8, 2.2], [1.0, 2.5]]))
-    integrator = span_integrator_for(system, accuracy=ACCURACY)
+    integrator = span_integrator_for(system)
     paths = integrator.paths(system, POINTS, whole, tolerances)
     parts = integrator.paths(system, POINTS, divided, tolerances)
     for path, part, end, between in zip(paths, parts, ends, divided.between, strict=True):
@@ -126,9 +126,7 @@ def test_states_over_stretches_are_in_the_order_of_their_times():
     clock, _ = followed(system)
     stretched, points = in_stretches(clock), np.array([[8.0, 0.9], [12.0, 1.1]])
     tolerances = Tolerances(ACCURACY, ACCURACY * np.ones((stretched.n_differential, 1)))
-    dense = integrator_for(stretched, accuracy=ACCURACY).run(
-        stretched, points, stretched.horizon, tolerances
-    )
+    dense = integrator_for(stretched).run(stretched, points, stretched.horizon, tolerances)
     assert all(each.period for each in dense.trajectories)
     for times in (np.array([0.9, 0.1, 2.5, 1.3]), np.array([9.9, 0.1, 1.7, 7.9, 5.7, 8.3])):
         together = dense(times)

@@ -190,7 +190,7 @@ def test_the_choice_is_the_same_each_time():
     tolerances = Tolerances(1e-6, np.full((2, 1), 1e-8))
     times = np.linspace(1.0, 59.0, 30)
     first, second = (
-        integrator_for(system, accuracy=1e-6).sample(system, points, [0.0, 60.0], tolerances, times)
+        integrator_for(system).sample(system, points, [0.0, 60.0], tolerances, times)
         for _ in range(2)
     )
     assert first.integrator == second.integrator
@@ -234,7 +234,7 @@ def test_stacks_as_small_as_the_pilots_are_not_watched():
     system, work = van_der_pol(100.0, 60.0), {}
     tolerances = Tolerances(1e-5, np.full((2, 1), 1e-7))
     for integrator in ("stack", "auto"):
-        chosen = integrator_for(system, integrator, accuracy=1e-5)
+        chosen = integrator_for(system, integrator)
         with limited() as account:
             chosen.run(system, np.array([[2.0, 100.0]] * 3), [0.0, 60.0], tolerances)
             work[integrator] = account.done
@@ -245,9 +245,7 @@ def test_steps_tell_those_of_explicit_ones():
     system = system_of({"x": "w*y", "y": "-w*x"}, {"x": "1", "y": "0"}, {"w": (1, 9)}, 5)
     tolerances, points = Tolerances(1e-7, np.full((2, 1), 1e-9)), np.array([[1.0], [9.0]])
     dense = {
-        integrator: integrator_for(system, integrator, accuracy=1e-7).run(
-            system, points, [0.0, 5.0], tolerances
-        )
+        integrator: integrator_for(system, integrator).run(system, points, [0.0, 5.0], tolerances)
         for integrator in ("stack", "single")
     }
     assert dense["single"].steps == max(path.steps for path in dense["single"].paths)

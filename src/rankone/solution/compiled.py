@@ -83,7 +83,7 @@ class CompiledProblem(CompiledStages):
         max_memory: str | float | None = None,
         unknowns: Sequence[object] | None = None,
         outputs: Mapping[str, object] | str | Sequence[str] | None = None,
-        integrator: Literal["auto", "stack", "single", "compiled"] = "auto",
+        integrator: Literal["auto", "stack", "single"] = "auto",
         markers: Literal["auto"] | Sequence[object] | None = "auto",
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
@@ -135,10 +135,9 @@ class CompiledProblem(CompiledStages):
             functions of unknowns, parameters and time. They are evaluated along trajectories; no
             unknown is stored or checked but those named in ``unknowns``, which the solution has
             beside the outputs. Integrals over time and extremes are outputs of that solution.
-        integrator : {"auto", "stack", "single", "compiled"}
-            How trajectories are integrated: many as one stacked system, each alone, or by compiled
-            Taylor series, for which heyoka has to be installed. "auto" chooses by counted work,
-            and changes where a stack stalls.
+        integrator : {"auto", "stack", "single"}
+            How trajectories are integrated: many as one stacked system, or each alone. "auto"
+            begins with stacks, and changes where one stalls, by counted work.
         markers : "auto", sequence of expressions, or None
             What may end stretches of time besides events. Over a stretch each trajectory has a time
             of its own, so that all of them are in phase. Expressions do so where they cross zero,

@@ -35,7 +35,6 @@ from rankone.support.budget import (
 from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.tensors.bases import Basis1D
-from rankone.trajectories.integrators.integrator_choice import tell_fallback
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import (
     AccurateUnknowns,
@@ -262,7 +261,6 @@ def solve_in_attempts(
     """
     stages, kept_back = Stages(), min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * budget_left())
     seconds = min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds_left())
-    tell_fallback(system, request.integrator)
     with keeping_back(kept_back, seconds):
         try:
             with stages.of("reference"):

@@ -360,7 +360,7 @@ def order_search(timed: System, request: SolveRequest) -> OrderSearch:
     """Trajectories of their own orders, evenly spread over the box."""
     domain = request.domain
     accuracy = reference_accuracy(request.rtol)
-    chosen = span_integrator_for(timed, request.integrator, accuracy=accuracy)
+    chosen = span_integrator_for(timed, request.integrator)
     shares = spread(_POINTS, len(domain.box), np.random.default_rng(20143))
     points = Coverage.of_domain(domain).points(_INSIDE + (1.0 - 2.0 * _INSIDE) * shares)
     tolerances = Tolerances.down_to(accuracy, _FLOOR * sizes_at_start(timed, points))

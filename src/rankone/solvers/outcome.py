@@ -186,7 +186,7 @@ class SlabRecord:
     ``attempt`` counts from 0: a solve is repeated with a tighter inner tolerance when the check
     asks for it. ``tolerance``, and ``residuals``, the largest change of the train in each sweep,
     are in units of each state's size. ``integrator`` integrated the trajectories that were sampled,
-    or those of the reference where none are sampled: "stack", "single" or "compiled".
+    or those of the reference where none are sampled: "stack" or "single".
     """
 
     attempt: int

@@ -16,7 +16,7 @@ import numpy as np
 from rankone.solvers.observation import Observation
 from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
-from rankone.support.errors import EvaluationError, OptionError, optional_module
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import INTEGRATORS, Options, checked_memory, checked_number
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
@@ -350,13 +350,6 @@ def checked_integrator(integrator: object) -> str:
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         remedy = f"choose one of {', '.join(map(repr, INTEGRATORS))}"
         raise OptionError(f"integrator={integrator!r} is unknown", term=integrator, remedy=remedy)
-    if integrator == "compiled":
-        optional_module(
-            "heyoka",
-            "integrator='compiled' needs heyoka",
-            'pip install heyoka, or pip install ".[fast]" in the folder of the source',
-            OptionError,
-        )
     return integrator
 
 

@@ -63,7 +63,7 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     domain = request.domain
     timed, cuts = timed_system(system, domain)
     points, tolerances = pilots(system, domain, _ORDER_PILOT_RTOL)
-    chosen = span_integrator_for(timed, request.integrator, accuracy=_ORDER_PILOT_RTOL)
+    chosen = span_integrator_for(timed, request.integrator)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
 
@@ -190,8 +190,8 @@ def _by_reference(
     """The start over stretches, if markers pay for the trajectories of a reference."""
     system, reference = reference_set.system, reference_set.reference
     (dense,), sizes = reference.batches, reference_set.of_states[:, None]
-    if reference.blown is not None or reference_set.cuts or reference.integrator == "compiled":
-        return None  # compiled trajectories have no paths to look for crossings on
+    if reference.blown is not None or reference_set.cuts:
+        return None
     separate = cast(SeparateTrajectories, dense)
     scouts = separate.of(SCOUTS).paths
     each = max(path.nbytes for path in scouts)
@@ -230,7 +230,7 @@ def _pilot_paths(
     None further where one does not reach the end of a part.
     """
     (start, end) = request.domain.horizon
-    chosen = span_integrator_for(system, request.integrator, accuracy=_MARKER_PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator)
     time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
     for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
         ends = np.full(len(points), end if share == 1.0 else start + share * (end - start))
@@ -266,7 +266,7 @@ def _by_late_front(
         return None
     horizon = request.domain.horizon
     _, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
-    chosen = span_integrator_for(system, request.integrator, accuracy=_MARKER_PILOT_RTOL)
+    chosen = span_integrator_for(system, request.integrator)
     try:
         with limited(_LATE_SHARE * work_left()):
             found = late_front(system, points, paths, horizon, chosen, tolerances)
@@ -313,7 +313,7 @@ def _in_step(
 ) -> SolveStart | None:
     """The start over stretches between the marks of a clock, along paths over clock time."""
     domain, system = request.domain, clock.system
-    chosen = span_integrator_for(system, request.integrator, accuracy=tolerances.relative)
+    chosen = span_integrator_for(system, request.integrator)
     marked = with_order(chosen, clock, points, paths, tolerances)
     if marked is None or not marked[0].order.instants:
         return None

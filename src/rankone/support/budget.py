@@ -12,7 +12,7 @@ import math
 import time
 import time as clock
 import weakref
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import Context, ContextVar
 from dataclasses import dataclass
@@ -96,17 +96,15 @@ class Account:
     ``done`` operations are counted, at most ``most`` may be, and ``patience`` where nothing
     improves; once ``telling`` ones are, those that are foreseen count too. ``memory`` are the bytes
     that may be held at once, and ``held`` those that are kept for now. ``end`` is the deadline, by
-    ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
-    whose answer is kept.
+    ``time.perf_counter``; infinite unless a user asked for one.
     """
 
-    __slots__ = ("done", "end", "held", "memory", "most", "once", "patience", "telling")
+    __slots__ = ("done", "end", "held", "memory", "most", "patience", "telling")
 
     def __init__(self) -> None:
         self.done, self.most, self.end = 0.0, math.inf, math.inf
         self.patience = self.telling = math.inf
         self.held, self.memory = 0.0, math.inf
-        self.once: set[Hashable] = set()
 
     @property
     def limit(self) -> float:
@@ -273,14 +271,6 @@ def foresee(operations: float) -> None:
     account = _ACCOUNT.get()
     if account is not None and account.telling <= account.done > account.limit - operations:
         raise OutOfWorkError
-
-
-def charge_once(key: Hashable, operations: float) -> None:
-    """Count operations whose answer is kept, the first time within the outermost limit."""
-    account = _ACCOUNT.get()
-    if account is not None and key not in account.once:
-        account.once.add(key)
-        charge(operations)
 
 
 def check_time() -> None:

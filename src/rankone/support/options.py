@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Self
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, shown
 
-INTEGRATORS = ("auto", "stack", "single", "compiled")
+INTEGRATORS = ("auto", "stack", "single")
 """How trajectories are integrated, as the option of that name has it."""
-INTEGRATOR_HELP = "how trajectories are integrated: together, each alone, or compiled by heyoka"
+INTEGRATOR_HELP = "how trajectories are integrated: together, or each alone"
 # Floating-point numbers of random points: 2 GiB, beyond which systems end processes
 _MOST_POINT_NUMBERS = 2**28
 _LARGEST_INTEGER = 10**9  # Largest integer of an option: no limit above it is ever reached

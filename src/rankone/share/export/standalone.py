@@ -168,8 +168,8 @@ def solve(
         Bytes that arrays may take at once, or a text such as "2GB".
     unknowns : sequence of str, optional
         The unknowns to solve for, whose error has to be within the tolerance; by default all.
-    integrator : {{"auto", "stack", "single", "compiled"}}
-        How trajectories are integrated: stacked, each alone, or by heyoka; chosen by counted work.
+    integrator : {{"auto", "stack", "single"}}
+        How trajectories are integrated: stacked, or each alone; chosen by counted work.
     markers : {{"auto", None}}
         Whether crossings of states and of switches may end stretches of time.
     **options

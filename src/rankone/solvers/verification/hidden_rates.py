@@ -37,7 +37,6 @@ from rankone.support.budget import unlimited
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.events.event_trajectory import EventTrajectory, held_together
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
-from rankone.trajectories.integrators.compiled_series import TaylorTrajectories
 from rankone.trajectories.integrators.integrator import NODES, DenseTrajectories, Path
 from rankone.trajectories.integrators.workers import GroupedTrajectories
 from rankone.trajectories.stacks.stack import has_smooth_rates
@@ -210,17 +209,7 @@ def _paths(dense: DenseTrajectories) -> list[Sequence[Path]]:
         return [each.paths for each in dense.trajectories]
     if isinstance(dense, GroupedTrajectories):
         return [[path] for group in dense.groups for path in group.paths]
-    if isinstance(dense, TaylorTrajectories):
-        return [[_of_series(dense.of(slice(k, k + 1)))] for k in range(dense.state.shape[1])]
     return [[path] for path in getattr(dense, "paths", ())]
-
-
-def _of_series(series: TaylorTrajectories) -> Path:
-    """The path of one trajectory that is known by series."""
-    steps = np.arange(series.starts.size)
-    nodal = np.stack([series.within(steps, share * series.lengths) for share in NODES], axis=1)
-    breaks = np.append(series.starts, series.starts[-1] + series.lengths[-1])
-    return Path(breaks, nodal, nodal[-1, -1])
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ class Reference:
 
     @property
     def integrator(self) -> str:
-        """What integrated the first trajectories: "stack", "single" or "compiled"."""
+        """What integrated the first trajectories: "stack" or "single"."""
         return self.batches[0].integrator
 
     @property
@@ -240,7 +240,6 @@ def integrate_reference(
     choose = partial(
         integrator_for,
         system,
-        accuracy=rtol,
         looks_anywhere=True,
         workers=workers or Workers(system),
     )

@@ -198,7 +198,7 @@ class ReferenceSet:
         absolute = np.maximum(np.maximum(finest, self.reference.least), self.reference.rounded)
         edges = integration_edges(self.system, points, self.domain.horizon, self.cuts)
         work = self.system, points, edges, Tolerances(accuracy, absolute[:, None]), times
-        choose = partial(integrator_for, self.system, accuracy=accuracy)
+        choose = partial(integrator_for, self.system)
         if self.system.n_differential > _MOST_SINGLE_STATES:
             return choose(self.taken).sample(*work)
         # It may come to no end between events as well, or creep where a state passes zero

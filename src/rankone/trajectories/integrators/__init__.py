@@ -1,8 +1,6 @@
 """Integrators of trajectories, the choice of one, and what watches their steps.
 
 - ``coarse``: coarse trajectories: what they reach, before the rates are known to be smooth
-- ``compiled_series``: trajectories by compiled Taylor series: heyoka, a batch of trajectories at
-  a time
 - ``defects``: defects of steps: what is narrow, and lies between the stages of a step
 - ``dense_paths``: trajectories that were integrated one by one, and the control of their steps
 - ``diagnosis``: what trajectories show: how fast changes grow, why they end, which states are
@@ -15,8 +13,6 @@
 - ``roots``: roots of functions that change sign: many at once, however steep the functions are
 - ``sensitivities``: derivatives of trajectories with respect to parameters: stacked, or one by
   one
-- ``series``: the rates of a generated module as expressions of heyoka, and what is compiled of
-  them
 - ``shares``: trajectories with spans of their own, as a stack over the share of the way
 - ``single``: trajectories integrated one by one with SciPy's LSODA, each with steps of its own
 - ``workers``: trajectories on the workers of an executor: chunks of samples, and groups of

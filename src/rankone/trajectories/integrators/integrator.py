@@ -267,8 +267,8 @@ class DenseTrajectories(Protocol):
     jump there if there is one, and the ``largest`` absolute values after any step and after the
     ``early`` ones. ``steps`` counts those of the trajectory with most; each
     has made one if it ``has_begun``. ``avoided`` counts the explicit steps that were left when they
-    were given up for implicit ones; it is 0 if none were. ``integrator`` is "stack", "single" or
-    "compiled", and ``method`` the name of what made the last steps.
+    were given up for implicit ones; it is 0 if none were. ``integrator`` is "stack" or "single",
+    and ``method`` the name of what made the last steps.
     """
 
     @property

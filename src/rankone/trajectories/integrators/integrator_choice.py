@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_done
-from rankone.support.costs import function_cost
-from rankone.support.errors import warn
 from rankone.trajectories.events.stretch_integrator import StretchIntegrator
-from rankone.trajectories.integrators import compiled_series as compiled
-from rankone.trajectories.integrators.compiled_series import CompiledIntegrator
 from rankone.trajectories.integrators.integrator import (
     DenseTrajectories,
     Integrator,
@@ -25,15 +21,6 @@ from rankone.trajectories.integrators.integrator import (
     SpanIntegrator,
     Spans,
     Tolerances,
-)
-from rankone.trajectories.integrators.series import (
-    charge_compilation,
-    charge_compiled_rates,
-    compiled_rates_cost,
-    has_series,
-    is_installed,
-    order_of,
-    rates_compilation_cost,
 )
 from rankone.trajectories.integrators.shares import part_by_part, paths_over_shares
 from rankone.trajectories.integrators.single import SingleIntegrator
@@ -49,7 +36,6 @@ _TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall 
 _PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
 # States of a system with sparse factors up to which stacks are watched: LSODA has dense matrices
 _MOST_SINGLE_STATES = 200
-_COMPILED_STACK = "compiled stack"  # What "compiled" may stand for in samples: compiled rates
 _DOP853_POWER = 0.125  # Steps of DOP853 grow with this power of one over the tolerance
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
 # Factors on the work of a stack from one look at it to the next, and to one at which pilots that
@@ -61,7 +47,6 @@ def span_integrator_for(
     system: System,
     integrator: str = "auto",
     *,
-    accuracy: float,
     stiff: bool = False,
     bearable_steps: int = 0,
     looks_anywhere: bool = False,
@@ -69,10 +54,9 @@ def span_integrator_for(
 ) -> SpanIntegrator:
     """The integrator for a system, the one place that chooses it.
 
-    ``integrator`` is the option of a solve, and ``accuracy`` the relative tolerance of its
-    reference. The others are those of :class:`StackedIntegrator`; stacks look anywhere only in
-    systems that do not separate. ``workers`` take part in what does not depend on them; without
-    them the integrator can be sent to one.
+    ``integrator`` is the option of a solve. The others are those of :class:`StackedIntegrator`;
+    stacks look anywhere only in systems that do not separate. ``workers`` take part in
+    what does not depend on them; without them the integrator can be sent to one.
     """
     single: SingleIntegrator | SinglesOnWorkers = SingleIntegrator(looks_anywhere)
     if workers is not None:
@@ -84,21 +68,13 @@ def span_integrator_for(
         return stack if workers is None else GroupedStacks(stack, workers)
     if integrator == "stack":
         return stack
-    watched = WatchedStack(stack, single)
-    if stiff or integrator not in ("compiled", _COMPILED_STACK) or not has_series(system):
-        return watched
-    if integrator == _COMPILED_STACK:
-        charge_compiled_rates(system)
-        return replace(watched, stack=replace(stack, compiled=True))
-    charge_compilation(system, order_of(accuracy))
-    return CompiledIntegrator(watched, accuracy)
+    return WatchedStack(stack, single)
 
 
 def integrator_for(
     system: System,
     integrator: str = "auto",
     *,
-    accuracy: float,
     stiff: bool = False,
     bearable_steps: int = 0,
     looks_anywhere: bool = False,
@@ -106,28 +82,15 @@ def integrator_for(
 ) -> Integrator:
     """The integrator for a system, also for one in stretches; see :func:`span_integrator_for`."""
     clock = system.clock
-    if clock is not None and clock.forced is not None and integrator == "compiled":
-        integrator = "auto"  # forced trajectories are read path by path
     chosen = span_integrator_for(
         system if clock is None else clock.system,
         integrator,
-        accuracy=accuracy,
         stiff=stiff,
         bearable_steps=bearable_steps,
         looks_anywhere=looks_anywhere,
         workers=workers,
     )
     return chosen if clock is None else StretchIntegrator(chosen, integrator)
-
-
-def tell_fallback(system: System, integrator: str) -> None:
-    """Warn where the option ``integrator`` asks for what the system does not have."""
-    if integrator == "compiled" and not has_series(system):
-        warn(
-            "integrator='compiled' does not serve this system: heyoka has no counterpart of some "
-            "function in it, or it switches or peaks over the unknowns",
-            remedy="leave integrator= out; `solution.history` says which integrator was used",
-        )
 
 
 def following(integrator: str, taken: str, trajectories: int, clock: Clock | None = None) -> str:
@@ -146,9 +109,7 @@ def explicit_steps(system: System, dense: DenseTrajectories, accuracy: float) ->
     if dense.method == "Radau":
         return dense.avoided
     if dense.method == "Taylor":
-        if dense.integrator == "stack":
-            return dense.steps / steps_ratio(accuracy, TaylorTerms.of(system).affine)
-        return dense.steps / compiled.steps_ratio(accuracy)
+        return dense.steps / steps_ratio(accuracy, TaylorTerms.of(system).affine)
     return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
 
 
@@ -161,80 +122,7 @@ def stacked_work(
     """
     known, asked = tolerances
     steps *= (known / asked) ** _DOP853_POWER
-    return sampling_cost(system, asked, steps, m, times, function_cost(system.rhs))
-
-
-@dataclass
-class SamplingChoice:
-    """The integrator of trajectories that are sampled for a solve, as counted work moves it.
-
-    ``option`` is that of the solve, and ``integrator`` the one that is in force; ``taken`` made the
-    last trajectories. The reference, of the relative tolerance ``accuracy``, takes DOP853 so many
-    ``steps``, from which the work of stacks is ``predicted``, and with compiled rates
-    ``predicted_fast``. Something is compiled once, as soon as it would have saved more, of the
-    ``work`` so far, than it costs. For rates the trajectories to come count too: about as many as
-    now for each further parameter. Whole trajectories are more accurate than asked, so nothing else
-    follows them but where they fail.
-    """
-
-    system: System
-    option: str
-    integrator: str
-    taken: str
-    accuracy: float
-    steps: float
-    trajectories: int = 0
-    work: float = 0.0
-    predicted: float = 0.0
-    predicted_fast: float = 0.0
-    may_compile: bool = True
-    _next: tuple[float, float] = (0.0, 0.0)  # Predicted work of the next stack, and that if fast
-
-    def at_times(self, times: int, tolerance: float, m: int, stacks: int = 1) -> str:
-        """The option for stacks of m further trajectories at so many times, which are not stiff."""
-        if self.system.clock is not None or self.system.user_functions:
-            return self.integrator
-        self._next = generated, fast = self._stacked(times, tolerance, m)
-        each = compiled.sampling_cost(self.system, self.accuracy, self.steps, times)
-        further = max(len(self.system.parameters) - 1, 1) * stacks
-        if self.option == "auto" and self.may_compile and not self._is_compiled:
-            slower = self.work / self.predicted if self.predicted else 0.0
-            saved = slower * (self.predicted - self.predicted_fast), further * (generated - fast)
-            savings = {
-                "compiled": self.work - each(self.trajectories),
-                _COMPILED_STACK: max(saved) - rates_compilation_cost(self.system),
-            }
-            best = max(savings, key=lambda option: savings[option])
-            if savings[best] > 0.0 and is_installed() and has_series(self.system):
-                self.integrator = best
-        elif self.integrator == "compiled" and not self.trajectories and has_series(self.system):
-            sweep = further * m
-            if self._stacked(times, tolerance, sweep)[1] < sweep * each.each:
-                self.integrator = _COMPILED_STACK
-        return self.integrator
-
-    @property
-    def _is_compiled(self) -> bool:
-        return self.integrator in ("compiled", _COMPILED_STACK)
-
-    def _stacked(self, times: int, tolerance: float, m: int) -> tuple[float, float]:
-        """Predicted work of a stack of m trajectories, and that with compiled rates."""
-        steps = self.steps * (self.accuracy / tolerance) ** _DOP853_POWER
-        stack = self.system, tolerance, steps, m, times
-        generated = sampling_cost(*stack, function_cost(self.system.rhs))
-        return generated, sampling_cost(*stack, compiled_rates_cost(self.system))
-
-    def record(self, taken: str, trajectories: int, work: float) -> None:
-        """Count trajectories that were sampled."""
-        self.taken, self.trajectories = taken, self.trajectories + trajectories
-        self.work += work
-        self.predicted += self._next[0]
-        self.predicted_fast += self._next[1]
-        failed = taken != "compiled" and self._is_compiled
-        clock = self.system.clock
-        self.integrator = following(self.integrator, taken, trajectories, clock)
-        if self.option == "auto" and failed:
-            self.integrator, self.may_compile = taken, False
+    return sampling_cost(system, asked, steps, m, times)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from rankone.trajectories.integrators.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.integrators.series import with_compiled_rates
 from rankone.trajectories.integrators.shares import paths_over_shares
 from rankone.trajectories.stacks.explicit import Piece, Rates, StackedDOP853, Stepper
 from rankone.trajectories.stacks.implicit import StackedRadau
@@ -72,16 +71,14 @@ class StackedIntegrator:
     It begins with Radau if ``stiff``; otherwise Radau takes over where explicit steps, of a Taylor
     series or of DOP853, meet stiffness. So many ``bearable_steps`` are cheaper than those of Radau
     although stability limits them, and less accurate in between. With ``looks_anywhere`` steps are
-    checked at random places
-    too, and not only at state surfaces. Systems that separate are never checked: polynomials in the
-    states are not narrow over them. Samples take ``compiled`` rates, of a system that has them.
-    ``watch`` is called with the time after each step, and may end the integration by an exception.
+    checked at random places too, and not only at state surfaces. Systems that separate are never
+    checked: polynomials in the states are not narrow over them. ``watch`` is called with the time
+    after each step, and may end the integration by an exception.
     """
 
     stiff: bool = False
     bearable_steps: int = 0
     looks_anywhere: bool = False
-    compiled: bool = False
     watch: Callable[[float], None] | None = None
 
     def run(
@@ -105,13 +102,10 @@ class StackedIntegrator:
         times: Array,
     ) -> SampledTrajectories:
         """Trajectories at ascending times; see :meth:`Integrator.sample`."""
-        if self.compiled:
-            system = with_compiled_rates(system)
         stack = _Stack(system, points, edges, tolerances, self)
         record = _SampleRecord(times, stack.shape)
         state, _ = stack.integrate(record)
-        taken = "compiled" if self.compiled else "stack"
-        return SampledTrajectories(record.states, record.reached, record.end, state, taken)
+        return SampledTrajectories(record.states, record.reached, record.end, state, "stack")
 
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
@@ -120,15 +114,13 @@ class StackedIntegrator:
         return paths_over_shares(self.run, system, points, spans, tolerances)
 
 
-def sampling_cost(
-    system: System, tolerance: float, steps: float, m: int, times: int, rates: Cost
-) -> float:
+def sampling_cost(system: System, tolerance: float, steps: float, m: int, times: int) -> float:
     """Operations of sampling m trajectories at some times, which take DOP853 so many steps.
 
-    By the ``rates`` of the system, or by its Taylor series where those cost less.
+    By its rates, or by its Taylor series where those cost less.
     """
     n = system.n_differential
-    step = _dop853_step_cost(n * m, rates(m))
+    step = _dop853_step_cost(n * m, function_cost(system.rhs)(m))
     if has_smooth_rates(system, system.horizon[0]):
         step = min(step, TaylorTerms.of(system).cost(tolerance, m))
     return steps * (step + _READ_COST.once) + times * n * m * _READ_COST.each

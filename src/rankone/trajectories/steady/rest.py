@@ -379,7 +379,7 @@ class SteadyStates:
         sizes = np.maximum(np.abs(states), _LEAST_SIZE * np.abs(states).max(axis=0))
         size = sizes.max(axis=1, keepdims=True)
         least = _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
-        chosen = integrator_for(system, "auto", accuracy=_ACCURACY)
+        chosen = integrator_for(system, "auto")
         dense = chosen.run(system, moved, [start, end], Tolerances.down_to(_ACCURACY, least))
         if dense.end < end * (1.0 - 1e-9):
             worst = int(np.argmax(np.nan_to_num(np.abs(dense.state).max(axis=0), nan=np.inf)))

@@ -17,7 +17,6 @@ from rankone.solvers.engines.cross.sampled import (
     TooManyTrajectories,
     Trajectories,
     TrajectoryEnds,
-    sampling_choice,
 )
 from rankone.solvers.engines.cross.steep import (
     LineLimits,
@@ -127,7 +126,7 @@ class CrossMarcher:
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
         self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
-        self.choice = sampling_choice(reference_set)
+        self.integrators: tuple[str, str] | None = None
         self.last: AttemptCost | None = None
         self.jump: SteepParameter | None = None
         self.search_work = 0.0
@@ -147,7 +146,7 @@ class CrossMarcher:
             self.options.max_trajectories - self.integrated,
             self.workers,
             pace.batch,
-            self.choice,
+            self.integrators,
         )
         try:
             march = self._marched(trajectories, level, number, pace)
@@ -163,6 +162,7 @@ class CrossMarcher:
             self.ends = ends.time
         self.integrated += trajectories.count
         self.tightness = trajectories.tightness
+        self.integrators = trajectories.integrator, trajectories.taken
         march.sampled = trajectories.work
         return march
 
@@ -188,7 +188,7 @@ class CrossMarcher:
         sizes = tuple(basis.size for basis in bases)
         counts = trajectories.count, grid.slabs
         record = CrossRecord(number, start, end, True, level, tails, train.ranks, sizes, *counts)
-        record = replace(record, integrator=self.choice.taken)
+        record = replace(record, integrator=trajectories.taken)
         march.records.append(record)
         work = work_done() - before - self.search_work
         self.last = AttemptCost(sizes, train.ranks, trajectories.count, work)

@@ -15,11 +15,7 @@ from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.cross import GrowingBasis
 from rankone.trajectories.integrators.diagnosis import first_to_end
 from rankone.trajectories.integrators.integrator import Integrator, Tolerances
-from rankone.trajectories.integrators.integrator_choice import (
-    SamplingChoice,
-    explicit_steps,
-    integrator_for,
-)
+from rankone.trajectories.integrators.integrator_choice import following, integrator_for
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System
 
@@ -50,7 +46,8 @@ class Trajectories:
     ``report`` is called after each batch with the part of a call that is done. ``highest_modes``
     (slabs,) are those in time, the largest of all trajectories, and ``work`` counts the operations;
     ``least_work`` is that of a trajectory in the cheapest stack that was stiff and not small.
-    ``choice`` is that of the integrator.
+    ``integrators`` are the option ``integrator`` for further trajectories, and what has ``taken``
+    the last ones; by default those after the reference.
     """
 
     def __init__(
@@ -62,7 +59,7 @@ class Trajectories:
         most: int,
         workers: Workers | None = None,
         report: Callable[[float], None] | None = None,
-        choice: SamplingChoice | None = None,
+        integrators: tuple[str, str] | None = None,
     ) -> None:
         self.workers, self.report = workers or Workers(reference_set.system), report
         self.reference_set, self.grid, self.most = reference_set, grid, most
@@ -72,7 +69,8 @@ class Trajectories:
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
         self._counted_work = 0.0
-        self.choice = choice or sampling_choice(reference_set)
+        after_reference = reference_set.taken, reference_set.reference.integrator
+        self.integrator, self.taken = integrators or after_reference
         self.scale = _norm_of_ones(grid.times.size, reference_set.states.size)
         self.units = reference_set.states * self.scale
         self.basis = GrowingBasis(self.units.size * grid.times.size)
@@ -202,15 +200,9 @@ class Trajectories:
         least = np.maximum(reference_set.reference.rounded, reference_set.reference.least)
         absolute = np.maximum(tolerance * floor, least)
         chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
-        option = self.choice.integrator
-        if not self.stiff:
-            option = self.choice.at_times(
-                self.grid.times.size, tolerance, len(chunks[0]), len(chunks)
-            )
         integrator = integrator_for(
             reference_set.system,
-            option,
-            accuracy=reference_set.accuracy,
+            self.integrator,
             stiff=self.stiff,
             bearable_steps=constants.EXPLICIT_STEP_LIMIT,
         )
@@ -222,11 +214,12 @@ class Trajectories:
         before = work_done()
         try:
             sampled = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.report)
-            work = (work_done() - before) / len(points)
             if self.stiff and 2 * len(points) >= self._chunk_size():
+                work = (work_done() - before) / len(points)
                 self.least_work = min(self.least_work or work, work)
-            for (_, taken), chunk in zip(sampled, chunks, strict=True):
-                self.choice.record(taken, len(chunk), work * len(chunk))
+            clock = reference_set.system.clock
+            for (_, self.taken), chunk in zip(sampled, chunks, strict=True):
+                self.integrator = following(self.integrator, self.taken, len(chunk), clock)
             pairs = zip(sampled, chunks, strict=True)
             columns = [x if rows is None else self._observed(x, chunk) for (x, _), chunk in pairs]
             return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
@@ -259,19 +252,6 @@ def _norm_of_ones(times: int, states: int) -> float:
 def _with_rows(block: Array, rank: int) -> Array:
     """Coefficients with zeros for the vectors by which the basis has grown since."""
     return np.pad(block, ((0, rank - len(block)), (0, 0)))
-
-
-def sampling_choice(reference_set: ReferenceSet) -> SamplingChoice:
-    """The choice of the integrator, after that of the reference."""
-    reference = reference_set.reference
-    return SamplingChoice(
-        reference_set.system,
-        reference_set.integrator,
-        reference_set.taken,
-        reference.integrator,
-        reference_set.accuracy,
-        explicit_steps(reference_set.system, reference.batches[0], reference_set.accuracy),
-    )
 
 
 def _integrated(
