@@ -91,8 +91,7 @@ def systems() -> dict[str, Callable[[], Outcome]]:
     add("linear, greedy", REFERENCE["linear"], 1e-3, method="greedy")
     add("coupled, greedy", REFERENCE["coupled"], 1e-2, method="greedy")
     add("free_fall, greedy", REFERENCE["free_fall"], 1e-2, method="greedy")
-    add("robertson, greedy", REFERENCE["robertson"], 0.1, method="greedy", effort=0.05)
-    add("pendulum, train", GENERAL["pendulum"], 1e-4, method="train")
+    add("pendulum, train", lambda: GENERAL["pendulum"].problem, 1e-3, method="train")
     add("doses", lambda: doses.problem, 1e-5)
     add("falling card", lambda: falling_card.problem, 1e-3)
     for name in PUBLISHED_HERE:
