@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rankone.compiler.codegen.loading import load_module
-    from rankone.compiler.codegen.lowering import quadratic_system
     from rankone.compiler.codegen.module import generate_source
+    from rankone.compiler.codegen.sums import quadratic_system
     from rankone.compiler.passes import FirstOrderSystem, WeakForm, first_order, separate, weak_form
     from rankone.inference.calibration.calibrate import calibrate
     from rankone.inference.calibration.calibration_problem import CalibrationProblem, read_petab
@@ -151,7 +151,7 @@ _MODULES = {
     "inference.calibration.result": ("Calibration",),
     "inference.calibration.solutions": ("CalibrationSolutions",),
     "compiler.codegen.loading": ("load_module",),
-    "compiler.codegen.lowering": ("quadratic_system",),
+    "compiler.codegen.sums": ("quadratic_system",),
     "compiler.codegen.module": ("generate_source",),
     "inference.estimation.design": ("Design",),
     "inference.estimation.experiments": ("Experiment",),

@@ -29,8 +29,8 @@ import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
 from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
-from rankone.solvers.engines.train import iteration, sweep  # noqa: E402
 from rankone.solvers.engines.train import length as nodes  # noqa: E402
+from rankone.solvers.engines.train import sweep  # noqa: E402
 from rankone.solvers.engines.train import train_engine as engine  # noqa: E402
 from rankone.solvers.verification.reference import integrate_reference  # noqa: E402
 from rankone.tensors.trains.train import truncated_svd  # noqa: E402
@@ -92,12 +92,12 @@ VARIANTS: dict[
     "Gauss–Legendre nodes": ({"basis": "legendre"}, nullcontext, list(PROBLEMS)[1:]),
     "sweeps both ways": (
         {},
-        lambda: _replaced(iteration, "Sweeper", BothWays),
+        lambda: _replaced(engine, "Sweeper", BothWays),
         list(PROBLEMS)[1:],
     ),
     "first core not settled": (
         {},
-        lambda: _replaced(iteration, "Sweeper", Unsettled),
+        lambda: _replaced(engine, "Sweeper", Unsettled),
         list(PROBLEMS)[1:],
     ),
     "full SVD": (
@@ -107,7 +107,7 @@ VARIANTS: dict[
     ),
     "frame not widened": (
         {},
-        lambda: _replaced(iteration, "widened", lambda cores, extra: list(cores)),
+        lambda: _replaced(engine, "widened", lambda cores, extra: list(cores)),
         list(PROBLEMS)[1:],
     ),
     "tolerance not divided by growth": (
@@ -117,7 +117,7 @@ VARIANTS: dict[
     ),
     "all entries kept": (
         {},
-        lambda: _replaced(iteration, "thinned", lambda cores, tolerance: list(cores)),
+        lambda: _replaced(engine, "thinned", lambda cores, tolerance: list(cores)),
         ["Kirchhoff, T = 1", "Kirchhoff, T = 3", "Robertson"],
     ),
     "known functions to the tolerance": (

@@ -26,6 +26,7 @@ import inspect
 import json
 import math
 import multiprocessing
+import pickle
 import resource
 import sys
 import time
@@ -55,7 +56,7 @@ STRAY = 0.03
 CHANGED = 0.05
 """Relative change of the work above which a constant matters."""
 POINTS, TIMES = 8, 12
-MOST_SYSTEMS = 30
+MOST_SYSTEMS = 14
 """Most systems on which a constant is tried: the quickest that read it."""
 
 
@@ -541,33 +542,36 @@ class Bench:
     reached: dict[str, set[tuple[str, int]]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def measure(self) -> None:
-        """Solve each system once, and note the functions it runs; leave slow ones out."""
+    def measure(self, kept: Path) -> None:
+        """Solve each system once, and note the functions it runs; leave slow ones out.
+
+        What is measured is kept in a file, and read from there the next time.
+        """
+        measured: dict[str, tuple[Outcome, float, set[tuple[str, int]]]] = {}
+        if kept.exists():
+            measured = pickle.loads(kept.read_bytes())
         for name, run in self.runs.items():
+            if name not in measured:
 
-            def traced(send: Callable[[Any], None], run: Callable[[], Outcome] = run) -> None:
-                began = time.process_time()
-                outcome = attempt(run)
-                seconds = time.process_time() - began
-                send((outcome, seconds))
+                def traced(send: Callable[[Any], None], run: Callable[[], Outcome] = run) -> None:
+                    ran: set[CodeType] = set()
+                    began = time.process_time()
+                    sys.setprofile(lambda frame, event, _: ran.add(frame.f_code))
+                    outcome = attempt(run)
+                    sys.setprofile(None)
+                    codes = {(code.co_filename, code.co_firstlineno) for code in ran}
+                    here = {code for code in codes if code[0].startswith(str(SOURCE))}
+                    send((outcome, time.process_time() - began, here))
 
-            def functions(send: Callable[[Any], None], run: Callable[[], Outcome] = run) -> None:
-                ran: set[CodeType] = set()
-                sys.setprofile(lambda frame, event, _: ran.add(frame.f_code))
-                attempt(run)
-                sys.setprofile(None)
-                here = str(SOURCE)
-                codes = {(c.co_filename, c.co_firstlineno) for c in ran}
-                send({code for code in codes if code[0].startswith(here)})
-
-            answers = forked(traced, 3.0 * self.most_seconds)
-            if not answers or isinstance(answers[0], str) or answers[0][1] > self.most_seconds:
-                detail = f"{answers[0][1]:.1f} s" if answers and answers[0][1:] else "too long"
-                print(f"left out: {name} ({detail})", flush=True)
-                continue
-            self.outcomes[name], self.seconds[name] = answers[0]
-            self.reached[name] = forked(functions)[0]
-            print(f"{name}: {self.outcomes[name].verdict}, {self.seconds[name]:.2f} s", flush=True)
+                answers = forked(traced, 2.0 + self.most_seconds)
+                if not answers or isinstance(answers[0], str):
+                    answers = [(Outcome("slow", 0.0), math.inf, set())]
+                measured[name] = answers[0]
+                kept.write_bytes(pickle.dumps(measured))
+            outcome, seconds, _ = measured[name]
+            print(f"{name}: {outcome.verdict}, {seconds:.2f} s", flush=True)
+            if seconds < self.most_seconds:
+                self.outcomes[name], self.seconds[name], self.reached[name] = measured[name]
 
     @property
     def quickest(self) -> list[str]:
@@ -649,7 +653,7 @@ def main() -> None:
     )
     parser.add_argument("--results", type=Path, default=Path("constants.jsonl"))
     parser.add_argument("--table", type=Path, help="where the table is kept up to date")
-    parser.add_argument("--seconds", type=float, default=0.5, help="longest system")
+    parser.add_argument("--seconds", type=float, default=1.5, help="longest system")
     parser.add_argument("--report", action="store_true", help="print the table and end")
     options = parser.parse_args()
     house = House()
@@ -664,7 +668,7 @@ def main() -> None:
         return
     done = {row["constant"] for row in rows}
     bench = Bench(house, systems(), options.seconds)
-    bench.measure()
+    bench.measure(options.results.with_suffix(".measured"))
     print(f"{len(asked)} constants, {len(bench.outcomes)} systems", flush=True)
 
     def note(constant: Constant, state: str, effect: tuple[str, float, str] | None) -> None:

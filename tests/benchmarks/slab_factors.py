@@ -24,8 +24,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.solvers.engines.train import inverse as inverse_module  # noqa: E402
-from rankone.solvers.engines.train.inverse import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
+from rankone.solvers.engines.train import slab_operators as inverse_module  # noqa: E402
+from rankone.solvers.engines.train.slab_operators import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
 from rankone.tensors.bases import RadauCollocation  # noqa: E402
 from rankone.trajectories.stacks.newton import Solver, elimination_of  # noqa: E402

@@ -31,10 +31,7 @@ import rankone as ro  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
 from rankone.trajectories.integrators.integrator import Tolerances  # noqa: E402
 from rankone.trajectories.stacks.stack import StackedIntegrator  # noqa: E402
-from rankone.trajectories.system.system import (  # noqa: E402
-    System,
-    pattern_of,
-)
+from rankone.trajectories.system.system import System, pattern_of  # noqa: E402
 from tests.benchmarks.many_states import brusselator, heat, mass_action  # noqa: E402
 
 TRAJECTORIES = 32

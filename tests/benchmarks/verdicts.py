@@ -37,14 +37,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
 from rankone.support.budget import NORMAL, limited  # noqa: E402
-from tests.benchmarks import (  # noqa: E402
-    events,
-    many_states,
-    relaxation,
-    steep,
-    suite,
-    switches,
-)
+from tests.benchmarks import events, many_states, relaxation, steep, suite, switches  # noqa: E402
 from tests.honesty.cases import KINDS, case  # noqa: E402
 from tests.honesty.verdicts import judged  # noqa: E402
 from tests.reference.measure import measured_errors  # noqa: E402

@@ -37,12 +37,7 @@ from rankone.solvers import attempts, branches, branching, selection, stretches_
 from rankone.solvers.engines.cross import cross_engine
 from rankone.solvers.engines.greedy import greedy_engine
 from rankone.solvers.engines.train import train_engine
-from rankone.solvers.verification import (
-    coverage,
-    points,
-    reference_set,
-    resolution,
-)
+from rankone.solvers.verification import coverage, points, reference_set, resolution
 from rankone.solvers.verification.cuts import Cuts
 from rankone.tensors.trains import adaptive
 from rankone.trajectories.events import markers

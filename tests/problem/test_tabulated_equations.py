@@ -6,8 +6,7 @@ import scipy.sparse
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler.agreement.agreement import DisagreementError
-from rankone.compiler.agreement.table_agreement import check_table
+from rankone.compiler.agreement.agreement import DisagreementError, check_table
 from rankone.problem.tables import tabulated as tabulated_equations
 from rankone.problem.tables.term_table import FEWEST_TABULATED
 

@@ -9,7 +9,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.compiler import observed
+from rankone.compiler import reformulated as observed
 
 RATES = {"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}
 

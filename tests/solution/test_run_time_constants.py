@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler import pipeline
+from rankone.compiler import stages as pipeline
 
 t, k, c, d = sp.symbols("t k c d")
 x, y = sp.Function("x")(t), sp.Function("y")(t)

@@ -12,8 +12,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler.codegen.lowering import quadratic_system
 from rankone.compiler.codegen.module import generate_source
+from rankone.compiler.codegen.sums import quadratic_system
 from rankone.compiler.passes import first_order, separate, weak_form
 from rankone.problem.expressions.notation import exact
 from tests.problems import REFERENCE

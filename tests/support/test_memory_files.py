@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from rankone.support.executors import Filed, MemoryFile, filed
+from rankone.support.tasks import Filed, MemoryFile, filed
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="needs Linux")
 

@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import pytest
 
 from rankone.support.errors import OptionError
-from rankone.support.executors import Parcel, packed, unpacked
+from rankone.support.tasks import Parcel, packed, unpacked
 
 LOADED = []
 

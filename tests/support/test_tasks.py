@@ -8,8 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 from rankone.support.errors import OptionError, RankoneError
-from rankone.support.executors import open_pool
-from rankone.support.tasks import Shared, Tasks
+from rankone.support.tasks import Shared, Tasks, open_pool
 
 
 class FakePool:

@@ -1,6 +1,22 @@
-"""What is derived from a problem before numbers come in: its stages, and the forms of methods.
+"""The stages of compilation, what each makes, and the call of one after the other.
 
-Each stage is kept as it was made; what not every solve needs is derived when it is first asked for.
+===============  =====================  ==========================================================
+stage            result                 what happens
+===============  =====================  ==========================================================
+first order      ``.first_order``       orders reduced, masses inverted: u' = f(t, p, u)
+weak form        ``.weak_form``         residual times test function, integrated over all dimensions
+separation       ``.separated``         every term factored into functions of one coordinate
+lowering         ``.quadratic``         products of at most two states, terms grouped by factors;
+                                        None if there are terms that do not separate
+lifting          ``.lifted``            for those, functions of unknowns as further unknowns
+code generation  ``.source``            kernels, factors and pointwise functions as readable text
+import           ``.system``            the text is run as a module
+solve            a ``Solution``         an engine enriches separated tensors over a domain
+===============  =====================  ==========================================================
+
+Each stage takes what the one before made, and nothing else, and is kept as it was made; what not
+every solve needs is derived when it is first asked for. Each is timed in ``.timings`` (seconds) and
+in the log ``rankone``.
 """
 
 from __future__ import annotations
@@ -8,28 +24,44 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import sympy as sp
 
+from rankone.compiler.agreement.agreement import DisagreementError, check_problem, check_table
+from rankone.compiler.agreement.comparison import LOST_SHARE
+from rankone.compiler.codegen.layout import with_constants
 from rankone.compiler.codegen.loading import ModuleSpecification
+from rankone.compiler.codegen.module import general_source, generated_module
 from rankone.compiler.codegen.module_header import equation_texts, general_equation_texts
-from rankone.compiler.passes import FirstOrderSystem, WeakForm
+from rankone.compiler.passes import (
+    FirstOrderSystem,
+    WeakForm,
+    check_stages,
+    check_start,
+    symbolic_forms,
+)
 from rankone.compiler.passes.feature_pass import SymbolicFeatures, features_of
-from rankone.compiler.passes.superposition import additive_parameters
+from rankone.compiler.passes.first_order import additive_parameters
+from rankone.compiler.passes.well_posed import check_gaps
 from rankone.compiler.reformulated import (
     LiftedProblem,
     StretchedProblem,
+    check_totals,
     held_form,
     held_system,
     known_times,
     lifted_problem,
+    other_numbers,
+    renumbered,
 )
-from rankone.problem.forms import MOST_KERNEL_STATES, QuadraticSystem, SeparatedForm
+from rankone.problem.forms import MOST_KERNEL_STATES, GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.problem.problem import Problem
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.selection import AUTO, ENGINES, engines_for
 from rankone.support import __version__
-from rankone.support.errors import OptionError, SeparationError
+from rankone.support.errors import OptionError, RankoneError, SeparationError
+from rankone.support.progress import timed
 from rankone.support.wording import abridged, count, number, quote
 from rankone.tensors.bases.scales import with_measure
 from rankone.trajectories.system.system import System
@@ -301,4 +333,108 @@ def _without_lifting(expression: sp.Expr | LiftedProblem | None) -> str:
     plain = argument if isinstance(expression, sp.Abs) else sp.S.One
     return (
         f"{remedy}; where {quote(argument)} keeps its sign, write {quote(plain)} or {quote(-plain)}"
+    )
+
+
+# -----------------------------------------------------------------------------
+# The pipeline: from a problem to a generated module.
+
+
+_Stages = TypeVar("_Stages", bound=CompiledStages)
+# Error of separated terms, over the largest rate, up to which the separated form is used
+_SEPARATION_TOLERANCE = 1e-10
+
+
+def with_numbers_of(compiled: _Stages, problem: Problem) -> _Stages | None:
+    """What was compiled of a problem that differs in numbers of run-time constants alone.
+
+    None if that does not hold for these numbers: then compiling anew says why, or does better.
+    """
+    if compiled.problem is problem:
+        return compiled
+    timings: dict[str, float] = {}
+    try:
+        with timed(timings, "constants"):
+            numbers = other_numbers(compiled.problem, problem)
+            constants = {c.name: float(c) for c in problem.shorthand.named.values()}
+            other = type(compiled)(
+                problem,
+                renumbered(compiled.first_order, numbers),
+                renumbered(compiled.weak_form, numbers),
+                renumbered(compiled.separated, numbers),
+                renumbered(compiled.quadratic, numbers),
+                with_constants(compiled.source, constants),
+                timings,
+            )
+            coordinates, first_order = other.separated.coordinates, other.first_order
+            check_gaps(first_order.piecewise(), coordinates)
+            check_stages(first_order, other.separated, other.system, coordinates)
+        with timed(timings, "agreement"):
+            lost = LOST_SHARE if other.quadratic is None else _SEPARATION_TOLERANCE
+            check_problem(problem, first_order, other.system, lost)
+    except RankoneError:
+        return None
+    return other
+
+
+def compiled_stages(kind: type[_Stages], problem: Problem) -> _Stages:
+    """Every stage of a problem, up to the generated module."""
+    timings: dict[str, float] = {}
+    system, weak, separated = symbolic_forms(problem, timings)
+    quadratic, specification = generated_module(system, separated, problem.name, timings)
+    source = specification.source
+    compiled = kind(problem, system, weak, separated, quadratic, source, timings)
+    with timed(timings, "import"):
+        vars(compiled)["system"] = specification.load()
+    check_totals(problem, compiled.system)
+    if separated.general or system.constraints.guessed or system.rest is not None:
+        check_start(system, compiled.system, system.coordinates)
+    with timed(timings, "agreement"):
+        return _agreeing(compiled)
+
+
+def _agreeing(compiled: _Stages) -> _Stages:
+    """The compiled problem, checked against its equations; not separated where that loses digits.
+
+    Multiplied out, a power of ``x - 310`` is a difference of large numbers.
+    """
+    problem, first_order = compiled.problem, compiled.first_order
+    if problem.table is not None and compiled.quadratic is not None:
+        check_table(problem, problem.table, compiled.system)
+        return compiled
+    if first_order.table is not None and first_order.table.forms:
+        try:
+            check_table(problem, first_order.table, compiled.system)
+            return compiled
+        except DisagreementError:  # or rounding, which the comparison below tells apart
+            pass
+    if compiled.quadratic is not None:
+        try:
+            check_problem(problem, first_order, compiled.system, _SEPARATION_TOLERANCE)
+            return compiled
+        except DisagreementError as error:
+            as_written = _not_separated(compiled, error)
+        try:
+            check_problem(problem, first_order, as_written.system, _SEPARATION_TOLERANCE)
+            return as_written
+        except DisagreementError:
+            pass  # no form keeps more digits
+    check_problem(problem, first_order, compiled.system)
+    return compiled
+
+
+def _not_separated(compiled: _Stages, error: DisagreementError) -> _Stages:
+    """The problem with functions as they are written, since multiplied out they lose digits."""
+    first_order = compiled.first_order
+    origins = first_order.origins
+    state = origins.index(error.equation) if error.equation in origins else 0
+    rate = first_order.rhs[state]
+    reason = f"{quote(rate)} loses digits when it is multiplied out"
+    remedy = "method='cross' takes it as it is; count the unknowns from where they are"
+    term = GeneralTerm(state, rate, False, reason, remedy, error.equation)
+    return replace(
+        compiled,
+        separated=replace(compiled.separated, general=(term,)),
+        quadratic=None,
+        source=general_source(first_order, compiled.problem.name),
     )

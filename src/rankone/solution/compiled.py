@@ -11,17 +11,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from rankone.compiler.observed import SolveOutputs
 from rankone.compiler.passes import check_moved
 from rankone.compiler.passes.feature_pass import switching_term
 from rankone.compiler.passes.well_posed import check_gaps
-from rankone.compiler.pipeline import compiled_stages, with_numbers_of
-from rankone.compiler.reformulated import (
-    LiftedProblem,
-    StretchedProblem,
-    check_rest,
-)
-from rankone.compiler.stages import CompiledStages
+from rankone.compiler.reformulated import LiftedProblem, SolveOutputs, StretchedProblem, check_rest
+from rankone.compiler.stages import CompiledStages, compiled_stages, with_numbers_of
 from rankone.problem.problem import Problem
 from rankone.problem.user_markers import warn_of_missed_markers, with_markers
 from rankone.solution.evaluation.core import raise_blow_up

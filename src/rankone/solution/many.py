@@ -25,10 +25,9 @@ from rankone.support.errors import (
     check_kind,
     warn,
 )
-from rankone.support.executors import Parcel, Pool, checked_executor, open_pool, packed, unpacked
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.progress import StepReport, counting_bar
-from rankone.support.tasks import Tasks
+from rankone.support.tasks import Parcel, Pool, Tasks, checked_executor, open_pool, packed, unpacked
 from rankone.support.wording import count, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.system.verdict import Status

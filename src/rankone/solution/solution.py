@@ -46,13 +46,11 @@ from rankone.support.errors import (
     check_kind,
     optional_module,
 )
-from rankone.support.executors import ExecutorLike, checked_executor, open_pool
 from rankone.support.progress import Report, resolve_progress
-from rankone.support.tasks import one_thread
+from rankone.support.tasks import ExecutorLike, checked_executor, one_thread, open_pool
 from rankone.tensors.bases.distributions import from_text
 from rankone.tensors.bases.joint_distribution import copula_of
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator, Tiling
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.trajectories.system.timeline import Timeline

@@ -6,16 +6,15 @@
 - ``costs``: what numerical work costs, in operations of a budget, and sparse factors that are
   counted
 - ``errors``: errors and warnings: what was given, where, what was expected, what to do
-- ``executors``: executors of tasks, what all tasks share, and how large answers come back
-- ``files``: free targets, and several files written together, all of them or none
+- ``files``: free targets, files written together, and frozen dataclasses as plain data
 - ``labelled``: what results look like as tables of pandas, as data sets of xarray, and in
   notebooks
 - ``options``: options, declared with their ranges at the field and checked in one place; amounts
   of memory
-- ``plain_data``: frozen dataclasses as plain data, and rebuilt from it by their annotations
 - ``precision``: what counts as rounding, as the same place, and as nothing
 - ``progress``: progress of a solve: events for a callback, or a bar on standard error
-- ``tasks``: independent calls on a pool, and the threads of BLAS while they run
+- ``tasks``: executors of tasks, independent calls on them, what tasks share, and how answers come
+  back
 - ``wording``: text for people: quotes and lists in messages, names, tables and equations
 """
 

@@ -11,8 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rankone as ro
-from rankone.compiler.codegen.lowering import quadratic_system, right_hand_side, vertex_cover
-from rankone.compiler.codegen.sums import extract_pairs
+from rankone.compiler.codegen.sums import (
+    extract_pairs,
+    quadratic_system,
+    right_hand_side,
+    vertex_cover,
+)
 from rankone.problem.forms import SeparatedForm, Term
 from rankone.solvers.outcome import Role
 from rankone.support.errors import SeparationError

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rankone.compiler.codegen.loading import load_module
-from rankone.compiler.codegen.lowering import quadratic_system
 from rankone.compiler.codegen.module import generate_source
 from rankone.compiler.codegen.pointwise import PointwiseFunction, PointwiseWriter
 from rankone.compiler.codegen.rates import SeparatedWriter
+from rankone.compiler.codegen.sums import quadratic_system
 from rankone.problem.forms import Coordinate, SeparatedForm, State
 from rankone.support.arrays import Array
 from rankone.trajectories.system.system import System

@@ -3,7 +3,7 @@
 import pytest
 import sympy as sp
 
-from rankone.compiler.passes.rests import only_kinks, zero_where
+from rankone.compiler.passes.surfaces import only_kinks, zero_where
 
 x, y = (sp.Function(name)(sp.Symbol("t")) for name in ("x", "y"))
 t, k = sp.symbols("t k")

@@ -8,7 +8,7 @@ import pytest
 
 import rankone as ro
 from rankone.compiler.passes import first_order
-from rankone.compiler.passes.superposition import additive_parameters
+from rankone.compiler.passes.first_order import additive_parameters
 
 ORAL = {"A": "-ka*A", "C": "ka*A/V - CL/V*C"}
 BOX = dict.fromkeys(("ka", "CL", "V", "T", "dose"), (1, 2))

@@ -13,7 +13,13 @@ import rankone as ro
 from rankone.solution.statistics import lines as line_averages
 from rankone.solution.statistics import timeline_statistics
 from rankone.solution.statistics.densities import density_of
-from rankone.tensors.bases.replicates import SETS, even_shares, half_width, sets_of_shares, share_of
+from rankone.tensors.bases.joint_distribution import (
+    SETS,
+    even_shares,
+    half_width,
+    sets_of_shares,
+    share_of,
+)
 
 
 def l1_error(density, exact):

@@ -109,7 +109,7 @@ def test_solutions_with_events_are_evaluated_in_parts(with_events, monkeypatch):
             with monkeypatch.context() as patch:
                 patch.setattr("rankone.tensors.evaluators.timeline_evaluator._AT_ONCE", 20)
                 patch.setattr("rankone.tensors.evaluators.timeline_evaluator._PRODUCTS", 300)
-                patch.setattr("rankone.tensors.evaluators.piece_evaluator._VALUES", 300)
+                patch.setattr("rankone.tensors.evaluators.branch_evaluator._VALUES", 300)
                 parts = call()
             np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
 

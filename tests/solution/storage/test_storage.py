@@ -23,8 +23,7 @@ from rankone.solution.solution import Solution, load
 from rankone.solution.storage.contents import digest_of
 from rankone.solution.storage.netcdf import sealed
 from rankone.support.errors import StorageError
-from rankone.support.files import write_files
-from rankone.support.plain_data import Tagged
+from rankone.support.files import Tagged, write_files
 from rankone.tensors.bases import ChebyshevBasis
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.system.verdict import (

@@ -11,7 +11,7 @@ from rankone.tensors.trains.adaptive import (
     Tightening,
     needed,
 )
-from rankone.tensors.trains.scale_choice import LineColumns, best_coordinates, candidates
+from rankone.tensors.trains.slab import LineColumns, best_coordinates, candidates
 
 TOLERANCE = 1e-6
 

@@ -5,9 +5,7 @@ of them sees an error there. When a problem is compiled, or an output made, thes
 therefore compared with an evaluation of the user's own expressions at a hundred digits, which
 shares nothing with the printer of generated code.
 
-- ``agreement``: the generated functions of problems and outputs compared with their expressions
-  as written
+- ``agreement``: the generated module, and its table of terms, compared with what the user wrote
 - ``comparison``: values of expressions at a hundred digits, and residuals that are more than
   rounding
-- ``table_agreement``: generated code compared with the table of terms that a problem came with
 """

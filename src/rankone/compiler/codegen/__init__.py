@@ -1,13 +1,11 @@
 """Code generation: from equations to a plain NumPy module, and from its text to a System.
 
-- ``array_code``: systems of many states as array code: sparse matrices times products of states
-- ``constraint_code``: constraints and starts at rest in the generated module
 - ``kernels``: the separated right-hand side of one group, acting on many columns at once
-- ``law_code``: rates of many states with laws of a few forms, as array code
+- ``law_code``: rates of many states with laws of a few forms, as array code, constraints, and
+  starts at rest
 - ``layout``: layout of generated Python text, as ``ruff format`` would write it, and its
   identifiers
 - ``loading``: how generated source becomes a system, in this process and in others
-- ``lowering``: from the separated form to the quadratic system that is printed
 - ``module``: the generated module: its sections in the order a person reads them
 - ``module_header``: what a generated module is, for a person who opens it
 - ``output_expressions``: SymPy expressions of a solution's unknowns, as functions of arrays
@@ -17,8 +15,6 @@
   and parameters
 - ``printer``: SymPy expressions as NumPy text
 - ``quantities``: quantities of interest as functions of arrays, without symbols
-- ``rates``: right-hand sides and their Jacobians, of systems that separate and of those that do
-  not
-- ``sums``: sums of products with few operations, long sums, and factor functions evaluated
-  together
+- ``rates``: code of the rates: for some states line by line, for many as sparse matrices
+- ``sums``: from the separated form to sums of products, and their text
 """

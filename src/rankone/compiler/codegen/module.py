@@ -8,10 +8,8 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.codegen.array_code import ArrayWriter, long_tables
-from rankone.compiler.codegen.constraint_code import constraint_blocks, rest_blocks
 from rankone.compiler.codegen.kernels import kernel_blocks
-from rankone.compiler.codegen.law_code import FormWriter
+from rankone.compiler.codegen.law_code import FormWriter, constraint_blocks, rest_blocks
 from rankone.compiler.codegen.layout import (
     WIDTH,
     Formula,
@@ -24,12 +22,17 @@ from rankone.compiler.codegen.layout import (
     table,
 )
 from rankone.compiler.codegen.loading import ModuleSpecification
-from rankone.compiler.codegen.lowering import quadratic_system
 from rankone.compiler.codegen.module_header import general_header, header, sum_text
 from rankone.compiler.codegen.pointwise import PointwiseWriter
 from rankone.compiler.codegen.printer import numpy_text
-from rankone.compiler.codegen.rates import ARRAY_STATES, GeneralWriter, SeparatedWriter
-from rankone.compiler.codegen.sums import coordinate_functions
+from rankone.compiler.codegen.rates import (
+    ARRAY_STATES,
+    ArrayWriter,
+    GeneralWriter,
+    SeparatedWriter,
+    long_tables,
+)
+from rankone.compiler.codegen.sums import coordinate_functions, quadratic_system
 from rankone.compiler.passes.feature_pass import SymbolicFeatures, features_of, features_of_table
 from rankone.compiler.passes.first_order import FirstOrderSystem, RestForm
 from rankone.compiler.passes.well_posed import Gap, NamedExpression, gaps_in_unknowns

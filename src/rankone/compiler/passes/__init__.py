@@ -2,20 +2,16 @@
 
 - ``feature_pass``: the features of a system: all that is not smooth, or so narrow that samples
   may miss it
-- ``first_order``: from a problem to an explicit first-order system u' = f(t, p, u), and to its
-  weak form
+- ``first_order``: reduction to first order, the weak form, and parameters whose effects add up
 - ``levels``: functions with many levels, written as steps and kinks at those that trajectories
   reach
 - ``lifting``: functions of the unknowns become unknowns themselves, with equations of their own
 - ``over_stretches``: a system over the pseudo-time of its stretches, where all events are at
   known times
-- ``rests``: what vanishes by the equations at a surface: speeds of states that rest there, jumps
-  of rates
 - ``separation``: the separated form: every term a product of functions of one coordinate
 - ``splitting``: splitting an expression into products of functions of one coordinate
-- ``superposition``: parameters whose effects add up, such as the amount of a dose
-- ``surfaces``: functions that vanish where a system is not smooth, or changes faster than samples
-  may see
+- ``surfaces``: functions that vanish where a system is not smooth, and what vanishes by the
+  equations there
 - ``switches``: switches of the rates, each held on one side of its surface until a trajectory
   crosses it
 - ``well_posed``: is a problem well defined on a domain, its own or one that it is moved to?

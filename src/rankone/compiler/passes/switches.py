@@ -35,7 +35,7 @@ from sympy.core.relational import Relational
 from sympy.logic.boolalg import Boolean
 
 from rankone.compiler.passes.first_order import FirstOrderSystem
-from rankone.compiler.passes.rests import Sides, only_kinks, zero_where
+from rankone.compiler.passes.surfaces import Sides, only_kinks, zero_where
 from rankone.problem.expressions.conditions import definite_sign
 from rankone.problem.expressions.derivatives import Differentiator, slope
 from rankone.problem.forms import EventForm, Jump, State

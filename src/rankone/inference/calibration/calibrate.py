@@ -19,8 +19,8 @@ from rankone.inference.estimation.free_parameters import Bounds
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.support.errors import OptionError, check_kind
-from rankone.support.executors import checked_executor
 from rankone.support.options import checked_number
+from rankone.support.tasks import checked_executor
 from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 

@@ -12,8 +12,8 @@ from rankone.inference.calibration.linearised import covariance_at, linear_reach
 from rankone.inference.calibration.result import Calibration, Comparison, compared
 from rankone.inference.calibration.searched import OfFiles
 from rankone.inference.calibration.starts import MOST_STARTS, descents
-from rankone.support.executors import checked_executor
 from rankone.support.options import checked_number
+from rankone.support.tasks import checked_executor
 
 _SCREENED = 10  # Random points, the best of which is a start
 

@@ -11,7 +11,7 @@ from rankone.inference.calibration.descent import Expansion
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import quantile_of
 from rankone.support.arrays import Array
-from rankone.tensors.bases.replicates import LEVEL
+from rankone.tensors.bases.joint_distribution import LEVEL
 
 
 class Reach(NamedTuple):

@@ -21,7 +21,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import count, listing, quote
-from rankone.tensors.bases.replicates import LEVEL
+from rankone.tensors.bases.joint_distribution import LEVEL
 
 
 class Comparison(NamedTuple):

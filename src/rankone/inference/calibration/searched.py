@@ -30,7 +30,7 @@ from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import ProblemError, RankoneError
 from rankone.support.wording import quote
-from rankone.tensors.bases.replicates import LEVEL
+from rankone.tensors.bases.joint_distribution import LEVEL
 
 _RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly

@@ -21,8 +21,7 @@ from rankone.inference.calibration.descent import (
 from rankone.support.arrays import Array
 from rankone.support.budget import limited
 from rankone.support.errors import OptionError
-from rankone.support.executors import ExecutorLike, open_pool
-from rankone.support.tasks import Shared
+from rankone.support.tasks import ExecutorLike, Shared, open_pool
 from rankone.support.wording import listing
 
 

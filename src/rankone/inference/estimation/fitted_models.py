@@ -19,8 +19,7 @@ from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import OptionError
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.piece_evaluator import Tiling
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, Tiling
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 from rankone.trajectories.integrators.integrator import Tolerances

@@ -24,10 +24,9 @@ from rankone.solution.evaluation.smaller import with_fixed
 from rankone.solution.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
-from rankone.support.executors import ExecutorLike, checked_executor, open_pool
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count, checked_number
-from rankone.support.tasks import Shared
+from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
 from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.distributions import Distribution, Measure, from_text
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of

@@ -32,9 +32,8 @@ from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationErro
 from rankone.support.options import checked_memory
 from rankone.support.wording import listing, quote
 from rankone.tensors.bases.coordinates import Coordinates, name_of
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
 from rankone.tensors.evaluators.evaluator import Rows, TrainEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator, Tiling
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline

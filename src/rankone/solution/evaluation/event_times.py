@@ -12,8 +12,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
 from rankone.support.wording import did_you_mean, listing
 from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 

@@ -11,7 +11,7 @@ from rankone.solvers.outcome import Measured, Outcome, Piece, SolutionMetadata
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote, shown
 from rankone.tensors.bases.scales import measure_text, written_scale
-from rankone.tensors.evaluators.piece_evaluator import Tiling
+from rankone.tensors.evaluators.branch_evaluator import Tiling
 from rankone.trajectories.system.verdict import (
     FailedPieces,
     MeasuredError,

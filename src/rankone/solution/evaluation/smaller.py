@@ -16,7 +16,7 @@ from rankone.solvers.verification.coverage import Coverage
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of, round_off
-from rankone.tensors.evaluators.piece_evaluator import Tiling
+from rankone.tensors.evaluators.branch_evaluator import Tiling
 from rankone.tensors.trains.slab import SlabTrain, at_one_time, differentiated, restricted
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline

@@ -24,8 +24,8 @@ from rankone.solvers.verification.branch_errors import MOST_UNDECIDED, undecided
 from rankone.solvers.verification.coverage import Coverage
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.executors import Pool
 from rankone.support.progress import Report, quiet
+from rankone.support.tasks import Pool
 from rankone.support.wording import listing, quote
 from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, ContinuedBranch
 from rankone.tensors.trains.slab import SlabTrain

@@ -38,8 +38,8 @@ from rankone.support.budget import (
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.support.executors import Pool
 from rankone.support.progress import ProgressEvent, Report, quiet
+from rankone.support.tasks import Pool
 from rankone.tensors.bases import BASES
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator

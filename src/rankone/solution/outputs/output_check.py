@@ -27,8 +27,7 @@ from rankone.solvers.verification.hidden_rates import Intervals, Surprise, surpr
 from rankone.solvers.verification.points import Climb, climbed
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.support.costs import Cost, function_cost
-from rankone.tensors.bases.radau import insets
-from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
+from rankone.tensors.bases.time_grid import Polynomials, TimeGrid, insets
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 
 _MOST_POINTS = 32  # Points at which functions are looked at, at most

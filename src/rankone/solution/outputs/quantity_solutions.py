@@ -17,9 +17,9 @@ from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import operations_for
 from rankone.support.errors import OptionError
-from rankone.support.executors import Pool
 from rankone.support.options import checked_number
 from rankone.support.progress import Report, quiet
+from rankone.support.tasks import Pool
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline

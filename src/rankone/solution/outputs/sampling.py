@@ -14,8 +14,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError, RankoneError
-from rankone.support.executors import Pool
-from rankone.support.tasks import Shared
+from rankone.support.tasks import Pool, Shared
 from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 

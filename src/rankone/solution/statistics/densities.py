@@ -20,8 +20,7 @@ from rankone.support.errors import EvaluationError, OptionError, RankoneWarning
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count
 from rankone.support.wording import listing, quote, shown
-from rankone.tensors.bases.joint_distribution import Correlations, Under
-from rankone.tensors.bases.replicates import SETS, half_width, share_of
+from rankone.tensors.bases.joint_distribution import SETS, Correlations, Under, half_width, share_of
 
 _VALUES = 512  # Values at which a density is evaluated
 _BINS = 4096  # Bins of the histogram that is smoothed

@@ -23,8 +23,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.support.progress import StepReport
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 
 Labels = Callable[[NDArray[np.intp], Array], NDArray[np.intp]]

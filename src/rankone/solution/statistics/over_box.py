@@ -32,6 +32,7 @@ from rankone.support.progress import StepReport, counting_bar
 from rankone.support.wording import shown
 from rankone.tensors.bases.distributions import Distribution, from_text, scale_of
 from rankone.tensors.bases.joint_distribution import (
+    SETS,
     Correlations,
     Fitted,
     JointDistribution,
@@ -40,11 +41,9 @@ from rankone.tensors.bases.joint_distribution import (
     fitted_distribution,
     measures_of,
 )
-from rankone.tensors.bases.replicates import SETS
 from rankone.tensors.bases.scales import IDENTITY, SCALES, Scale, evenly_on_scale
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.evaluators.evaluator import TrainEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 
 Times = ArrayLike | None

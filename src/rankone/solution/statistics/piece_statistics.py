@@ -24,7 +24,7 @@ from rankone.tensors.bases import Basis1D
 from rankone.tensors.bases.coordinates import round_off
 from rankone.tensors.bases.distributions import Measure
 from rankone.tensors.bases.joint_distribution import JointDistribution
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator
+from rankone.tensors.evaluators.branch_evaluator import PieceEvaluator
 from rankone.tensors.trains.slab import SlabTrain, sharing, slab_positions
 
 # Nodes beyond both degrees for products of polynomials in different coordinates

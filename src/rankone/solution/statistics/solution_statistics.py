@@ -15,8 +15,7 @@ from rankone.support.errors import warn
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.progress import StepReport
 from rankone.support.wording import quote
-from rankone.tensors.bases.joint_distribution import JointDistribution
-from rankone.tensors.bases.replicates import SETS, share_of
+from rankone.tensors.bases.joint_distribution import SETS, JointDistribution, share_of
 from rankone.tensors.trains.slab import SlabTrain
 
 _Moments = TypeVar("_Moments")

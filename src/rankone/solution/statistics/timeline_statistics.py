@@ -24,10 +24,14 @@ from rankone.solution.statistics.solution_statistics import (
 )
 from rankone.support.arrays import Array
 from rankone.support.progress import StepReport
-from rankone.tensors.bases.joint_distribution import JointDistribution
-from rankone.tensors.bases.replicates import SEED, SETS, even_shares, half_width
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.piece_evaluator import PieceEvaluator
+from rankone.tensors.bases.joint_distribution import (
+    SEED,
+    SETS,
+    JointDistribution,
+    even_shares,
+    half_width,
+)
+from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 
 _LEAST_SPREAD = 1e-12  # Of a mean, below which nothing but rounding varies

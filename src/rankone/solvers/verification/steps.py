@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
-from rankone.tensors.bases.radau import insets
+from rankone.tensors.bases.time_grid import insets
 from rankone.trajectories.integrators.integrator import NODES, Path, step_coefficients
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import HiddenRate

@@ -1,31 +1,25 @@
 """One-dimensional discretisations of parameters and of time.
 
-- ``basis``: nodal bases on an interval, one element (spectral) or several: the parameter
-  discretisation
+- ``basis``: bases of one coordinate: nodal polynomials, elements of them, and Lagrange finite
+  elements
 - ``coordinates``: arguments of a solution: names and values turned into checked coordinates
 - ``distributions``: distributions of one parameter: of scipy.stats, as text, and cut at the ends
   of an interval
-- ``finite_elements``: continuous shape functions on an interval: linear, quadratic and spectral
-  elements
-- ``joint_distribution``: the joint distribution of all parameters: one for each, joined by a
-  Gaussian copula
-- ``radau``: right Radau collocation on one time slab
-- ``replicates``: points drawn for statistics, in sets whose spread is the error of what they say
+- ``joint_distribution``: joint distributions of the coordinates, and points drawn from them in
+  sets
 - ``scales``: scales of a parameter, and the intervals that have one
-- ``time_grid``: functions of time on consecutive slabs: nodes, slabs that resolve, piecewise
-  polynomials
+- ``time_grid``: slabs of time, and Radau nodes and integration on one of them
 """
 
 from rankone.tensors.bases.basis import (
     BASES,
     Basis1D,
     ChebyshevBasis,
+    LagrangeElements,
     LegendreBasis,
     legendre_derivative,
     legendre_values,
 )
-from rankone.tensors.bases.finite_elements import LagrangeElements
-from rankone.tensors.bases.radau import RadauCollocation
 from rankone.tensors.bases.scales import (
     IDENTITY,
     SCALES,
@@ -35,6 +29,7 @@ from rankone.tensors.bases.scales import (
     Scale,
     first_scale,
 )
+from rankone.tensors.bases.time_grid import RadauCollocation
 
 __all__ = [
     "BASES",

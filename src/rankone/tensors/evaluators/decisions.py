@@ -6,13 +6,12 @@ Exported models decide in the same way: the text of this module is part of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.tensors.evaluators.forks import Fork, Grazing
 
 LOOKS = 65  # Times along a stretch at which a grazed event is looked for
 
@@ -179,3 +178,47 @@ def _earlier(one: Array, other: Array, may_be_past: tuple[bool, bool]) -> Array:
         margin = np.where(~second_past & (margin < 0.0), -np.minimum(-margin, other), margin)
         margin = np.where(second_past, np.minimum(np.abs(one), np.abs(other)), margin)
     return np.where(first_past & second_past, -np.inf, margin)
+
+
+# -----------------------------------------------------------------------------
+# What tells branches apart, as those who decide see it: forks, and events that are grazed.
+
+
+class Fork(Protocol):
+    """A fork of two branches; see :class:`rankone.trajectories.system.timeline.Fork`."""
+
+    @property
+    def first(self) -> int: ...
+    @property
+    def second(self) -> int: ...
+    @property
+    def stretch(self) -> int: ...
+    @property
+    def guard(self) -> int | None: ...
+    @property
+    def sign(self) -> float: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def may_be_past(self) -> tuple[bool, bool]: ...
+    @property
+    def at_turn(self) -> bool: ...
+
+
+class Grazing(Protocol):
+    """An event that is only grazed; see :class:`rankone.trajectories.system.timeline.Grazing`."""
+
+    @property
+    def branch(self) -> int: ...
+    @property
+    def stretch(self) -> int: ...
+    @property
+    def guard(self) -> int: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def begins(self) -> bool: ...
+    @property
+    def ends(self) -> bool: ...
+    @property
+    def first(self) -> bool: ...

@@ -7,8 +7,6 @@
   columns
 - ``rank_one_sums``: arithmetic of sums of products: tensors held as one factor matrix for each
   dimension
-- ``scale_choice``: which coordinate of a parameter needs the fewest nodes, read off columns on
-  lines
-- ``slab``: a solved time slab: a tensor train of polynomial coefficients over time and parameters
+- ``slab``: trains of a slab, and the coordinate of a parameter that needs the fewest nodes
 - ``train``: tensor trains, their truncated decompositions, and skeletons of matrices
 """

@@ -27,7 +27,7 @@ from rankone.tensors.trains.cross import (
     with_last_joined,
     with_points,
 )
-from rankone.tensors.trains.scale_choice import LineColumns, basis_values, best_coordinates
+from rankone.tensors.trains.slab import LineColumns, basis_values, best_coordinates
 from rankone.tensors.trains.train import Integers, Train
 
 # Left points of each bond to begin with; each refinement takes half as many again

@@ -18,7 +18,7 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr
-from rankone.tensors.bases.finite_elements import LagrangeElements
+from rankone.tensors.bases.basis import LagrangeElements
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Integers, Train
 

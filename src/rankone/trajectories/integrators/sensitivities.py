@@ -21,7 +21,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
-from rankone.tensors.bases.radau import RadauCollocation, insets
+from rankone.tensors.bases.time_grid import RadauCollocation, insets
 from rankone.trajectories.integrators.integrator import Path, Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System

@@ -14,7 +14,7 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import function_cost
-from rankone.tensors.bases.radau import insets
+from rankone.tensors.bases.time_grid import insets
 from rankone.trajectories.integrators.integrator import (
     Path,
     SeparateTrajectories,

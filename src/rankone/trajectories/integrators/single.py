@@ -25,7 +25,7 @@ import scipy.integrate
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost
-from rankone.tensors.bases.radau import inset
+from rankone.tensors.bases.time_grid import inset
 from rankone.trajectories.integrators.defects import SHORTENING, DefectControl
 from rankone.trajectories.integrators.dense_paths import SingleTrajectories, StepsOfOne
 from rankone.trajectories.integrators.diagnosis import switching_state

@@ -26,7 +26,7 @@ from rankone.support.budget import (
     memory_left,
 )
 from rankone.support.errors import OptionError, RankoneError
-from rankone.support.executors import (
+from rankone.support.tasks import (
     DEATHS,
     GUARD,
     ExecutorLike,

@@ -16,8 +16,8 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, OutOfWorkError
+from rankone.support.files import Tagged
 from rankone.support.options import in_words
-from rankone.support.plain_data import Tagged
 from rankone.support.wording import listing, quote
 from rankone.trajectories.system.system import SHARED_UNIT, System
 

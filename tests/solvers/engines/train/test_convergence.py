@@ -2,7 +2,7 @@
 
 import math
 
-from rankone.solvers.engines.train.iteration import Convergence
+from rankone.solvers.engines.train.train_engine import Convergence
 
 
 def after(residuals, tolerance=1e-6, coarse=1e-6):

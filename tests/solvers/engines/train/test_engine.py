@@ -177,7 +177,7 @@ def refused(count):
 )
 def test_limits_are_reported_never_hidden(options, status, monkeypatch):
     if not options:
-        monkeypatch.setattr("rankone.solvers.engines.train.iteration.reserve", refused)
+        monkeypatch.setattr("rankone.solvers.engines.train.train_engine.reserve", refused)
     with pytest.raises(ro.ConvergenceError, match=status.value) as caught:
         solve(REFERENCE["lotka_volterra"](), rtol=1e-6, on_failure="raise", **options)
     solution = caught.value.solution

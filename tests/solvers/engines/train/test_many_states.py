@@ -9,15 +9,17 @@ import scipy.integrate
 import rankone as ro
 from rankone.compiler import stages
 from rankone.problem import forms
-from rankone.solvers.engines.train import inverse
-from rankone.solvers.engines.train.inverse import (
+from rankone.solvers.engines.train import slab_operators as inverse
+from rankone.solvers.engines.train.slab_operators import (
+    CONSTANT,
+    LINEAR,
     DenseInverse,
     SchurInverse,
     SlabJacobian,
     SparseInverse,
     inverse_of,
+    term_groups,
 )
-from rankone.solvers.engines.train.slab_operators import CONSTANT, LINEAR, term_groups
 from rankone.support.arrays import Array
 from rankone.tensors.bases import RadauCollocation
 from rankone.trajectories.system.system import Kernels

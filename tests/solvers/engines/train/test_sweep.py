@@ -5,9 +5,9 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.solvers.engines.train.inverse import SlabJacobian
 from rankone.solvers.engines.train.slab_operators import (
     ParameterOperators,
+    SlabJacobian,
     SlabOperator,
     term_groups,
 )

@@ -44,8 +44,7 @@ from rankone.tensors.trains.adaptive import (
     LinePoints,
     Lines,
 )
-from rankone.tensors.trains.scale_choice import LineColumns
-from rankone.tensors.trains.slab import slab_trains
+from rankone.tensors.trains.slab import LineColumns, slab_trains
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 from rankone.solvers.attempts import LEAST_COST_RATIO
 from rankone.solvers.outcome import SlabRecord
-from rankone.support.executors import ExecutorLike, checked_executor
 from rankone.support.options import Options, choice, integer
+from rankone.support.tasks import ExecutorLike, checked_executor
 from rankone.tensors.bases import BASES
 from rankone.tensors.trains.adaptive import Tightening
 

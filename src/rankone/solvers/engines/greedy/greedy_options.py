@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 from rankone.support.costs import CALL
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, choice, integer, integers, number
-from rankone.tensors.bases.finite_elements import LagrangeElements
+from rankone.tensors.bases.basis import LagrangeElements
 
 # Accuracy of slabs
 

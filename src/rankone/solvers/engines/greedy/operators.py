@@ -30,7 +30,7 @@ from rankone.solvers.engines.greedy.greedy_options import (
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Array
 from rankone.tensors.bases import LegendreBasis
-from rankone.tensors.bases.finite_elements import LagrangeElements
+from rankone.tensors.bases.basis import LagrangeElements
 from rankone.tensors.trains.rank_one_sums import RankOneSum
 from rankone.trajectories.system.system import System
 
