@@ -195,7 +195,7 @@ def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():
     problem = ro.Problem.from_strings(
         {"x": "-x + abs(a + b + c - 1.5)"}, {"x": "1"}, dict.fromkeys("abc", (0, 1)), (0, 2)
     )
-    solution = ro.solve(problem, 1e-6, max_trajectories=20_000)
+    solution = ro.solve(problem, 1e-6, method="cross", max_trajectories=20_000)
     assert solution.status is ro.Status.TRAJECTORY_LIMIT
     assert "raise max_trajectories" in solution.message
     assert solution.error < 0.5  # and not that of the trajectory at the centre

@@ -211,8 +211,10 @@ def __getattr__(name: str) -> Any:
     for module, names in _MODULES.items():
         if name in names:
             home = importlib.import_module(f"{__name__}.{module}")
-            globals()[name] = getattr(home, _INNER_NAMES.get(name, name))
-            return globals()[name]
+            public = globals()[name] = getattr(home, _INNER_NAMES.get(name, name))
+            if name in _INNER_NAMES:  # as help and errors call it
+                public.__module__, public.__name__, public.__qualname__ = __name__, name, name
+            return public
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -94,14 +94,28 @@ def test_options_of_solve_that_are_refused(arguments, options, message):
 
 def test_all_but_the_tolerance_is_given_by_keyword(tmp_path):
     problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
-    for call in (
-        lambda: ro.solve(problem, 1e-3, "greedy"),
-        lambda: ro.compile(problem).solve(1e-3, "greedy"),
-        lambda: ro.compile(problem).export(tmp_path / "solver.py", "greedy"),
-        lambda: ro.solve_many(problem, problem.split(k=2), 1e-3, 2),
+    for name, call in (
+        ("solve", lambda: ro.solve(problem, 1e-3, "greedy")),
+        ("compile", lambda: ro.compile(problem, 1e-3)),
+        ("CompiledProblem.solve", lambda: ro.compile(problem).solve(1e-3, "greedy")),
+        ("export", lambda: ro.compile(problem).export(tmp_path / "solver.py", "greedy")),
+        ("solve_many", lambda: ro.solve_many(problem, problem.split(k=2), 1e-3, 2)),
     ):
-        with pytest.raises(TypeError, match="positional arguments"):
+        with pytest.raises(TypeError, match=rf"{name}\(\) takes .* positional argument"):
             call()
+
+
+def test_signatures_show_the_options_of_a_solve_with_their_defaults():
+    own = inspect.signature(ro.CompiledProblem.solve).parameters
+    options = [p for p in own.values() if p.kind in (p.KEYWORD_ONLY, p.VAR_KEYWORD)]
+    shown = inspect.signature(ro.solve).parameters
+    assert list(shown) == ["problem", "rtol", *(p.name for p in options)]
+    assert all(shown[p.name] == p for p in options)
+    assert inspect.signature(ro.solve_many).parameters["effort"].default == "normal"
+    assert ro.solve.__name__ == "solve"
+    assert "\nproblem : Problem" in ro.solve.__doc__
+    assert '\neffort : {"low", "normal", "high"}' in ro.solve.__doc__
+    assert pickle.loads(pickle.dumps(ro.solve)) is ro.solve
 
 
 def test_the_keywords_of_solve_are_those_of_its_errors():

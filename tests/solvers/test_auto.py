@@ -22,12 +22,6 @@ def test_the_default_says_which_engine_it_was():
     assert solution.method == "cross"
 
 
-def test_options_choose_the_engine():
-    solution = ro.solve(EXAMPLES["decay"].problem, rtol=1e-5, max_degree=20)
-    assert solution.success
-    assert solution.method == "train"
-
-
 def test_the_next_engine_is_tried_where_the_first_one_fails():
     compiled = ro.compile(EXAMPLES["coupled"].problem)
     solution = compiled.solve(1e-6, max_nodes=5, max_attempts=1)

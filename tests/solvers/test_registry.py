@@ -35,12 +35,19 @@ def test_auto_takes_the_engines_that_fit() -> None:
     assert names(parameters=1, states=63) == ["train", "cross"]
     assert names(parameters=1, states=64) == ["cross", "train"]
     assert names(separated=False) == ["cross"]
-    assert names("max_sweeps") == ["train"]
-    assert names("max_trajectories") == ["cross"]
-    with pytest.raises(OptionError, match="'max_modes' belongs to method='greedy'"):
-        names("max_modes")
-    with pytest.raises(OptionError, match="'max_sweeps' belongs to method='train'"):
-        names("max_sweeps", separated=False)
+    assert names("max_rank", "executor") == ["cross", "train"]
+
+
+@pytest.mark.parametrize("separated", [True, False])
+@pytest.mark.parametrize(
+    ("option", "engine"),
+    [("max_modes", "greedy"), ("max_sweeps", "train"), ("max_trajectories", "cross")],
+)
+def test_an_option_of_one_engine_needs_its_name(option: str, engine: str, separated: bool) -> None:
+    belongs = rf"'{option}' belongs to method='{engine}', not to method='auto'.*give method="
+    with pytest.raises(OptionError, match=belongs):
+        engines_for("auto", [option, "max_attempts"], 3, separated=separated)
+    assert [each.name for each in engines_for(engine, [option], 3, separated=separated)] == [engine]
 
 
 @pytest.mark.parametrize("name", ["gredy", "", None, 3, ["train"]])

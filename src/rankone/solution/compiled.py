@@ -32,6 +32,7 @@ from rankone.support.errors import (
     bounded_depth,
     check_kind,
 )
+from rankone.support.options import takes_options_of
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import one_thread
 from rankone.trajectories.system.verdict import Status
@@ -91,10 +92,10 @@ class CompiledProblem(CompiledStages):
             and 0.1. It is measured against SciPy trajectories after the solve.
         method : {"auto", "train", "cross", "greedy"}
             The engine. "auto" tries cross and train, which first depends on the number of
-            parameters. "train" is the tensor train on the preconditioned Volterra form; "cross"
-            interpolates trajectories at chosen parameter points; "greedy" is the classic proper
-            generalized decomposition with rank-one enrichments. Right-hand sides that do not
-            separate need "cross".
+            parameters; it takes the options that both have. "train" is the tensor train on the
+            preconditioned Volterra form; "cross" interpolates trajectories at chosen parameter
+            points; "greedy" is the classic proper generalized decomposition with rank-one
+            enrichments. Right-hand sides that do not separate need "cross".
         parameters : mapping, optional
             Other intervals of parameters, by symbols or names; nothing is compiled again. One
             that ends with a scale, ``(1e-3, 10, "log")``, has its measure as well.
@@ -145,7 +146,7 @@ class CompiledProblem(CompiledStages):
         **options
             Limits and discretisation of the engine: :class:`rankone.CrossOptions`,
             :class:`rankone.TrainOptions` or :class:`rankone.GreedyOptions`; for the latter also
-            ``preset="slides"``.
+            ``preset="slides"``. One that only one engine has needs the ``method`` by name.
 
         Raises
         ------
@@ -200,6 +201,7 @@ class CompiledProblem(CompiledStages):
         """Check the arguments of :meth:`solve`; an OptionError names one that is not valid."""
         observed, timings = None, dict[str, float]()
         if outputs is not None:
+            engines_for(method, options.keys() - SOLVE_ARGUMENTS)
             chosen = method, markers
             domain = options.get("parameters"), options.get("t_final")
             observed = self._observation(outputs, unknowns, chosen, *domain)
@@ -371,10 +373,14 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     return compiled
 
 
+@takes_options_of(CompiledProblem.solve)
 def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
-    See :meth:`CompiledProblem.solve` for the options; ``max_seconds`` includes compiling.
+    Parameters
+    ----------
+    problem : Problem
+        What to solve. ``max_seconds`` includes compiling it.
     """
     with preparing(options.get("max_seconds")):
         return compile_problem(problem).solve(rtol, **options)

@@ -26,6 +26,7 @@ from rankone.support.errors import (
     warn,
 )
 from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.options import takes_options_of
 from rankone.support.progress import StepReport, counting_bar
 from rankone.support.tasks import Parcel, Pool, Tasks, checked_executor, open_pool, packed, unpacked
 from rankone.support.wording import count, shown
@@ -123,6 +124,7 @@ class Solutions(Labelled, Sequence[Solution]):
         return Variables(arrays, {"box": list(range(len(self)))})
 
 
+@takes_options_of(CompiledProblem.solve)
 def solve_many(
     problem: Problem | CompiledProblem,
     boxes: Sequence[Box],

@@ -45,7 +45,7 @@ AUTO = "auto"
 # trajectories have sparse factors, cross takes a quarter to three quarters of its time
 _FEW_PARAMETERS = 1
 
-# Options about where to compute, which leave the choice of an engine open
+# Options about where to compute, which "auto" hands to the engines that have them
 _RESOURCES = {"executor"}
 
 ENGINES: dict[str, Engine] = {
@@ -74,41 +74,42 @@ def engines_for(
     greedy  separated systems    never, only by ``method="greedy"``
     ======  ===================  ================================================================
 
-    An option that only one engine has leaves the other engine out; ``executor`` does not count. An
-    OptionError if there is no such method, or an option belongs to another one.
+    With "auto", options are those that all engines it may try have in common, and ``executor``. An
+    OptionError if there is no such method, or an option belongs to another one, to be named.
     """
     if isinstance(method, str) and method == AUTO:
         few = parameters <= _FEW_PARAMETERS and states < SPARSE_STATES
         order = ("train", "cross") if few else ("cross", "train")
-        possible = [ENGINES[name] for name in order if separated or name == "cross"]
-        chosen = set(options) - _RESOURCES
-        knowing = [e for e in possible if chosen <= set(e.options.names())]
-        if knowing:
-            return tuple(knowing)
-        engine = max(possible, key=lambda e: _knows(e, options))
+        tried = tuple(ENGINES[name] for name in order if separated or name == "cross")
+        common = set.intersection(*(set(ENGINES[name].options.names()) for name in order))
+        known = common | _RESOURCES
     elif isinstance(method, str) and method in ENGINES:
-        engine = ENGINES[method]
+        tried = (ENGINES[method],)
+        known = set(tried[0].options.names())
     else:
         methods = (AUTO, *ENGINES)
         raise OptionError(
             f"method={method!r} is unknown{did_you_mean(str(method), methods)}",
             remedy=f"choose from {', '.join(methods)}",
         )
-    for option in sorted(set(options).difference(engine.options.names())):
+    for option in sorted(set(options) - known):
         owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
         if owners:
             raise OptionError(
                 f"option {option!r} belongs to {' and '.join(owners)}, not to method={method!r}",
-                remedy=f"choose {' or '.join(owners)}, or leave the option out",
+                remedy=f"give {' or '.join(owners)} with it, or leave the option out",
             )
-    return (engine,)
+    if unknown := sorted(
+        set(options) - known
+    ):  # refused by the engine that has the most similar ones
+        return (max(tried, key=lambda engine: _similarity(engine, unknown)),)
+    return tried
 
 
-def _knows(engine: Engine, options: Collection[str]) -> tuple[int, float]:
-    """How many of the options an engine has, and how similar its own are to the others."""
+def _similarity(engine: Engine, options: Collection[str]) -> float:
+    """How similar the options of an engine are to others."""
     names = engine.options.names()
-    similarity = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
-    return len(set(options) & set(names)), similarity
+    return sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
 
 
 # -----------------------------------------------------------------------------

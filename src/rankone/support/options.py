@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
 import os
@@ -9,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, shown
@@ -79,6 +80,36 @@ def choice(default: str, choices: Iterable[str]) -> Any:
 
 def _declared(default: object, check: Callable[[str, object], object]) -> Any:
     return field(default=default, metadata={"check": check})
+
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def takes_options_of(source: Callable[..., object]) -> Callable[[_Function], _Function]:
+    """Show the options of ``source`` in the signature of a function that hands them on.
+
+    If the docstring of the function ends with its parameters, those of ``source`` follow.
+    """
+    handed_on = inspect.signature(source).parameters.values()
+
+    def decorated(function: _Function) -> _Function:
+        signature = inspect.signature(function)
+        own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        names = {parameter.name for parameter in own}
+        more = [
+            p
+            for p in handed_on
+            if p.kind in (p.KEYWORD_ONLY, p.VAR_KEYWORD) and p.name not in names
+        ]
+        named: Any = function
+        named.__signature__ = signature.replace(parameters=[*own, *more])
+        text = inspect.getdoc(function) or ""
+        _, _, parameters = (inspect.getdoc(source) or "").partition("----------\n")
+        if "Returns\n-------" not in text:
+            named.__doc__ = f"{text}\n{parameters}"
+        return function
+
+    return decorated
 
 
 _PIECES = "ro.solve_many(problem, problem.split(k=4), "

@@ -106,7 +106,9 @@ class CrossMarcher:
         Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
         Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",
         Status.SLAB_LIMIT: "raise max_slabs or shorten the horizon",
-        Status.TRAJECTORY_LIMIT: "raise max_trajectories, narrow the box or loosen rtol",
+        Status.TRAJECTORY_LIMIT: (
+            "raise max_trajectories of method='cross', narrow the box or loosen rtol"
+        ),
         Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
         Status.STEEP: "narrow the box or shorten the horizon",
