@@ -13,6 +13,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.special import ndtr, ndtri
 
 import rankone as ro
+from rankone.share.commands.common import summary
 from rankone.solution.statistics import timeline_statistics
 from rankone.solution.statistics.lines import Accuracy
 from rankone.solvers.branches import box_of_branch, branch_evaluator, order_search
@@ -51,6 +52,12 @@ WASHED = text(
 @cache
 def washed():
     return ro.solve(WASHED, RTOL)
+
+
+@pytest.fixture(scope="module")
+def washed_in_pieces():
+    """In one of the two pieces events come in one order alone."""
+    return ro.solve_many(WASHED, WASHED.split(a=[1.4]), RTOL).join()
 
 
 def exact(times, a, b, k):
@@ -161,6 +168,23 @@ def test_what_is_undecided_is_nan_with_a_warning():
     assert 0.0 < solution.timeline.undecided < 0.01
     assert "undecided" in str(solution.timeline)
     assert "undecided" in solution.message
+
+
+def test_every_success_says_which_share_is_undecided(washed_in_pieces):
+    """In its message, its summary and the JSON of the command line."""
+    whole, joined = washed(), washed_in_pieces
+    output = whole.output({"twice": "2*x"})
+    for solution in (whole, joined, whole.restrict(k=(0.3, 0.4)), whole.fix(k=0.4), output):
+        assert solution.success
+        share = solution.outcome.verdict.undecided
+        assert 1e-5 < share < 0.01
+        told = f"in {100 * share:.2g} % of the box it is undecided in which order events come"
+        assert told in solution.message
+        assert told in " ".join(repr(solution).split())
+        assert summary(solution)["undecided"] == share
+    one_order, both = (piece.outcome.verdict.undecided for piece in joined.pieces)
+    assert one_order == 0.0
+    assert joined.outcome.verdict.undecided == pytest.approx(0.8 * both)
 
 
 def test_where_branches_agree_nothing_is_undecided():

@@ -204,6 +204,7 @@ def summary(solution: Solution) -> dict[str, object]:
         "error": finite_or_none(solution.error),
         "errors": {name: finite_or_none(error) for name, error in solution.errors.items()},
         "corner_error": finite_or_none(solution.corner_error),
+        "undecided": solution.outcome.verdict.undecided,
         "checked": measured
         and {
             "trajectories": measured.points,

@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 
+import numpy as np
+
 from rankone.solvers.outcome import Measured, Outcome, Piece, SolutionMetadata
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote, shown
-from rankone.tensors.bases.scales import measure_text, written_scale
+from rankone.tensors.bases.scales import LINEAR, SCALES, measure_text, written_scale
 from rankone.tensors.evaluators.branch_evaluator import Tiling
 from rankone.trajectories.system.verdict import (
     FailedPieces,
     MeasuredError,
     Note,
     Status,
+    UndecidedShare,
     WorstPiece,
 )
 
@@ -154,7 +157,7 @@ def _measured(outcomes: Sequence[Outcome]) -> Measured | None:
 def _notes(
     pieces: Sequence[Piece], measured: Measured | None, metadata: SolutionMetadata
 ) -> tuple[Note, ...]:
-    """What the message says: the worst piece, and those that failed."""
+    """What the message says: the worst piece, those that failed, and what is undecided."""
     notes: list[Note] = []
     if measured is not None:
         errors = [piece.outcome.error for piece in pieces]
@@ -169,7 +172,23 @@ def _notes(
     if failed:
         verdict = pieces[failed[0]].outcome.verdict
         notes.append(FailedPieces(tuple(failed), len(pieces), verdict))
-    return tuple(notes)
+    share = _undecided(pieces)
+    return (*notes, UndecidedShare(share)) if share else tuple(notes)
+
+
+def _undecided(pieces: Sequence[Piece]) -> float:
+    """The share of the whole box in which it is undecided in which order events come."""
+    shares = [piece.outcome.verdict.undecided for piece in pieces]
+    return float(np.average(shares, weights=[_volume(piece.metadata) for piece in pieces]))
+
+
+def _volume(metadata: SolutionMetadata) -> float:
+    """The volume of a box on the scales of its parameters."""
+    texts, volume = dict(metadata.distributions), 1.0
+    for name, interval in zip(metadata.parameters, metadata.box, strict=True):
+        scale = SCALES[written_scale(texts.get(name)) or LINEAR]
+        volume *= abs(float(np.diff(scale.to_scale(np.array(interval)))[0]))
+    return volume
 
 
 def _intervals(piece: Piece) -> tuple[tuple[str, float, float], ...]:

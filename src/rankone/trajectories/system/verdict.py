@@ -108,6 +108,14 @@ class Verdict:
         return {name: (lower, upper) for box in boxes for name, lower, upper in box}
 
     @property
+    def undecided(self) -> float:
+        """The share of the box in which values are NaN: the order of events is undecided there."""
+        remarks = (self.cause, *self.notes)
+        return next(
+            (r.share for r in remarks if isinstance(r, UndecidedOrder | UndecidedShare)), 0.0
+        )
+
+    @property
     def lacked_memory(self) -> bool:
         """Whether this engine, or another that was tried, met the limit on memory."""
         others = (note.others for note in self.notes if isinstance(note, OtherEngines))
