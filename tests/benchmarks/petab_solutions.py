@@ -45,7 +45,7 @@ def _tried(file: Path, rtol: float) -> str:
     began = time.process_time()
     try:
         names = list(box_around(cube, problem.evaluate(), problem.point(), active))
-        solutions = problem.solve(rtol, names, spread=SPREAD)
+        solutions = problem.solve(rtol, box=names, spread=SPREAD)
         solved = time.process_time()
         fit = solutions.fit()
         ended = time.process_time()

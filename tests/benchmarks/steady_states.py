@@ -124,7 +124,9 @@ def measured(case: Resting, effort: str) -> Row:
     began = time.process_time()
     of: object
     try:
-        of = ro.steady_state(case.system.problem(), case.settle, rtol=case.rtol, effort=effort)
+        of = ro.steady_state(
+            case.system.problem(), settle=case.settle, rtol=case.rtol, effort=effort
+        )
         message = of.message
     except ro.RankoneError as refused:
         of, message = refused, str(refused)

@@ -132,8 +132,8 @@ def line(*events, initial=None, end=4):
 
 def test_a_delay_is_from_the_crossing_to_the_reset():
     """The delay is taken at the crossing, the values at the reset; several may be under way."""
-    late = ro.Event(x - 1, "rising", {n: n + x}, delay=1 + n, name="late")
-    back = ro.Event(x - 1.5, "rising", {x: 0}, name="back")
+    late = ro.Event(x - 1, "rising", then={n: n + x}, delay=1 + n, name="late")
+    back = ro.Event(x - 1.5, "rising", then={x: 0}, name="back")
     trajectory = line(late, back, end=5).trajectory([1.9, 2.1, 3.9, 4.0, 4.6], k=1.0)
     # x is 1 at 1, 2.5 and 4, when n is 0, 1/2 and 1/2; so it is reset at 2, 4 and 5.5
     np.testing.assert_allclose(trajectory.events["late"], [2, 4], rtol=1e-9)
@@ -142,8 +142,8 @@ def test_a_delay_is_from_the_crossing_to_the_reset():
 
 
 def test_a_delay_of_nothing_and_one_to_the_end():
-    now = ro.Event(x - 1, "rising", {n: n + 1}, delay=0, name="now")
-    last = ro.Event(x - 1, "rising", {n: n + 2}, delay=3, name="last")
+    now = ro.Event(x - 1, "rising", then={n: n + 1}, delay=0, name="now")
+    last = ro.Event(x - 1, "rising", then={n: n + 2}, delay=3, name="last")
     trajectory = line(now, last).trajectory([0.9, 1.0, 3.9, 4.0], k=1.0)
     np.testing.assert_allclose(trajectory[n], [0, 1, 1, 3], atol=1e-12)
     stop = ro.Event(x - 1, "rising", delay=k / 2, terminal=True, name="stop")
@@ -153,7 +153,7 @@ def test_a_delay_of_nothing_and_one_to_the_end():
 
 
 def test_a_delay_is_not_negative():
-    wrong = ro.Event(x - 1, "rising", {n: 1}, delay=1 - k, name="wrong")
+    wrong = ro.Event(x - 1, "rising", then={n: 1}, delay=1 - k, name="wrong")
     with pytest.raises(
         ro.ProblemError, match=r"the delay of event `wrong` is -1 at t = 0\.5, k = 2"
     ):
@@ -171,7 +171,7 @@ def test_what_turns_back_is_withdrawn_unless_it_persists():
     up = (x - 0.5, "rising")
     times = {
         (delay, persistent): wave(
-            ro.Event(*up, {n: n + 1}, delay=delay, persistent=persistent, name="up")
+            ro.Event(*up, then={n: n + 1}, delay=delay, persistent=persistent, name="up")
         ).trajectory(6.0, k=1.0).events["up"]
         for delay in (2, 2.2)
         for persistent in (True, False)
@@ -180,15 +180,15 @@ def test_what_turns_back_is_withdrawn_unless_it_persists():
     for key in [(2, True), (2, False), (2.2, True)]:
         np.testing.assert_allclose(times[key], [first + key[0]], rtol=1e-6)
     assert times[2.2, False].size == 0
-    reset = ro.Event(t - 1, "rising", {x: 0}, name="reset")
-    jumped = wave(ro.Event(*up, {n: 1}, delay=2, persistent=False, name="up"), reset)
+    reset = ro.Event(t - 1, "rising", then={x: 0}, name="reset")
+    jumped = wave(ro.Event(*up, then={n: 1}, delay=2, persistent=False, name="up"), reset)
     assert jumped.trajectory(6.0, k=1.0).events["up"].size == 0
 
 
 def test_priorities_are_taken_anew_after_each_event():
-    add = ro.Event(x - 1, "rising", {n: n + 1})
-    double = ro.Event(x - 1, "rising", {n: 2 * n}, priority=1)
-    square = ro.Event(x - 1, "rising", {n: n**2}, priority=n)
+    add = ro.Event(x - 1, "rising", then={n: n + 1})
+    double = ro.Event(x - 1, "rising", then={n: 2 * n}, priority=1)
+    square = ro.Event(x - 1, "rising", then={n: n**2}, priority=n)
     at_three, at_nothing = ({x: 0, n: start} for start in (3, 0))
     assert line(add, double, initial=at_three).trajectory(2.0, k=1.0)[n] == 7
     assert line(add, double, square, initial=at_three).trajectory(2.0, k=1.0)[n] == 19
@@ -197,7 +197,7 @@ def test_priorities_are_taken_anew_after_each_event():
 
 
 def test_an_event_that_another_one_turns_back_at_once():
-    lower = ro.Event(x - 1, "rising", {x: x - 0.5}, priority=1, name="lower")
+    lower = ro.Event(x - 1, "rising", then={x: x - 0.5}, priority=1, name="lower")
     count = {"when": x - 1, "direction": "rising", "then": {n: n + 1}, "name": "count"}
     for persistent, counted in ((True, 1), (False, 0)):
         made = line(ro.Event(**count, persistent=persistent), lower)
@@ -206,8 +206,8 @@ def test_an_event_that_another_one_turns_back_at_once():
 
 LATE = [
     # x is 2 when the delays are over; the second event lowers it, within what counts or below it
-    ro.Event(x - 1, "rising", {n: n + 1}, delay=1, persistent=False, name="late"),
-    ro.Event(x - 1, "rising", {x: h * x}, delay=1, priority=1, name="lower"),
+    ro.Event(x - 1, "rising", then={n: n + 1}, delay=1, persistent=False, name="late"),
+    ro.Event(x - 1, "rising", then={x: h * x}, delay=1, priority=1, name="lower"),
 ]
 
 

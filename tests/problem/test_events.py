@@ -25,7 +25,7 @@ def test_events_are_kept_with_names_and_exact_numbers():
     made = ball(BOUNCE, ro.Event(v), ro.Event(t - 0.1 * k, then={x: 0.5 * x}, terminal=True))
     assert [event.name for event in made.events] == ["bounce", "event_1", "event_2"]
     assert made.events[0] == BOUNCE
-    assert made.events[1] == ro.Event(v, "both", None, False, "event_1")
+    assert made.events[1] == ro.Event(v, name="event_1")
     assert made.events[2].when == t - k / 10
     assert made.events[2].then == {x: x / 2}
     copy = pickle.loads(pickle.dumps(made))
@@ -35,7 +35,7 @@ def test_events_are_kept_with_names_and_exact_numbers():
 
 
 def test_events_are_printed():
-    made = ball(BOUNCE, ro.Event(v), ro.Event(x - 5, "rising", {x: 5, v: 0}, terminal=True))
+    made = ball(BOUNCE, ro.Event(v), ro.Event(x - 5, "rising", then={x: 5, v: 0}, terminal=True))
     assert repr(made).splitlines()[-3:] == [
         "  bounce: where x falls through 0: dx/dt -> -dx/dt*e",
         "  event_1: where dx/dt crosses 0",
@@ -48,8 +48,8 @@ def test_events_are_printed():
 
 def test_delays_and_priorities_are_printed():
     made = ball(
-        ro.Event(x, "falling", {v: -e * v}, delay=k / 10, persistent=False, name="late"),
-        ro.Event(v, "falling", {v: 0}, priority=2 * k),
+        ro.Event(x, "falling", then={v: -e * v}, delay=k / 10, persistent=False, name="late"),
+        ro.Event(v, "falling", then={v: 0}, priority=2 * k),
     )
     assert repr(made).splitlines()[-2:] == [
         "  late: where x falls through 0, 0.1*k later, unless it turns back: dx/dt -> -dx/dt*e",
@@ -83,9 +83,17 @@ def test_text_is_the_same():
     )
     height, speed = (sp.Function(name)(t) for name in "xv")
     assert made.events == (
-        ro.Event(height, "falling", {speed: -e * speed}, False, "bounce"),
-        ro.Event(t - k, "both", {height: 2, speed: speed + height * t}, True, "event_1"),
-        ro.Event(speed, "rising", {speed: 0}, False, "event_2", k / 2, sp.Integer(1), False),
+        ro.Event(height, "falling", then={speed: -e * speed}, name="bounce"),
+        ro.Event(t - k, then={height: 2, speed: speed + height * t}, terminal=True, name="event_1"),
+        ro.Event(
+            speed,
+            "rising",
+            then={speed: 0},
+            name="event_2",
+            delay=k / 2,
+            priority=sp.Integer(1),
+            persistent=False,
+        ),
     )
 
 
@@ -114,8 +122,8 @@ def test_a_file(tmp_path):
     path.write_text(TOML)
     height, speed = (sp.Function(name)(t) for name in "xv")
     assert load_problem(path).events == (
-        ro.Event(height, "falling", {speed: -e * speed}, False, "bounce"),
-        ro.Event(t - 3, "both", None, True, "event_1", e / 2, sp.Integer(2)),
+        ro.Event(height, "falling", then={speed: -e * speed}, name="bounce"),
+        ro.Event(t - 3, terminal=True, name="event_1", delay=e / 2, priority=sp.Integer(2)),
     )
 
 

@@ -64,7 +64,9 @@ def test_initial_keys_for_derivatives(key):
 
 
 def test_repr_is_what_was_written():
-    text = repr(Problem([sp.Eq(k * (dx + 1), 10)], (t, 0, 5), {k: (1, 10)}, {x: 0.5}, "linear"))
+    text = repr(
+        Problem([sp.Eq(k * (dx + 1), 10)], (t, 0, 5), {k: (1, 10)}, {x: 0.5}, name="linear")
+    )
     assert text.splitlines() == [
         "Problem 'linear': 1 unknown, 1 parameter",
         "  k*(dx/dt + 1) = 10",

@@ -197,7 +197,7 @@ def test_slow_settling_is_no_bifurcation():
         ro.steady_state(slow)
     assert caught.value.bifurcation is None
     settle = float(caught.value.remedy.split("settle=")[1].split(",")[0])
-    assert ro.steady_state(slow, settle)(k=1.5) == pytest.approx([1.5, 1.5])
+    assert ro.steady_state(slow, settle=settle)(k=1.5) == pytest.approx([1.5, 1.5])
 
 
 def test_the_time_to_settle_is_that_of_the_slowest_part_of_the_box():
@@ -205,7 +205,7 @@ def test_the_time_to_settle_is_that_of_the_slowest_part_of_the_box():
     with pytest.raises(ro.ConvergenceError, match=r"elsewhere at 0\.0005") as caught:
         ro.steady_state(slow, settle=200)
     settle = float(caught.value.remedy.split("settle=")[1].split(",")[0])
-    assert ro.steady_state(slow, settle)(k=1.2) == pytest.approx([1.2, 1.2])
+    assert ro.steady_state(slow, settle=settle)(k=1.2) == pytest.approx([1.2, 1.2])
 
 
 def test_rest_at_a_saddle_is_said():

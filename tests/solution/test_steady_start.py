@@ -135,7 +135,8 @@ def test_exported_solvers_start_there_too(tmp_path, monkeypatch):
 
 
 def test_functions_of_unknowns_mechanics_events_and_no_parameters():
-    lifted = problem({x: dose - k * sp.log(x) - x}, {k: (1, 2)}, ro.SteadyState({dose: 1}, {x: 1}),
+    rest = ro.SteadyState({dose: 1}, start={x: 1})
+    lifted = problem({x: dose - k * sp.log(x) - x}, {k: (1, 2)}, rest,
                      constants={dose: 3})  # fmt: skip
     spring = ro.Problem.from_matrices(
         np.eye(2), np.eye(2), {k: np.array([[2.0, -1.0], [-1.0, 1.0]])}, {dose: np.ones(2)},
@@ -144,7 +145,7 @@ def test_functions_of_unknowns_mechanics_events_and_no_parameters():
     )  # fmt: skip
     crossing = problem({x: dose - k * x}, {k: (1, 2)}, ro.SteadyState({dose: 1}), end=3,
                        constants={dose: 6},
-                       events=[ro.Event(x - 2.5, "rising", {x: 1})])  # fmt: skip
+                       events=[ro.Event(x - 2.5, "rising", then={x: 1})])  # fmt: skip
     alone = problem({x: dose - 2 * x}, {}, ro.SteadyState({dose: 1}), constants={dose: 6})
     for model, method in ((lifted, "train"), (spring, "auto"), (crossing, "auto"), (alone, "auto")):
         solution = ro.solve(model, rtol=1e-5, method=method)
@@ -200,7 +201,9 @@ def test_starts_that_are_none():
 
 def test_a_start_that_has_decayed_to_zero():
     """A long integration ends at rounding of what was there; that is zero."""
-    decay = problem({x: dose - k * x}, {k: (1, 2), dose: (1, 2)}, ro.SteadyState({dose: 0}, {x: 1}))
+    decay = problem(
+        {x: dose - k * x}, {k: (1, 2), dose: (1, 2)}, ro.SteadyState({dose: 0}, start={x: 1})
+    )
     solution = ro.solve(decay)
     assert solution.success
     assert solution(t=1, k=1.5, dose=1.2) == pytest.approx(0.8 * (1 - np.exp(-1.5)), abs=1e-4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property, wraps
 from os import PathLike
 from pathlib import Path
@@ -164,6 +164,7 @@ class Problem(CheckedProblem):
     time: tuple[sp.Symbol, float, float]
     parameters: Mapping[sp.Symbol, tuple[float, float]]
     initial: Mapping[sp.Expr, Any]
+    _: KW_ONLY
     name: str | None = None
     jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
     units: Mapping[Any, str] | None = None
@@ -200,6 +201,7 @@ class Problem(CheckedProblem):
         initial: Mapping[str, str | float],
         parameters: Mapping[str, Any],
         time: tuple[float, float],
+        *,
         name: str | None = None,
         jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
         units: Mapping[str, str] | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,7 @@ class SteadyState(Mapping[Any, Any]):
     """
 
     conditions: Mapping[Any, Any] = field(default_factory=dict)
+    _: KW_ONLY
     start: Mapping[Any, Any] = field(default_factory=dict)
     settle: float | None = None
 

@@ -132,7 +132,7 @@ def _start(
         symbols.get(name, name): formula(value, symbols, f"condition of {quote(name)}", None)
         for name, value in normalised("conditions", written.conditions).items()
     }
-    return SteadyState(conditions, initial, written.settle)
+    return SteadyState(conditions, start=initial, settle=written.settle)
 
 
 def listed_texts(argument: str, texts: object) -> list[str]:

@@ -158,7 +158,7 @@ def _start(content: Mapping[str, Any], initial: dict[str, str | float]) -> Mappi
     table = _read_table(content, "steady_state")
     elsewhere = "; initial values are in [initial]"
     _check_known("[steady_state]", table, ("conditions", "settle"), elsewhere)
-    return SteadyState(_formulas(table, "conditions"), initial, table.get("settle"))
+    return SteadyState(_formulas(table, "conditions"), start=initial, settle=table.get("settle"))
 
 
 def _correlation(triples: object) -> dict[tuple[str, str], float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import sympy as sp
@@ -83,6 +83,7 @@ class Event:
 
     when: Any
     direction: str = "both"
+    _: KW_ONLY
     then: Mapping[Any, Any] | None = None
     terminal: bool = False
     name: str | None = None
@@ -172,7 +173,7 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
                     remedy="it may depend on parameters; for anything else write an Event",
                 )
             name = f"jump_{len(moving)}"
-            moving.append(Event(symbols.time[0] - at, "rising", reset, name=name))
+            moving.append(Event(symbols.time[0] - at, "rising", then=reset, name=name))
     return at_times, moving
 
 
@@ -183,7 +184,7 @@ def impulse_events(impulses: MovingImpulses, symbols: Symbols, first: int) -> li
         Event(
             symbols.time[0] - at,
             "rising",
-            {states[i]: states[i] + size for i, size in sizes.items()},
+            then={states[i]: states[i] + size for i, size in sizes.items()},
             name=f"jump_{position}",
         )
         for position, (at, sizes) in enumerate(impulses.items(), first)

@@ -37,8 +37,8 @@ _LEAST_RTOL = 1e-10
 
 def steady_state(
     problem: Problem | CompiledProblem,
-    settle: float | None = None,
     *,
+    settle: float | None = None,
     rtol: float = 1e-6,
     check: int = USUAL_POINTS,
     effort: str | float = "normal",

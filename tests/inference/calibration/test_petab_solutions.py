@@ -41,14 +41,14 @@ def problem(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def solutions(problem):
-    return problem.solve(1e-6, BOX)
+    return problem.solve(1e-6, box=BOX)
 
 
 def test_each_experiment_has_a_solution(problem, solutions):
     assert solutions.success
     assert list(solutions.solutions) == ["low", "rest -> high"]
     assert solutions.error <= 1e-6
-    high = problem.problem("rest -> high", BOX)
+    high = problem.problem("rest -> high", box=BOX)
     t, at = np.array([0.3, 1.5]), {"k1": 0.5, "k2": 1.1}
     np.testing.assert_allclose(
         solutions.solutions["rest -> high"](t=t, **at),
@@ -113,7 +113,7 @@ def test_a_box_follows_a_fit(problem):
     with pytest.raises(ro.OptionError, match="values and around"):
         problem.solve(1e-4, around=calibration, values={"k1": 1.0})
     with pytest.raises(ro.OptionError, match="no parameter `k3`"):
-        problem.solve(1e-4, ["k3"], around=calibration)
+        problem.solve(1e-4, box=["k3"], around=calibration)
 
 
 def test_a_posterior_has_the_mean_of_the_density_by_trajectories(problem, solutions):
@@ -137,7 +137,9 @@ def test_a_parameter_that_a_condition_makes_vanish_is_left_out(tmp_path):
     problem = ro.read_petab(write(tmp_path, **files))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        names = {each: [*problem.problem(each, BOX).parameters] for each in ("low", "rest -> high")}
+        names = {
+            each: [*problem.problem(each, box=BOX).parameters] for each in ("low", "rest -> high")
+        }
     assert [str(symbol) for symbol in names["low"]] == ["k2"]
     assert [str(symbol) for symbol in names["rest -> high"]] == ["k1", "k2"]
 
@@ -154,7 +156,7 @@ def test_many_conditions_share_a_solution(tmp_path):
     observables = "\n".join([NORMAL.split("\n")[0], NORMAL.split("\n")[3]]) + "\n"
     files = {"measurements": table(lines), "parameters": parameters, "observables": observables}
     problem = ro.read_petab(write(tmp_path, conditions=conditions, **files))
-    solutions = problem.solve(1e-5, ["k1", "k2"], spread=1.3)
+    solutions = problem.solve(1e-5, box=["k1", "k2"], spread=1.3)
     assert len({id(solution) for solution in solutions.solutions.values()}) == 1
     assert [*solutions.solutions["d0"].parameters] == ["k1", "k2", "dose"]
     fit = solutions.fit()
@@ -164,18 +166,18 @@ def test_many_conditions_share_a_solution(tmp_path):
 def test_what_solutions_do_not_have_is_refused(tmp_path):
     problem = ro.read_petab(write(tmp_path))
     with pytest.raises(ro.ProblemError, match="`obs_share` is Laplace's"):
-        problem.solve(1e-3, BOX)
+        problem.solve(1e-3, box=BOX)
     with pytest.raises(ro.OptionError, match="`scale` is in no rate"):
-        problem.solve(1e-3, ["scale"])
+        problem.solve(1e-3, box=["scale"])
     with pytest.raises(ro.OptionError, match="no parameter `k3`"):
-        problem.solve(1e-3, {"k3": (1, 2)})
+        problem.solve(1e-3, box={"k3": (1, 2)})
     with pytest.raises(ro.OptionError, match="an experiment has to be chosen"):
         problem.problem()
     with pytest.raises(ro.OptionError, match="no experiment `lo`"):
         problem.problem("lo")
     normal = ro.read_petab(write(tmp_path, observables=NORMAL))
     with pytest.raises(ro.ProblemError, match="at the steady state in `rest -> high`"):
-        normal.solve(1e-3, BOX)
+        normal.solve(1e-3, box=BOX)
 
 
 def test_levels_of_noise_have_the_names_and_the_bounds_of_the_table(tmp_path):
@@ -198,7 +200,7 @@ def test_levels_of_noise_have_the_names_and_the_bounds_of_the_table(tmp_path):
             parameters=fixed("k2", "a0").split("sd_B")[0] + levels,
         )
     )
-    fit = problem.solve(1e-5, {"k1": (0.4, 1.6)}).fit()
+    fit = problem.solve(1e-5, box={"k1": (0.4, 1.6)}).fit()
     assert set(fit.x) == {"k1", "scale", "sd_obs_B", "rel"}
     assert -fit.log_likelihood == pytest.approx(problem.objective(fit.most_likely), abs=1e-3)
     assert fit.most_likely["rel"] == pytest.approx(1e-5, rel=0.5)

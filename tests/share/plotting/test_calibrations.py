@@ -19,9 +19,9 @@ def calibration():
     curve = np.exp(-0.8 * TIMES)
     wiggle = np.array([1.02, 0.97, 1.01, 1.0])
     experiments = [
-        ro.Experiment(2 * curve * wiggle, TIMES, {"dose": 2}, observe={"a": "x"}, sigma=0.05,
+        ro.Experiment(2 * curve * wiggle, TIMES, fixed={"dose": 2}, observe={"a": "x"}, sigma=0.05,
                       name="low"),
-        ro.Experiment(5 * curve / wiggle, TIMES, {"dose": 5}, observe={"b": "x"}, sigma=0.03,
+        ro.Experiment(5 * curve / wiggle, TIMES, fixed={"dose": 5}, observe={"b": "x"}, sigma=0.03,
                       noise="log-normal", name="high"),
     ]  # fmt: skip
     return ro.calibrate(problem, experiments, starts=3, box=False)

@@ -220,9 +220,9 @@ class FirstOrderSystem(Stage):
             yield Event(
                 form.when,
                 words[form.direction],
-                then,
-                form.terminal,
-                form.name,
+                then=then,
+                terminal=form.terminal,
+                name=form.name,
                 delay=form.delay,
                 priority=form.priority,
                 persistent=form.persistent,

@@ -123,7 +123,7 @@ class CalibrationProblem:
         """
         return self._evaluated(values, self.estimated, rtol)
 
-    def fit(self, starts: int = 10, seed: int = 0, executor: Any = None) -> Calibration:
+    def fit(self, *, starts: int = 10, seed: int = 0, executor: Any = None) -> Calibration:
         """Estimate the parameters from random starts within their bounds.
 
         Nominal values of estimated parameters are not used. Each start of a latin hypercube, on
@@ -160,8 +160,8 @@ class CalibrationProblem:
     def problem(
         self,
         experiment: str | None = None,
-        box: Box = None,
         *,
+        box: Box = None,
         values: Mapping[str, float] | None = None,
         spread: float = _SPREAD,
     ) -> Problem:
@@ -180,8 +180,8 @@ class CalibrationProblem:
     def solve(
         self,
         rtol: float = 1e-4,
-        box: Box = None,
         *,
+        box: Box = None,
         values: Mapping[str, float] | None = None,
         spread: float = _SPREAD,
         around: Calibration | None = None,
@@ -234,8 +234,8 @@ class CalibrationProblem:
     def posterior(
         self,
         rtol: float = 1e-4,
-        box: Box = None,
         *,
+        box: Box = None,
         values: Mapping[str, float] | None = None,
         spread: float = _SPREAD,
         around: Calibration | None = None,
@@ -247,7 +247,7 @@ class CalibrationProblem:
         :meth:`CalibrationSolutions.posterior`. Priors are those of the table, and uniform on the
         scale of a parameter where it has none.
         """
-        solutions = self.solve(rtol, box, values=values, spread=spread, around=around)
+        solutions = self.solve(rtol, box=box, values=values, spread=spread, around=around)
         return solutions.posterior(**options)
 
     def _free(self, box: Box, values: Mapping[str, float] | None, spread: float) -> Free:

@@ -43,7 +43,15 @@ def measured(records: Records, settings: Settings, position: int, free: Free) ->
             observe[label] = _text(series.observable.formula, names, free)
             sigma[label] = deviation
     fixed = {name: float(numbers[name]) for name in free.inputs}
-    return Experiment(data, times, fixed, observe, sigma, noise or None, name=experiment.name)
+    return Experiment(
+        data,
+        times,
+        fixed=fixed,
+        observe=observe,
+        sigma=sigma,
+        noise=noise or None,
+        name=experiment.name,
+    )
 
 
 def _groups(

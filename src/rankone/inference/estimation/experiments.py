@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +61,7 @@ class Experiment:
 
     data: Any
     times: Measurements | None = None
+    _: KW_ONLY
     fixed: Mapping[Any, Any] = field(default_factory=dict)
     observe: object = None
     sigma: Sigma = None

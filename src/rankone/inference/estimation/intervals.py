@@ -210,7 +210,7 @@ class Intervals(Estimates):
         """The estimate of a quantity of the parameters; see :meth:`interval_of`."""
         return self._quantity(given)[0]
 
-    def curve(self, observable: object, times: ArrayLike, experiment: int | str = 0) -> Curve:
+    def curve(self, observable: object, times: ArrayLike, *, experiment: int | str = 0) -> Curve:
         """The fitted curve of an observable, and how well it is known.
 
         The observable is a name, or an unknown of the solution.
@@ -228,7 +228,7 @@ class Intervals(Estimates):
         half[~np.isfinite(half)] = np.nan
         return Curve(values, half)
 
-    def profile(self, parameter: object, level: float | None = None) -> Profile:
+    def profile(self, parameter: object, *, level: float | None = None) -> Profile:
         """The profile likelihood of a parameter up to a level.
 
         Returns
@@ -239,7 +239,7 @@ class Intervals(Estimates):
         index = self._problem.free.index(parameter)
         if level is None and index in self._profiles:
             return self._profiles[index]
-        return self._profiles_of({index: self.rise(parameter, level)})[index]
+        return self._profiles_of({index: self.rise(parameter, level=level)})[index]
 
     @cached_property
     def _profiles(self) -> dict[int, Profile]:
@@ -251,7 +251,7 @@ class Intervals(Estimates):
         """Profiles at a level, but those that are ready."""
         done = {*self._freedom, *ready}
         names = {j: name for j, name in enumerate(self.parameters) if j not in done}
-        return self._profiles_of({j: self.rise(name, level) for j, name in names.items()})
+        return self._profiles_of({j: self.rise(name, level=level) for j, name in names.items()})
 
     def _profiles_of(self, limits: Mapping[int, float]) -> dict[int, Profile]:
         """Profiles up to limits; those of levels of noise move all levels, the others none."""
@@ -263,7 +263,7 @@ class Intervals(Estimates):
             **profiles(self._problem, self._centre, others, levels),
         }
 
-    def rise(self, parameter: object, level: float | None = None) -> float:
+    def rise(self, parameter: object, *, level: float | None = None) -> float:
         """By how much -2 log L is larger at the ends of profile intervals; squares without sigma.
 
         It is the square of the quantile, so that the intervals of a linear model are those by

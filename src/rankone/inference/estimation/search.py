@@ -145,11 +145,11 @@ def fit(
     experiment = Experiment(
         times if data is None else data,
         None if data is None else times,
-        conditions,
-        observe,
-        sigma,
-        noise,
-        weights,
+        fixed=conditions,
+        observe=observe,
+        sigma=sigma,
+        noise=noise,
+        weights=weights,
         missing=missing,
         doses=doses,
     )

@@ -128,7 +128,7 @@ def fit_population(
     if doses is not None:
         by_subject, rows = doses_in(self, rows, doses, observe)
         held = by_subject.with_reference(self, held)
-    experiment = Experiment(columns, None, held, observe, sigma, noise)
+    experiment = Experiment(columns, fixed=held, observe=observe, sigma=sigma, noise=noise)
     subjects = subjects_of(self, experiment, rows, by_subject)
     if by_subject is not None:
         by_subject.check_observables((m.name, m.formula, m.noise) for m in subjects.measured)

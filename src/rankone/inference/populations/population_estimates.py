@@ -343,8 +343,8 @@ class PopulationEstimates:
         self,
         subject: object,
         times: ArrayLike,
-        observable: str | None = None,
         *,
+        observable: str | None = None,
         typical: bool = False,
     ) -> Array:
         """The curve of a subject, (times,), or (records, times) if it was seen in several.

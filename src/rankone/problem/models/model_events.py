@@ -199,7 +199,7 @@ class _Reset:
         return Event(
             when,
             "rising",
-            then,
+            then=then,
             name=name,
             delay=self.delay,
             priority=self.priority,

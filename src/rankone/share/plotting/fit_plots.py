@@ -248,8 +248,12 @@ def _outputs(fit: Fit) -> Iterator[_Output]:
             sigma = fit.deviations[k][here]
             scaled = bool(np.isfinite(sigma).all() and (sigma > 0.0).all())
             fine = fine_times(solution, float(times.max()), CURVE_TIMES)
-            curve = fit.curve(name, fine, k)
-            residuals = fit.standardised[k][here] if scaled else data - fit.curve(name, times, k)[0]
+            curve = fit.curve(name, fine, experiment=k)
+            residuals = (
+                fit.standardised[k][here]
+                if scaled
+                else data - fit.curve(name, times, experiment=k)[0]
+            )
             yield _Output(
                 f"{name}, {trial.name}" if several else name,
                 times,

@@ -108,8 +108,8 @@ def _draw_subject(fit: PopulationFit, name: str, observable: str, ax: Axes) -> N
     records = np.flatnonzero(fit.owner == fit.subjects.index(name))
     last = float(one.times[records][one.present[records]].max(initial=0.0))
     times = fine_times(cast("Solution", fit.solution), last, _CURVE_TIMES)
-    own = np.atleast_2d(fit.curve(name, times, observable))
-    typical = np.atleast_2d(fit.curve(name, times, observable, typical=True))
+    own = np.atleast_2d(fit.curve(name, times, observable=observable))
+    typical = np.atleast_2d(fit.curve(name, times, observable=observable, typical=True))
     colours = style.colours_for(ax, len(records))
     for record, colour, curve, expected in zip(records, colours, own, typical, strict=True):
         here = one.present[record]

@@ -14,7 +14,7 @@ from rankone.tensors.bases import BASES
 from rankone.tensors.trains.adaptive import Tightening
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CrossOptions(Options):
     """Limits and discretisation of ``method="cross"``.
 

@@ -79,7 +79,7 @@ _SLIDES: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GreedyOptions(Options):
     """Formulation, projection and limits of ``method="greedy"``.
 

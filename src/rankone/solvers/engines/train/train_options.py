@@ -66,7 +66,7 @@ BLOCK_COUNT = 4  # Blocks of rows in which a packed product is formed
 GROUP_COST = Cost(30.0 * CALL, 4.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainOptions(Options):
     """Limits and discretisation of ``method="train"``.
 
