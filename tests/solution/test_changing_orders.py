@@ -14,7 +14,7 @@ from scipy.special import ndtr, ndtri
 
 import rankone as ro
 from rankone.share.commands.common import summary
-from rankone.solution.statistics import timeline_statistics
+from rankone.solution.statistics import composite_statistics
 from rankone.solution.statistics.lines import Accuracy
 from rankone.solvers.branches import box_of_branch, branch_evaluator, order_search
 from rankone.solvers.request import Domain, SolveRequest
@@ -293,7 +293,7 @@ def test_main_effects_follow_correlated_parameters():
 
 
 def test_statistics_that_do_not_settle_say_so(monkeypatch):
-    monkeypatch.setattr(timeline_statistics, "MOMENTS", Accuracy(1e-9, 1e-8, 32))
+    monkeypatch.setattr(composite_statistics, "MOMENTS", Accuracy(1e-9, 1e-8, 32))
     with pytest.warns(ro.RankoneWarning, match="have settled to"):
         washed().restrict(k=(0.35, 0.45)).mean(2.2)
 

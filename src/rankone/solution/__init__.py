@@ -4,17 +4,15 @@ In comes a problem, or the outcome of a solve; out go numbers, statistics, outpu
 solutions of their own, and files. Applications (``inference``, ``share``) are opened by methods of
 a solution when these are called, and by nothing else here.
 
+- ``checkpoint``: finished solves in a folder, found again by digests of what was solved
+- ``compiled``: compiled problems: what users hold before a solve
 - ``evaluation``: a solution: evaluation, smaller solutions, tables with labels, summaries
-- ``outputs``: quantities of interest of a solution, as solutions of their own
+- ``many``: many solves of one problem: on pieces of its box, under conditions, for designs
+- ``outputs``: outputs: quantities of interest of a solution, as solutions of their own
+- ``solution``: solution: what users hold after a solve, for every parameter value and time at
+  once
 - ``statistics``: statistics of a solution over its box: every integral is a product of one-
   dimensional ones
-- ``storage``: saving and loading solutions in open formats, without pickle
-- ``applications``: methods of a solution that belong to applications, imported when called
-- ``checkpoint``: finished solves in a folder, found again by digests of what was solved
-- ``compiled``: compiled problems, which are solved and exported
-- ``many``: many solves of one problem: on pieces of its box, under conditions, for designs
-- ``other_forms``: a solution in other forms: canonical sums, tables, figures, pages, and exported
-  models
-- ``solution``: what users hold after a solve, for every parameter value and time at once
 - ``steady``: steady states as solutions of the parameters alone
+- ``storage``: saving and loading solutions in open formats, without pickle
 """

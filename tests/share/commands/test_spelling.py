@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rankone.share.commands.cli import main
-from rankone.share.commands.spelling import spelling
+from rankone.share.commands.cli import main, spelling
 
 SOLVE = (
     "overwrite",

@@ -20,8 +20,7 @@ from threadpoolctl import threadpool_limits
 
 import rankone as ro
 from rankone.share.commands.cli import main
-from rankone.share.export.bundler import bundle, needed_modules, source_text
-from rankone.share.export.standalone import standalone_source
+from rankone.share.export.standalone import bundle, needed_modules, source_text, standalone_source
 from rankone.solvers import outcome as ir_metadata
 from rankone.solvers.engines.greedy import ENGINE
 from rankone.support.errors import ExportError, OptionError

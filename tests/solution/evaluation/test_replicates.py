@@ -10,8 +10,8 @@ import pytest
 from scipy.special import ndtri
 
 import rankone as ro
+from rankone.solution.statistics import composite_statistics
 from rankone.solution.statistics import lines as line_averages
-from rankone.solution.statistics import timeline_statistics
 from rankone.solution.statistics.densities import density_of
 from rankone.tensors.bases.joint_distribution import (
     SETS,
@@ -217,7 +217,7 @@ def test_many_times_take_fewer_lines_and_warn_once(dosed, monkeypatch):
         return curves(self, times, points, rows)
 
     monkeypatch.setattr(kind, "curves", counted)
-    monkeypatch.setattr(timeline_statistics, "_EVALUATIONS", 2**18)
+    monkeypatch.setattr(composite_statistics, "_EVALUATIONS", 2**18)
     monkeypatch.setattr(line_averages, "_MOST_POINTS", 2**14)
     times = np.linspace(0.5, 2.9, 40)
     effects = functools.partial(dosed.main_effects, count=11)

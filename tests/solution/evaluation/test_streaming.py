@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.solution.evaluation.streaming import bytes_of
+from rankone.solution.evaluation.core import bytes_of
 
 
 @pytest.fixture(scope="module")

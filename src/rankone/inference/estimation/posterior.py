@@ -20,7 +20,7 @@ from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.observations import Measurements, Sigma
 from rankone.inference.estimation.search import fit
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.solution.evaluation.smaller import with_fixed
+from rankone.solution.evaluation.domains import with_fixed
 from rankone.solution.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy

@@ -25,7 +25,7 @@ _DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
 spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
 """How messages of the running command are written."""
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Commands: TypeAlias = "argparse._SubParsersAction[Any]"
 
 
 def add_command(
@@ -39,7 +39,7 @@ def add_command(
     epilog: str | None = None,
 ) -> argparse.ArgumentParser:
     """Add the parser of a command; ``run`` gets its arguments and returns the exit status."""
-    parser = commands.add_parser(
+    parser: argparse.ArgumentParser = commands.add_parser(
         name,
         usage=usage,
         help=help,

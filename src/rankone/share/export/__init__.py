@@ -1,7 +1,6 @@
-"""Export: solvers and solved models as files that need neither rankone nor SymPy.
+"""Solvers and solved models as files that need neither rankone nor SymPy.
 
 - ``explorer``: the page that explores a solution: one HTML file, without a server or a network
-- ``bundler``: whole modules of the library inside one readable file
 - ``model_branches``: evaluation of the solved model where the order of events changes inside the
   box
 - ``model_c``: the solved model in C99: one source file and its header, without any dependency
@@ -13,7 +12,6 @@
 - ``model_python``: the solved model in Python: evaluation and derivatives with NumPy alone
 - ``model_stretches``: evaluation of the solved model with events: its slabs are over the
   stretches between them
-- ``packed``: a solved model in plain data, which models in all languages evaluate
 - ``packing``: a solution as plain tables, which the solved models evaluate
 - ``program``: solving, loading and the command line of every standalone solver
 - ``rounding``: smaller slabs of a model that may differ from its solution, also in branches
@@ -31,8 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rankone.share.export.model_fmu import FMI
-from rankone.share.export.packed import PackedModel
-from rankone.share.export.packing import States, check_states, checked_rtol, pack
+from rankone.share.export.packing import PackedModel, States, check_states, checked_rtol, pack
 from rankone.share.export.standalone import standalone_source
 from rankone.solvers.selection import AUTO, engines_for
 from rankone.support.errors import ExportError

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.share.export.packed import PackedChoice, PackedCore, PackedModel, PackedTimeline
+from rankone.share.export.packing import PackedChoice, PackedCore, PackedModel, PackedTimeline
 from rankone.share.export.templates import (
     TERMS,
     c_comment,

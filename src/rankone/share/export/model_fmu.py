@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element, SubElement
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from rankone.share.export.model_c import c_identifier, c_model, needs_math
-from rankone.share.export.packed import PackedModel
+from rankone.share.export.packing import PackedModel
 from rankone.share.export.templates import TERMS, filled
 from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError, warn

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.share.export.packed import PackedModel
+from rankone.share.export.packing import PackedModel
 from rankone.share.export.templates import (
     LINE,
     TERMS,

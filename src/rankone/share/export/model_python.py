@@ -23,8 +23,8 @@ from rankone.compiler.codegen.layout import (
     quoted,
     table,
 )
-from rankone.share.export.bundler import banner, source_text
-from rankone.share.export.packed import PackedChoice, PackedModel
+from rankone.share.export.packing import PackedChoice, PackedModel
+from rankone.share.export.standalone import banner, source_text
 from rankone.share.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rankone.inference.calibration.result import Calibration, Comparison
 from rankone.inference.estimation.fit import Fit
 from rankone.share.plotting import style
-from rankone.share.plotting.arguments import CURVE_TIMES, fine_times, needs_time
+from rankone.share.plotting.style import CURVE_TIMES, fine_times, needs_time
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote

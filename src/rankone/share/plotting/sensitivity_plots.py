@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.share.plotting import style
-from rankone.share.plotting.arguments import check_solution, one_time, sometimes_of, unknown_of
+from rankone.share.plotting.style import check_solution, one_time, sometimes_of, unknown_of
 from rankone.solution.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.share.plotting import style
-from rankone.share.plotting.arguments import (
+from rankone.share.plotting.style import (
     CURVE_TIMES,
     check_solution,
     needs_time,
@@ -18,7 +18,7 @@ from rankone.share.plotting.arguments import (
     times_of,
     unknowns_of,
 )
-from rankone.solution.evaluation.smaller import merged
+from rankone.solution.evaluation.domains import merged
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number

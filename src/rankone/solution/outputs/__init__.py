@@ -6,10 +6,9 @@
   is
 - ``output_check``: where quantities are compared with their interpolation, and what is narrow
   between samples
-- ``quantity_solutions``: quantities of interest as solutions of their own
+- ``quantity_solutions``: quantities of interest, and states over clock time, as solutions of
+  their own
 - ``sampling``: values of quantities of a solution at parameter points
-- ``state_outputs``: the states of a solution with events as outputs: at one time, differentiated,
-  over clock time
 - ``stretch_sampling``: values of quantities of a solution with events, over the stretches between
   them
 """

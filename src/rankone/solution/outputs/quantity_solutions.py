@@ -1,4 +1,4 @@
-"""Quantities of interest as solutions of their own."""
+"""Quantities of interest, and states over clock time, as solutions of their own."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.quantities import Quantities
+from rankone.compiler.codegen.quantities import Kind, Quantities, Reduction, Source
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.solution.outputs.branch_outputs import OfBranch, over_branches
+from rankone.solution.evaluation.domains import position
+from rankone.solution.outputs.branch_outputs import OfBranch, over_branches, require_states
 from rankone.solution.outputs.interpolation import Asked, OutputInterpolation
+from rankone.solution.outputs.output_check import CheckPoints
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import operations_for
-from rankone.support.errors import OptionError
+from rankone.support.errors import ConvergenceError, EvaluationError, OptionError
 from rankone.support.options import checked_number
 from rankone.support.progress import Report, quiet
 from rankone.support.tasks import Pool
-from rankone.support.wording import did_you_mean, quote
+from rankone.support.wording import did_you_mean, listing, quote
+from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
-from rankone.trajectories.system.verdict import EarlyEnd
+from rankone.trajectories.system.verdict import DerivativeOf, EarlyEnd, Status
 
 LEAST_RTOL, MOST_RTOL = 1e-13, 0.999
 """Tolerances of outputs."""
@@ -130,3 +133,139 @@ def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
             raise OptionError(
                 f"there is no output {quote(name)}{did_you_mean(name, quantities.names)}", term=name
             )
+
+
+# -----------------------------------------------------------------------------
+# The states of a solution with events as outputs: at one time, differentiated, over clock time.
+
+
+def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMetadata]:
+    """The states of a solution with events at one time; see :meth:`rankone.Solution.at`.
+
+    An EvaluationError if an event that resets states, or ends them, comes before that time for some
+    parameters alone.
+    """
+    metadata, timeline = solution.metadata, solution.outcome.timeline
+    operations = operations_for("normal")
+    if isinstance(timeline, BranchedTimeline):
+
+        def of_branch(part: SolutionCore, own: Timeline | None) -> Quantities:
+            assert own is not None
+            return _at_instant(part, own, metadata, time)
+
+        sizes = [tolerance / solution.rtol for tolerance in timeline.tolerances]
+        asked = Asked(solution.rtol, operations)
+        outcome, rtol, _ = over_branches(solution, of_branch, asked, sizes)
+    else:
+        assert timeline is not None
+        quantities = _at_instant(solution, timeline, metadata, time)
+        outcome, rtol = OutputInterpolation(solution, quantities).solve(Asked(None, operations))
+    fixed = (*metadata.fixed, (metadata.time, time))
+    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
+
+
+def _at_instant(
+    solution: SolutionCore, timeline: Timeline, metadata: SolutionMetadata, time: float
+) -> Quantities:
+    """The states at one time, by which the same events have happened everywhere."""
+    evaluator = solution._evaluator
+    assert isinstance(evaluator, TimelineEvaluator)
+    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
+    reductions = tuple(
+        Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
+    )
+    sources = tuple(Source(i) for i in range(len(texts)))
+    quantities = _as_they_are(metadata, texts, sources, reductions)
+    domain = OutputInterpolation(solution, quantities).domain
+    points = np.ascontiguousarray(CheckPoints.of(domain, quantities).aimed.T)
+    if not (holds := evaluator.holds(points)).any():
+        return quantities
+    borders = evaluator.borders(points[:, holds])
+    jumping = [i for i, resets in enumerate(timeline.resets) if resets or timeline.terminal]
+    jumped = (borders[1:][jumping] <= time).sum(axis=0)
+    passed = (borders[1:] <= time).sum(axis=0)
+    if jumped.min() < jumped.max():
+        event = " and ".join(timeline.instants[jumping[jumped.min()]])
+        raise EvaluationError(
+            f"at {metadata.time} = {time:g} {quote(event)} has happened for some parameters alone",
+            term=time,
+            remedy="restrict the solution to parameters where it has, or to the others",
+        )
+    if timeline.terminal and passed.min() == timeline.stretches:
+        raise EvaluationError(
+            f"the solution has ended before {metadata.time} = {time:g}",
+            term=time,
+            remedy="give an earlier time; solution.end(...) says when it ends",
+        )
+    return quantities
+
+
+def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
+    """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
+    metadata, name = solution.metadata, name_of(coordinate)
+    by_time = name == metadata.time
+    j = None if by_time else position(metadata, name)
+    sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
+    texts = tuple(f"d{state}/d{name}" for state in metadata.states)
+    quantities = _as_they_are(metadata, texts, sources, ())
+    if isinstance(solution.outcome.timeline, BranchedTimeline):
+        require_states(quantities)
+    interpolation = OutputInterpolation(solution, quantities)
+    outcome, _ = interpolation.solve(Asked(solution.rtol, operations_for("normal")))
+    outcome = replace(outcome, cause=DerivativeOf(name), notes=())
+    return outcome, metadata.derivative(name)
+
+
+def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:
+    """A solution with events over clock time; see :meth:`rankone.Solution.in_clock_time`."""
+    metadata = solution.metadata
+    timeline = solution.outcome.timeline_of_one_order("in_clock_time")
+    assert timeline is not None
+    if timeline.terminal:
+        raise EvaluationError(
+            f"the solution ends with {quote(timeline.instants[-1][0])}, at a time of its own for "
+            "each value of the parameters",
+            remedy="keep it as it is, or solve up to a time at which all trajectories run",
+        )
+    if rtol is not None:
+        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+    if moving := timeline.moving_resets:
+        raise ConvergenceError(
+            f"values over clock time are not resolved, since {listing(moving)} may reset states at "
+            "times that move with the parameters",
+            remedy="keep the solution as it is",
+        )
+    sources = tuple(Source(i) for i in range(len(metadata.states)))
+    quantities = _as_they_are(metadata, metadata.states, sources, ())
+    interpolation = OutputInterpolation(solution, quantities, clock_time=True)
+    outcome, rtol = interpolation.solve(Asked(rtol, operations_for("normal")))
+    if outcome.status is not Status.CONVERGED:
+        raise ConvergenceError(
+            f"values over clock time are not resolved: {outcome.message}",
+            remedy="keep the solution as it is, or loosen rtol",
+        )
+    return outcome, replace(metadata, rtol=rtol)
+
+
+def _as_they_are(
+    metadata: SolutionMetadata,
+    texts: tuple[str, ...],
+    sources: tuple[Source, ...],
+    reductions: tuple[Reduction, ...],
+) -> Quantities:
+    """Quantities that are sources, or reductions of these one by one."""
+    return Quantities(
+        names=metadata.states,
+        texts=texts,
+        timeless=bool(reductions),
+        sources=sources,
+        integrands=lambda t, s, p: list(s) if reductions else [],
+        reductions=reductions,
+        n_state_surfaces=0,
+        state_surfaces=lambda t, s, p: [],
+        parameter_surfaces=lambda p: [],
+        cuts=((),) * len(metadata.coordinates),
+        values=lambda t, s, p, r: list(r if reductions else s),
+        gaps=lambda t, s, p: [],
+        gap_texts=(),
+    )

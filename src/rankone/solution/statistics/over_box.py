@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.solution.statistics.piece_statistics import PieceStatistics
+from rankone.solution.statistics.composite_statistics import PieceStatistics, TimelineStatistics
 from rankone.solution.statistics.solution_statistics import (
     ROUNDING_ERROR,
     Effect,
@@ -24,7 +24,6 @@ from rankone.solution.statistics.solution_statistics import (
     quiet,
     warn_of_ends,
 )
-from rankone.solution.statistics.timeline_statistics import TimelineStatistics
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number

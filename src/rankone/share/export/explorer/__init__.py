@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 from rankone.share.export.explorer.mathml import Notation
 from rankone.share.export.explorer.page import content, lead, quality, with_derivatives
 from rankone.share.export.model_js import javascript_model
-from rankone.share.export.packed import PackedModel
-from rankone.share.export.packing import pack
+from rankone.share.export.packing import PackedModel, pack
 from rankone.share.export.templates import filled
 from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.share.export.explorer.mathml import Notation, with_exponents
-from rankone.share.export.packed import PackedBranch, PackedModel, PackedTimeline
+from rankone.share.export.packing import PackedBranch, PackedModel, PackedTimeline
 from rankone.solvers.outcome import Measured, Role
 from rankone.support.arrays import Array
 from rankone.support.errors import RankoneWarning
