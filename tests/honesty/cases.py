@@ -10,11 +10,25 @@ import sympy as sp
 
 import rankone as ro
 
-__all__ = ["KINDS", "Case", "alone", "case", "kind", "logarithmic", "number", "t", "unknown"]
+__all__ = [
+    "KINDS",
+    "LIMITS",
+    "Case",
+    "alone",
+    "case",
+    "kind",
+    "limit",
+    "logarithmic",
+    "number",
+    "t",
+    "unknown",
+]
 
 t = sp.Symbol("t")
 KINDS: dict[str, Callable[[random.Random], Case]] = {}
 """Makers of the cases of each kind."""
+LIMITS: dict[str, Callable[[random.Random], Case]] = {}
+"""The same of known limits, docs/limits.md: wrong successes among them are reported apart."""
 
 
 @dataclass(frozen=True)
@@ -71,12 +85,18 @@ _SEED_WORDS = {"surfaces": "ridges"}  # Words that keep the cases of kinds that 
 
 def case(kind: str, seed: int) -> Case:
     """The case of a kind with a seed."""
-    return KINDS[kind](random.Random(f"{_SEED_WORDS.get(kind, kind)} {seed}"))
+    return {**KINDS, **LIMITS}[kind](random.Random(f"{_SEED_WORDS.get(kind, kind)} {seed}"))
 
 
 def kind(make: Callable[[random.Random], Case]) -> Callable[[random.Random], Case]:
     """Register a maker of cases under its name."""
     KINDS[make.__name__] = make
+    return make
+
+
+def limit(make: Callable[[random.Random], Case]) -> Callable[[random.Random], Case]:
+    """Register a maker of cases that are a known limit."""
+    LIMITS[make.__name__] = make
     return make
 
 

@@ -7,9 +7,9 @@ import random
 import sympy as sp
 
 import rankone as ro
-from tests.honesty.cases import Case, alone, kind, logarithmic, number, t, unknown
+from tests.honesty.cases import Case, alone, kind, limit, logarithmic, number, t, unknown
 
-__all__ = ["data", "moving", "passages", "peaks", "surfaces"]
+__all__ = ["data", "hidden", "moving", "passages", "peaks", "surfaces"]
 
 
 @kind
@@ -53,6 +53,23 @@ def passages(draw: random.Random) -> Case:
         rtol=10.0 ** -draw.uniform(2, 4),
         passed=passed,
     )
+
+
+@limit
+def hidden(draw: random.Random) -> Case:
+    """A passage whose narrow place is in a form that tells nobody where: steps pass over it."""
+    x, k = unknown("x"), sp.Symbol("k")
+    width, at = logarithmic(draw, 1e-7, 1e-4), number(draw, 0.3, 0.8)
+    height, start = number(draw, 0.1, 1) / width, number(draw, 0.05, 0.15)
+
+    def share(x: sp.Expr) -> sp.Expr:
+        """The part of the narrow place that is behind, where it is as narrow as here."""
+        return at * sp.sqrt(sp.pi) / 2 * sp.erf((x / at - 1) / width)
+
+    passed = x - start + height * k * width * (share(x) - share(start))
+    rate = 1 / (1 + height * k * sp.exp(-(x / at + at / x - 2) / width**2))
+    box = {k: (0.5, 1.5)}
+    return alone("hidden", rate, x, start, box, end=2.0, rtol=1e-3, passed=passed)
 
 
 @kind

@@ -165,15 +165,6 @@ def _has(answer: Any, *_: object) -> bool:
 
 PARTS: dict[str, tuple[Place, ...]] = {
     # verification
-    "hidden rates": (
-        Place(reference_set, "hidden_rate", _none),
-        Place(branches, "hidden_rate_along", _none),
-    ),
-    "hidden rates of outputs": (Place(reference_set, "hidden_times", _empty, _any),),
-    "hidden events": (
-        Place(reference_set, "hidden_event", _none),
-        Place(branches, "hidden_event", _none),
-    ),
     "finer trajectories": (
         Place(
             attempts,

@@ -16,7 +16,7 @@ from rankone.compiler.agreement.agreement import ComparedPoints, disagreeing_rat
 from rankone.compiler.codegen.loading import ModuleSpecification
 from rankone.compiler.codegen.module import general_source, generate_source
 from rankone.compiler.codegen.output_expressions import OutputFormulas, output_formulas
-from rankone.compiler.codegen.quantities import Quantities, WrittenFunction
+from rankone.compiler.codegen.quantities import Quantities
 from rankone.compiler.codegen.sums import quadratic_system
 from rankone.compiler.passes import FirstOrderSystem, separate, weak_form
 from rankone.compiler.passes.levels import by_levels, levelled
@@ -417,11 +417,13 @@ class SolveOutputs:
 
         rows = tuple(source.row for source in quantities.sources)
         names, texts = quantities.names, quantities.texts
-        surfaces = quantities.state_surfaces if quantities.n_state_surfaces else None
-        text = quantities.values
-        written = text.function if isinstance(text, WrittenFunction) else None
-        written = None if quantities.sums else written
-        return Observation(names, texts, rows, values, surfaces=surfaces, written=written)
+
+        def surfaces(times: Array, states: Array, points: Array) -> Sequence[Array]:
+            narrow = quantities.state_surfaces(times, states, points)
+            return narrow[: quantities.n_state_surfaces]
+
+        looked_at = surfaces if quantities.n_state_surfaces else None
+        return Observation(names, texts, rows, values, surfaces=looked_at)
 
     def _formulas(
         self, asked: Mapping[str, object], named: Mapping[str, object], domain: Domain

@@ -40,7 +40,6 @@ from rankone.trajectories.system.verdict import (
     AccurateUnknowns,
     Budget,
     Cause,
-    HiddenEvent,
     HiddenRate,
     MeasuredError,
     MemoryNeeded,
@@ -283,15 +282,8 @@ def solve_in_attempts(
             cause = None
         if status is Status.NARROW:
             cause = best.hidden
-        if status is Status.CONVERGED:
-            try:
-                hidden = reference_set.hidden()
-            except OutOfBudgetError as out:  # whether steps missed something is not known
-                status = Status.of_limit(out)
-            else:
-                status, cause = (status, cause) if hidden is None else (Status.NARROW, hidden)
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
-    remedy = cause.remedy if isinstance(cause, HiddenRate | HiddenEvent) else remedy
+    remedy = cause.remedy if isinstance(cause, HiddenRate) else remedy
     notes: list[Note] = []
     if status is not Status.NARROW:
         notes += error_notes(request.rtol, best.measured, reference_set.names)

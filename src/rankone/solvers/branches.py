@@ -25,8 +25,6 @@ from rankone.solvers.verification.branch_errors import (
     undecided_share,
 )
 from rankone.solvers.verification.coverage import Coverage
-from rankone.solvers.verification.hidden_events import hidden_event
-from rankone.solvers.verification.hidden_rates import hidden_rate_along
 from rankone.solvers.verification.measure import SAFE_QUANTILE
 from rankone.solvers.verification.points import FEW_PARAMETERS, check_points, covers_corners
 from rankone.solvers.verification.reference import reference_accuracy
@@ -45,8 +43,6 @@ from rankone.trajectories.integrators.integrator_choice import span_integrator_f
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES, BranchedTimeline, Opening, Timeline
 from rankone.trajectories.system.verdict import (
-    HiddenEvent,
-    HiddenRate,
     MeasuredError,
     MemoryNeeded,
     Note,
@@ -191,8 +187,6 @@ class BranchCheck:
         judged = _judged(joined, timeline, measured, undecided, rtol)
         shared = SharedUnit.of(checked.system, sizes, rtol, self.request.check.states)
         judged = replace(judged, notes=(*judged.notes, *shared))
-        if judged.status is Status.CONVERGED:
-            judged = _looked_at(judged, checked, rtol)
         if judged.status is Status.TOLERANCE:  # by other orders, where events nearly coincide
             return judged, points[others & _is_wrong(errors, rtol, added)]
         return judged, nothing
@@ -245,20 +239,6 @@ def _judged(
     if measured.error <= rtol:
         return replace(judged, status=Status.CONVERGED, notes=tuple(notes))
     return replace(judged, status=Status.TOLERANCE, notes=(*notes, Remedy(REMEDY)))
-
-
-def _looked_at(outcome: Outcome, checked: OrderSearch, rtol: float) -> Outcome:
-    """The outcome, without success where steps of checked trajectories miss something narrow."""
-    trajectories, points, system = checked.trajectories, checked.points, checked.system
-    hidden: HiddenRate | HiddenEvent | None
-    try:
-        hidden = hidden_rate_along(trajectories, points, system, checked.sizes, rtol)
-        hidden = hidden or hidden_event(system, trajectories, points, checked.horizon, rtol)
-    except OutOfBudgetError as out:  # whether steps missed something is not known
-        return replace(outcome, status=Status.of_limit(out))
-    if hidden is None:
-        return outcome
-    return replace(outcome, status=Status.NARROW, cause=hidden, notes=(Remedy(hidden.remedy),))
 
 
 def _measured(

@@ -18,8 +18,7 @@ class Observation:
     ``rows`` are the states that they read. ``values`` takes times (T, 1), these states (k, T, m)
     and parameters (d, m), and gives for each quantity what broadcasts to (T, m). ``texts`` are
     their definitions. They may be ``states_alone``: some of the states, as they are. ``surfaces``,
-    of the same arguments, vanish in the middle of what is narrow or steep in them. ``written`` is
-    the generated function of times, these states and parameters, if there is one.
+    of the same arguments, vanish in the middle of what is narrow or steep in them, and at kinks.
     """
 
     names: tuple[str, ...]
@@ -28,7 +27,6 @@ class Observation:
     values: Callable[[Array, Array, Array], Sequence[Array] | Array]
     states_alone: bool = False
     surfaces: Callable[[Array, Array, Array], Sequence[Array]] | None = None
-    written: Callable[..., Sequence[Array]] | None = None
 
     @classmethod
     def of_some(cls, states: Sequence[str], rows: Sequence[int]) -> Observation:

@@ -19,7 +19,13 @@ from rankone.compiler.codegen.sums import Sums, long_sums
 from rankone.compiler.passes.feature_pass import cuts_of
 from rankone.compiler.passes.well_posed import Gap, check_gaps
 from rankone.problem.expressions.admissible import gaps
-from rankone.problem.expressions.boundaries import boundaries, peaks, steps
+from rankone.problem.expressions.boundaries import (
+    CONTINUOUS,
+    DISCONTINUOUS,
+    boundaries,
+    peaks,
+    steps,
+)
 from rankone.problem.expressions.derivatives import rate_of, unknown_of
 from rankone.problem.expressions.notation import exact, expression_of, plain_text
 from rankone.problem.expressions.parsing import parse_expression
@@ -120,7 +126,7 @@ def output_formulas(
     gap_regions = _gaps(evaluated, states, {*translator.reduced})
     moving = {*sources, *translator.running, time}
     timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in values)
-    of_states = _surfaces(evaluated, moving - {*translator.running})
+    of_states, jumps = _state_surfaces(evaluated, moving - {*translator.running})
     of_parameters = _parameter_surfaces(evaluated, {*parameters})
     quantities = Quantities(
         names=tuple(expressions),
@@ -130,7 +136,7 @@ def output_formulas(
         integrands=_function("t, s, p", integrands, names),
         reductions=tuple(translator.reductions),
         n_state_surfaces=len(of_states),
-        state_surfaces=_function("t, s, p", of_states, names),
+        state_surfaces=_function("t, s, p", [*of_states, *jumps], names),
         parameter_surfaces=_function("p", of_parameters, names),
         cuts=(),
         values=_function("t, s, p, r", values, names),
@@ -241,6 +247,20 @@ def _surfaces(formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.E
 
     narrow = itertools.chain(peaks(formulas, variables), steps(formulas, variables))
     return [middle for middle in dict.fromkeys(m for _, m in narrow) if variables(middle)]
+
+
+def _state_surfaces(
+    formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]
+) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    """What vanishes where functions of symbols are narrow, steep or kink; and where they jump."""
+
+    def levels(functions: tuple[type, ...]) -> list[sp.Expr]:
+        zero = (f for f, levels in boundaries(formulas, functions) if levels == (0.0,))
+        return [f for f in zero if f.free_symbols & symbols]
+
+    smooth = dict.fromkeys([*_surfaces(formulas, symbols), *levels(CONTINUOUS)])
+    jumps = dict.fromkeys(levels(DISCONTINUOUS))
+    return [*smooth], [f for f in jumps if f not in smooth]
 
 
 def _parameter_surfaces(formulas: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:

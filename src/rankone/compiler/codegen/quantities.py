@@ -99,7 +99,8 @@ class Quantities:
     They take times (T, 1), the sources (k, T, m) and parameters (d, m), those of surfaces of
     parameters the last alone, and ``values`` also the reductions, (m,) or (T, m). They give
     sequences of arrays that broadcast to (T, m). Surfaces are zero where a narrow feature is
-    largest or steepest; those of parameters are functions of several of them.
+    largest or steepest, or kinks; the ``state_surfaces`` behind the first ``n_state_surfaces`` are
+    zero where something jumps. Those of parameters are functions of several of them.
     """
 
     names: tuple[str, ...]

@@ -375,6 +375,7 @@ class _Sliding:
         """Where the side of a switch changes no rate, by the sides of those that always do.
 
         There its surface is passed without an event: orders of what changes nothing are no orders.
+        Not where another side must have changed by then, as that of ``Max(0, 1 - Abs(x))`` at x = 0.
         """
         where = dict[_Switch, Boolean]()
         for switch in self.switches:
@@ -390,7 +391,14 @@ class _Sliding:
             told_by = {*idle.atoms(AppliedUndef), *idle.free_symbols}
             told_by -= {*others.values(), self._system.coordinates[0].symbol}
             if idle not in (sp.true, sp.false) and not told_by:
-                where[switch] = idle
+                there = {
+                    other.state: sp.sign(height)
+                    for other in self.switches
+                    if switch.side in other.surface.free_symbols
+                    and (height := other.surface.xreplace({switch.side: sp.S.Zero})).is_number
+                }
+                if idle.xreplace(there) != sp.false:
+                    where[switch] = idle
         return where
 
     def _depends(self, a: _Switch, b: _Switch) -> bool:

@@ -20,7 +20,6 @@ from rankone.solution.outputs.output_check import (
     Check,
     CheckPoints,
     critical_points,
-    hidden_errors,
     split,
     spread_over,
 )
@@ -170,7 +169,6 @@ class OutputInterpolation:
                 slabs, hopeless = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
-        missed = np.maximum(missed, hidden_errors(slabs, finer, check, _AIMED_SHARE * rtol))
         if domain.box:
             climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
             missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))

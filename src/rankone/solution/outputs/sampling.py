@@ -177,51 +177,43 @@ class Sampler:
         return roughness
 
     def narrow(self, points: Array) -> float:
-        """Error at narrow features, of integrands and quantities without reductions, relative."""
+        """Error at narrow features, of integrands and quantities without reductions, relative.
+
+        In their middles, at kinks, and midway between two surfaces that follow each other: a window
+        may be open there.
+        """
         times, sources = self.clock(self.grid.times, points), self.sources(points)
         shape = self.grid.times.size, len(points)
         with np.errstate(all="ignore"):
             surfaces = self.quantities.state_surfaces(times, sources, points.T)
+        if not surfaces:
+            return 0.0
+        curves = [Polynomials(self.grid, np.broadcast_to(each, shape)) for each in surfaces]
+        found = [each.zeros(_MAX_MIDDLES) for each in curves]
+        some = slice(self.quantities.n_state_surfaces)
+        zeros, columns = (np.concatenate(each) for each in zip(*found, strict=True))
+        order = np.lexsort((zeros, columns))
+        zeros, columns = zeros[order], columns[order]
+        follow = columns[1:] == columns[:-1]
+        middles = 0.5 * (zeros[1:] + zeros[:-1])[follow]
+        places = np.concatenate([*(times for times, _ in found[some]), middles])
+        columns = np.concatenate([*(each for _, each in found[some]), columns[1:][follow]])
+        at = self._paired_clock(places, points[columns])[None, :]
+        exact = self._functions(
+            at, self._paired(places, points[columns])[:, None, :], points[columns].T
+        )
         worst = 0.0
-        at_nodes = self._functions(times, sources, points.T) if surfaces else []
-        for surface in surfaces:
-            curves = Polynomials(self.grid, np.broadcast_to(surface, shape))
-            zeros, columns = curves.zeros(_MAX_MIDDLES)
-            at_zeros = self._paired(zeros, points[columns])
-            at = self._paired_clock(zeros, points[columns])[None, :]
-            exact = self._functions(at, at_zeros[:, None, :], points[columns].T)
-            for nodal, exact_row in zip(at_nodes, exact, strict=True):
-                nodal = np.broadcast_to(nodal, shape)
-                size = max(np.abs(nodal).max(), np.abs(exact_row).max(initial=0.0), 1e-300)
-                interpolated = Polynomials(self.grid, nodal).at(zeros, columns)
-                errors = np.abs(np.broadcast_to(exact_row, (1, zeros.size))[0] - interpolated)
-                worst = max(worst, float(errors.max(initial=0.0)) / size)
+        for nodal, exact_row in zip(self._functions(times, sources, points.T), exact, strict=True):
+            nodal = np.broadcast_to(nodal, shape)
+            size = max(np.abs(nodal).max(), np.abs(exact_row).max(initial=0.0), 1e-300)
+            interpolated = Polynomials(self.grid, nodal).at(places, columns)
+            errors = np.abs(np.broadcast_to(exact_row, (1, places.size))[0] - interpolated)
+            worst = max(worst, float(errors.max(initial=0.0)) / size)
         return worst
 
     def sources(self, points: Array) -> Array:
         """The states or derivatives that are needed, at the nodes: shape (sources, T, m)."""
         return self._sources(self.grid.times, points)
-
-    def over(self, grid: TimeGrid) -> Sampler:
-        """The same on another grid, without workers."""
-        own = copy.copy(self)
-        own.grid, own.pool = grid, None
-        return own
-
-    def paired(self, times: Array, points: Array) -> Array:
-        """The clock and the sources at pairs of times (N,) and points (N, d): (1 + sources, N)."""
-        clock = self._paired_clock(times, points)
-        return np.concatenate([clock[None], self._paired(times, points)])
-
-    def reductions(self, points: Array) -> list[Array]:
-        """The reductions at points (m, d): (m,) each, or (T, m) of running integrals."""
-        clock, sources = self.clock(self.grid.times, points), self.sources(points)
-        with np.errstate(all="ignore"):
-            integrands = self.quantities.integrands(clock, sources, points.T)
-            return [
-                self._reduced(reduction, integrands[reduction.integrand], points, None)
-                for reduction in self.quantities.reductions
-            ]
 
     def _functions(self, times: Array, sources: Array, points: Array) -> list[Array]:
         """Integrands and, without reductions, values."""

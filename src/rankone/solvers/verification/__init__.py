@@ -1,19 +1,11 @@
 """Where is a solution worst? Reference trajectories, candidate points, and the measured error.
 
-
-
-- ``enclosures``: what samples on a piece of a trajectory show of a function, and what they may
-  hide
 - ``branch_errors``: errors of branches against trajectories that follow their own order of events
 - ``coverage``: where points of a box lie: evenly on the scale of a parameter, and over decades on
   two of them
 - ``cuts``: cuts of one coordinate: where known functions of it jump, kink or are narrow
 - ``finer``: whether finer trajectories confirm those of a reference
 - ``growth``: how much errors grow that are made on the way
-- ``hidden_events``: events that take place so briefly that no step of a reference trajectory saw
-  them
-- ``hidden_rates``: rates that are narrow between the steps of reference trajectories, where no
-  step saw them
 - ``measure``: errors measured against the reference set of a solve, also over clock time
 - ``points``: points of the box at which a solution is checked, and the search for worse ones
 - ``reference``: reference trajectories at single parameter points, and the times at which they
@@ -23,7 +15,5 @@
 - ``resolution``: how far down the states of reference trajectories are resolved
 - ``sharing``: one reference set for all attempts of a solve: engines that follow each other take
   the same
-- ``steps``: steps of trajectories, and the pieces into which they are halved where something
-  surprised
 - ``worst_points``: where slabs are worst: points that a few reference trajectories do not see
 """

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from rankone.solvers.observation import Observation
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.verification.cuts import Cuts, system_cuts
-from rankone.solvers.verification.hidden_events import hidden_event
-from rankone.solvers.verification.hidden_rates import hidden_rate, hidden_times
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,
     active_points,
@@ -38,7 +36,6 @@ from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.bases.time_grid import times_within
 from rankone.trajectories.events.event_order import OrderError
-from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.integrators.integrator import SampledTrajectories, Tolerances
 from rankone.trajectories.integrators.integrator_choice import (
     explicit_steps,
@@ -49,7 +46,7 @@ from rankone.trajectories.integrators.integrator_choice import (
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.timeline import CLOCK_STATES
-from rankone.trajectories.system.verdict import HiddenEvent, HiddenRate, NumericallyZero, SharedUnit
+from rankone.trajectories.system.verdict import NumericallyZero, SharedUnit
 
 # Periods between markers, and swings of the fastest state, over which it is as accurate: phases
 # drift over more, and count by how fast the states are
@@ -346,11 +343,7 @@ class ReferenceSet:
     @cached_property
     def narrow_times(self) -> Array:
         """When quantities are narrow on a trajectory, in order."""
-        crossed = narrow_times(self.reference, self.observed, self.end)
-        if self.observed is None or self.system.clock is not None:
-            return crossed
-        hidden = hidden_times(self.reference, self.observed, self.rtol)
-        return np.unique(np.concatenate([crossed, hidden[hidden < self.end]]))
+        return narrow_times(self.reference, self.observed, self.end)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -391,28 +384,6 @@ class ReferenceSet:
         return tuple(
             NumericallyZero(names[0], *numbers, len(names) - 1) for numbers, names in alike.items()
         )
-
-    def hidden(self) -> HiddenRate | HiddenEvent | None:
-        """Where steps of the trajectories miss something narrow, if they do."""
-        rate = hidden_rate(self.reference, self.system, self.of_states, self.rtol)
-        return rate or self._hidden_event()
-
-    def _hidden_event(self) -> HiddenEvent | None:
-        """Where they miss an event, if they do."""
-        clock, points = self.system.clock, self.reference.points
-        if clock is None:
-            return None
-        first = 0
-        for batch in self.reference.batches:
-            count = batch.state.shape[1]
-            own, first = points[first : first + count], first + count
-            if isinstance(batch, StretchTrajectories):
-                event = hidden_event(
-                    clock.system, batch.trajectories, own, clock.horizon, self.rtol
-                )
-                if event is not None:
-                    return event
-        return None
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
@@ -15,7 +15,6 @@ from rankone.trajectories.integrators.integrator import Path, joined
 from rankone.trajectories.system.events import CROSSINGS
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
-_MOST_NUMBERS = 4_000_000  # States at nodes that are held at once
 _LEAST_STRETCH = 1e-3  # Length of what is integrated after a reset at least, in horizons
 _SHRINKING = 10  # Shorter and shorter times until the same events, after which they may accumulate
 _REST = 1e-7  # Time within which all further ones would come if these shrink on, in horizons
@@ -191,16 +190,3 @@ def folded(times: Array, ends: float | Array, periods: float | Array) -> Array:
     later = (np.asarray(periods) > 0.0) & (times > ends)
     rounds = np.ceil((times - ends) / np.where(later, periods, 1.0))
     return np.where(later, times - rounds * periods, times)
-
-
-def held_together(trajectories: Sequence[EventTrajectory]) -> Iterator[slice]:
-    """Trajectories with steps, as many as are held at once."""
-    first, numbers = 0, 0
-    for k, each in enumerate(trajectories):
-        own = sum(path.nodal.size for path in each.paths)
-        if numbers and numbers + own > _MOST_NUMBERS:
-            yield slice(first, k)
-            first, numbers = k, 0
-        numbers += own
-    if numbers:
-        yield slice(first, len(trajectories))

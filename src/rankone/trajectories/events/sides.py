@@ -16,7 +16,8 @@ from rankone.trajectories.system.events import OfTrajectory, Row, SystemEvent
 from rankone.trajectories.system.features import OfStates, VectorLike
 from rankone.trajectories.system.system import Clock, System
 
-_SHARES = np.array([0.02, 0.2, 0.5, 0.8, 0.98])  # Of a stretch, where its sides are checked
+# Of a stretch, where its sides are checked, also next to its ends: something narrow may be there
+_SHARES = np.array([1e-9, 0.02, 0.2, 0.5, 0.8, 0.98, 1.0 - 1e-9])
 _ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
 _BESIDE = 1e-5  # Distance beyond a surface, over the largest one, that is rounding and tolerance
 

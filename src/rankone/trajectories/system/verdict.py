@@ -273,22 +273,6 @@ class HiddenRate(Cause):
 
 
 @dataclass(frozen=True)
-class HiddenEvent(Cause):
-    """Steps of a reference trajectory pass over an event, at a time and parameters."""
-
-    remedy: ClassVar[str] = "give it a condition with the same zeros that varies more slowly"
-    event: str
-    time: float
-    at: tuple[tuple[str, float], ...]
-
-    def sentence(self, status: Status) -> str:
-        return (
-            f"the condition of {quote(self.event)} crosses zero so briefly "
-            f"{_near(self.time, self.at)} that steps pass over it: the error is not known"
-        )
-
-
-@dataclass(frozen=True)
 class DerivativeOf(Cause):
     """The solution is a derivative of another one."""
 
