@@ -105,19 +105,19 @@ def systems() -> dict[str, Callable[[], Outcome]]:
     for system in switches.systems():
         add(system.name, system.problem, 1e-4)
     saturations = SATURATIONS.values() if isinstance(SATURATIONS, dict) else SATURATIONS
-    for system in list(saturations)[::6]:
+    for system in list(saturations)[::9]:
         add(f"{system.name}, saturation", system.problem, 1e-3)
     for kind in HOSTILE:
-        for seed in (0, 1):
+        for seed in (0,):
             system = case(kind, seed)
             add(f"{kind} {seed}", system.problem, system.rtol)
     for i, (name, rtol, rhs, box, start, end) in enumerate(steep.cases()):
-        if i < 10:
+        if i < 5:
             problem = ro.Problem(
                 [steep.sp.Eq(steep.x.diff(steep.t), rhs)], (steep.t, 0, end), box, {steep.x: start}
             )
             add(f"steep {i}: {name}", lambda problem=problem: problem, rtol)
-    for resting in STEADY[::4]:
+    for resting in STEADY[::8]:
         problems[f"rest: {resting.name}"] = lambda resting=resting: rested(resting)
     add("distributions", _uncertain, 1e-5)
     add("heat", _heat, 1e-4)

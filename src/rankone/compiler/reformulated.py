@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import sympy as sp
 
-from rankone.compiler.agreement.agreement import ComparedPoints, disagreeing_rate
+from rankone.compiler.agreement.agreement import AGREED, POINTS, ComparedPoints, disagreeing_rate
 from rankone.compiler.codegen.loading import ModuleSpecification
 from rankone.compiler.codegen.module import general_source, generate_source
 from rankone.compiler.codegen.output_expressions import OutputFormulas, output_formulas
@@ -167,9 +167,8 @@ def lifted_problem(
 # The form of a problem in which each switch of its rates is held on one side of its surface.
 
 
-_COMPARED_POINTS = 32  # Points of the box at which rates are compared
-_BESIDE = 0.1  # Their distance from the initial states
-_AGREEMENT = 1e-10  # Relative difference of rates beyond rounding
+_POINTS = 64  # Points of the box, besides corners, that show rates and sides of switches
+_BESIDE = 0.1  # Distance from the initial states at which rates are compared
 _COARSE_POINTS, _COARSE_STEPS = 8, 512  # Trajectories, besides corners, that reach levels
 
 
@@ -246,7 +245,7 @@ def _agrees(held: System, system: System) -> bool:
     And whether the factors of the held ones are finite.
     """
     bounds = np.array(system.box, dtype=float).reshape(-1, 2)
-    p = np.ascontiguousarray(check_points(bounds, _COMPARED_POINTS, every_corner=True).T)
+    p = np.ascontiguousarray(check_points(bounds, _POINTS, every_corner=True).T)
     n, t = system.n_differential, np.full(p.shape[1], system.horizon[0])
     with np.errstate(all="ignore"):
         start = system.initial(p)
@@ -259,15 +258,11 @@ def _agrees(held: System, system: System) -> bool:
             return False
         both = np.isfinite(ours) & np.isfinite(theirs) & np.isfinite(u).all(axis=0)
         size = np.abs(theirs).max(axis=1, keepdims=True, where=both, initial=0.0)
-    return bool(both.any() and (np.abs(ours - theirs) <= _AGREEMENT * size)[both].all())
+    return bool(both.any() and (np.abs(ours - theirs) <= AGREED * size)[both].all())
 
 
 # -----------------------------------------------------------------------------
 # The form over stretches of a problem with events, for methods that need separated terms.
-
-
-# Points of the box, besides corners, that show on which side switches are
-_SIDE_POINTS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +295,7 @@ class StretchedProblem:
         coordinates = tuple(replace(c, lower=a, upper=b) for c, (a, b) in moved)
         first_order = replace(self.first_order, coordinates=coordinates)
         bounds = np.array(box, dtype=float).reshape(-1, 2)
-        points = check_points(bounds, _SIDE_POINTS, every_corner=True)
+        points = check_points(bounds, _POINTS, every_corner=True)
         form = over_stretches(first_order, self._stretches(clock), np.ascontiguousarray(points.T))
         if form.coupled is not None:
             raise _does_not_separate(form.coupled)
@@ -364,7 +359,6 @@ def known_times(first_order: FirstOrderSystem, system: System) -> bool:
 # Outputs of a solve: quantities that are evaluated along its trajectories.
 
 
-_POINTS = 20  # Points at which generated functions are compared with their expressions
 _ASK_SOLUTION = "name the unknowns in it in unknowns=, and ask that solution: .output(...)"
 _Key = tuple[tuple[tuple[str, object], ...], tuple[float, float]]
 """Outputs by name, and the horizon."""
@@ -442,7 +436,7 @@ class SolveOutputs:
                     term=name,
                     remedy="give the output another name",
                 )
-        compared = ComparedPoints.of(self.system, _POINTS)
+        compared = ComparedPoints.of(self.system, POINTS)
         samples = compared.time, compared.parameters, compared.states
         formulas = output_formulas(named, self.metadata, domain.horizon, samples)
         _check_states_alone(formulas.quantities)

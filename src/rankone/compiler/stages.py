@@ -28,7 +28,12 @@ from typing import TypeVar
 
 import sympy as sp
 
-from rankone.compiler.agreement.agreement import DisagreementError, check_problem, check_table
+from rankone.compiler.agreement.agreement import (
+    AGREED,
+    DisagreementError,
+    check_problem,
+    check_table,
+)
 from rankone.compiler.agreement.comparison import LOST_SHARE
 from rankone.compiler.codegen.layout import with_constants
 from rankone.compiler.codegen.loading import ModuleSpecification
@@ -341,8 +346,6 @@ def _without_lifting(expression: sp.Expr | LiftedProblem | None) -> str:
 
 
 _Stages = TypeVar("_Stages", bound=CompiledStages)
-# Error of separated terms, over the largest rate, up to which the separated form is used
-_SEPARATION_TOLERANCE = 1e-10
 
 
 def with_numbers_of(compiled: _Stages, problem: Problem) -> _Stages | None:
@@ -370,7 +373,7 @@ def with_numbers_of(compiled: _Stages, problem: Problem) -> _Stages | None:
             check_gaps(first_order.piecewise(), coordinates)
             check_stages(first_order, other.separated, other.system, coordinates)
         with timed(timings, "agreement"):
-            lost = LOST_SHARE if other.quadratic is None else _SEPARATION_TOLERANCE
+            lost = LOST_SHARE if other.quadratic is None else AGREED
             check_problem(problem, first_order, other.system, lost)
     except RankoneError:
         return None
@@ -410,12 +413,12 @@ def _agreeing(compiled: _Stages) -> _Stages:
             pass
     if compiled.quadratic is not None:
         try:
-            check_problem(problem, first_order, compiled.system, _SEPARATION_TOLERANCE)
+            check_problem(problem, first_order, compiled.system, AGREED)
             return compiled
         except DisagreementError as error:
             as_written = _not_separated(compiled, error)
         try:
-            check_problem(problem, first_order, as_written.system, _SEPARATION_TOLERANCE)
+            check_problem(problem, first_order, as_written.system, AGREED)
             return as_written
         except DisagreementError:
             pass  # no form keeps more digits

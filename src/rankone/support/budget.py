@@ -36,7 +36,6 @@ WAITING = 0.1 * NORMAL
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
-_MOST_EFFORT = 1e6  # Largest factor on the budget: most of a year
 _TELLING_SHARE = 0.2  # Part of the work of a look after which it tells how much is left
 # Seconds of an operation, roughly: work that would end after the deadline is not begun
 _OPERATION_SECONDS = 1e-9
@@ -356,7 +355,7 @@ def operations_for(effort: str | float) -> float:
             remedy = "choose 'low', 'normal', 'high' or a positive factor"
             raise OptionError(f"effort={effort!r} is unknown", term=effort, remedy=remedy)
         return NORMAL * _EFFORTS[effort]
-    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST_EFFORT, float))
+    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, 1.0 / LEAST_EFFORT, float))
 
 
 # -----------------------------------------------------------------------------

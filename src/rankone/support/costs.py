@@ -201,8 +201,6 @@ def eigenvalues(size: int) -> float:
 # SuperLU factors it (Demmel et al., SIAM J. Matrix Anal. Appl. 20 (1999), 720).
 
 
-_ROW_BYTES = 8.0  # The row of an entry of the factors, beside the entry
-_COMPLEX = 2.0  # Operations of complex numbers over those of real ones
 _MULTIPLICATION = 0.1  # One of about filled^2 / n of the factorisation, measured
 
 
@@ -212,8 +210,8 @@ class SparseFactors:
     def __init__(self, matrix: scipy.sparse.csc_matrix) -> None:
         self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A")
         self.filled = int(self._factors.nnz)
-        self._weight = _COMPLEX if np.iscomplexobj(matrix) else 1.0
-        reserve((8.0 * self._weight + _ROW_BYTES) * self.filled)
+        self._weight = 2.0 if np.iscomplexobj(matrix) else 1.0
+        reserve(8.0 * (self._weight + 1.0) * self.filled)
         multiplications = _MULTIPLICATION * self.filled**2 / matrix.shape[0]
         charge(self._weight * (SPARSE_FACTORS(self.filled) + multiplications))
 

@@ -1,7 +1,6 @@
-"""What counts as rounding, as the same place, and as nothing: the numbers that all rooms share.
+"""What counts as rounding, as the same place, as nothing and as many: numbers all rooms share.
 
-Each is a relative size, but for :data:`TINY`. A room has a number of its own only where another
-one changes a verdict or the work.
+A room has a number of its own only where another one changes a verdict or the work.
 """
 
 from __future__ import annotations
@@ -18,3 +17,9 @@ COINCIDENT = 4096.0 * EPSILON
 """Difference below which two times or places are one, about 1e-12, in sizes of these."""
 NEGLIGIBLE = 1e-9
 """Share below which a difference counts as none; about the error of the tightest solve."""
+MANY_STATES = 64
+"""States from which on tables and sparse matrices serve better than a line and a row for each."""
+AT_ONCE = 1 << 19
+"""Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
+SEED = 20140
+"""Of points that only have to be spread: the same call always has the same ones."""

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.compiler.codegen.rates import ARRAY_STATES
 from rankone.support.arrays import Array
+from rankone.support.precision import MANY_STATES
 from rankone.trajectories.system.system import System, pattern_of
 
-N = ARRAY_STATES
+N = MANY_STATES
 BOX = {"k": (0.5, 2.0), "c": (0.1, 0.3)}
 
 

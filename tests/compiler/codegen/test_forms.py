@@ -13,14 +13,14 @@ import sympy as sp
 
 import rankone as ro
 from rankone.compiler.codegen import module, rates
-from rankone.compiler.codegen.rates import ARRAY_STATES
 from rankone.compiler.passes.surfaces import MAX_SURFACES
 from rankone.problem import text
 from rankone.problem.tables import term_sums
 from rankone.support.arrays import Deferred
+from rankone.support.precision import MANY_STATES
 from rankone.trajectories.system.system import pattern_of
 
-N = ARRAY_STATES
+N = MANY_STATES
 BOX = {"k": (0.5, 1.5), "c": (1.0, 2.0)}
 NAMES = "xyzuvw"
 LAWS = {
@@ -88,7 +88,7 @@ def check_same(arrays, lines, rel=1e-12):
 @pytest.mark.parametrize("kind", LAWS)
 def test_arrays_are_the_lines_to_rounding(kind, monkeypatch):
     for owner in (module, rates):
-        monkeypatch.setattr(owner, "ARRAY_STATES", FEW)
+        monkeypatch.setattr(owner, "MANY_STATES", FEW)
     monkeypatch.setattr(text, "FEWEST_TABULATED", FEW)
     rhs = laws_of(kind, FEW)
     arrays, lines = ro.compile(problem_of(rhs)), by_lines(rhs, monkeypatch)
@@ -146,7 +146,7 @@ class Texts:
 @pytest.mark.filterwarnings("ignore:parameter .* appears nowhere")
 def test_random_formulas_are_the_same_as_lines(monkeypatch):
     for owner in (module, rates):
-        monkeypatch.setattr(owner, "ARRAY_STATES", 2)
+        monkeypatch.setattr(owner, "MANY_STATES", 2)
     monkeypatch.setattr(text, "FEWEST_TABULATED", 2)
     monkeypatch.setattr(term_sums, "_MOST_FORMS", Fraction(100))
     compared = 0

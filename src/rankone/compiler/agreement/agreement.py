@@ -12,7 +12,13 @@ from mpmath.libmp import to_float
 from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.agreement.comparison import LOST_SHARE, Comparison, NoValueError, total
+from rankone.compiler.agreement.comparison import (
+    LOST_SHARE,
+    TOLERANCE,
+    Comparison,
+    NoValueError,
+    total,
+)
 from rankone.compiler.passes import FirstOrderSystem
 from rankone.problem.expressions.derivatives import rate_of
 from rankone.problem.expressions.parsing import syntax_trees
@@ -22,14 +28,19 @@ from rankone.problem.problem import Problem
 from rankone.problem.tables.term_table import TermTable
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
+from rankone.support.precision import EPSILON, SEED
 from rankone.support.wording import quote
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.steady.resting_start import before_start
 from rankone.trajectories.system.system import System, pattern_of
 
-# Points of the horizon, the box and plausible states at which a problem is compared
-_ALL_POINTS = 20
-_FEWEST_POINTS = 3  # Points for equations of very many operations
+POINTS = 20
+"""Points of the horizon, the box and plausible states at which a problem is compared."""
+_FEW_POINTS = 3  # Points at which what takes long is compared
+AGREED = 1e-10
+"""Differences below this share of the largest value are rounding of sums and products."""
+# The same for differences between functions that lose digits: derivatives, and long integrations
+_AGREED_ROUGHLY = 1e-6
 _MOST_OPERATIONS = 12000  # Operations at a hundred digits for all rates: some tenths of a second
 # Shares of the horizon over which states have moved from the start, at their first rate
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
@@ -37,18 +48,8 @@ _NOISE = (1e-9, 1e-5, 0.01, 0.3)  # Relative distances of states from there; zer
 # One point of this many is still: its states are those at the start, apart from the noise
 _STILL_PERIOD = len(_DRIFTS)
 _LARGEST_DRIFT = 10.0  # Of a state over its largest initial value: a first rate may be a short peak
-_JACOBIANS = 3  # Points at which Jacobians of few operations are compared: four evaluations each
-_SLOPE_TOLERANCE = 1e-6  # Derivatives may be off by this share of their terms
-_NEGLIGIBLE_SLOPE = 1e-15  # Derivatives may be off by this share of the change of the states
 # Derivatives may be off by this many times the effect of relative errors of 1e-13, so of 1e-8
 _SLOPE_SPREAD_RATIO = 1e5
-# Share of its size by which an error of a rate may move a state over the horizon
-_NEGLIGIBLE_CHANGE = 1e-13
-_LIFTED_TOLERANCE = 1e-6  # Larger differences of a lifted rate, over its largest, are not rounding
-_LONG_INTEGRATIONS = 3  # Points at which the start is compared, where it is a steady state
-_START_TOLERANCE = 1e-6  # Differences there, over the largest state, that long integrations have
-# Of points and directions: the same problem is always compared at the same ones
-_PLACES_SEED = 1937
 REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 """What to do where generated code is off."""
 
@@ -73,7 +74,7 @@ class ComparedPoints:
     @classmethod
     def of(cls, system: System, count: int) -> ComparedPoints:
         """Points over the horizon, the box and plausible states; the same for the same system."""
-        rng = np.random.default_rng(_PLACES_SEED)
+        rng = np.random.default_rng(SEED)
         start, end = system.horizon
         box = np.asarray(system.box, dtype=float).reshape(-1, 2)
         time = start + (end - start) * rng.random(count)
@@ -103,7 +104,7 @@ def disagreeing_rate(lifted: System, system: System) -> int | None:
     system do not.
     """
     with np.errstate(all="ignore"):
-        points = ComparedPoints.of(system, _ALL_POINTS)
+        points = ComparedPoints.of(system, POINTS)
         t, p, u = points.time, points.parameters, points.states
         states = np.concatenate([u, np.ones((lifted.n_lifted, t.size))])
         for _ in range(lifted.n_lifted):  # some stand for functions of others
@@ -112,7 +113,7 @@ def disagreeing_rate(lifted: System, system: System) -> int | None:
         rates = np.asarray(lifted.rhs(t, states, p), dtype=float)[: len(u)]
         size = np.abs(points.rates[:, finite]).max(axis=1, initial=0.0)
         errors = np.abs(rates - points.rates)[:, finite]
-        disagreeing = ~(errors <= _LIFTED_TOLERANCE * size[:, None]).all(axis=1)
+        disagreeing = ~(errors <= _AGREED_ROUGHLY * size[:, None]).all(axis=1)
     return int(np.argmax(disagreeing)) if disagreeing.any() else None
 
 
@@ -159,8 +160,8 @@ class _ProblemCheck:
     def run(self) -> None:
         """Raise a DisagreementError at the first disagreement."""
         operations = sum(len(comparison.program.steps) for comparison in self.compared)
-        count = max(min(_ALL_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST_POINTS)
-        self.few = count > _FEWEST_POINTS
+        count = max(min(POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEW_POINTS)
+        self.few = count > _FEW_POINTS
         with np.errstate(all="ignore"):
             self.points = ComparedPoints.of(self.system, count)
             self._check_rates()
@@ -177,7 +178,7 @@ class _ProblemCheck:
         finite = _finite(points.states, points.rates)
         p, u, f = points.parameters, points.states, points.rates[self.highest]
         leaves = [np.array([points.time[k], *p[:, k], *u[:, k], *f[:, k]]) for k in finite]
-        slowest = _NEGLIGIBLE_CHANGE * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
+        slowest = TOLERANCE * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
         solved: dict[int | None, list[int]] = {}  # states by the equation solved for their rate
         for i, equation in enumerate(self.first_order.origins):
             solved.setdefault(equation, []).append(i)
@@ -199,9 +200,9 @@ class _ProblemCheck:
     def _check_jacobian(self) -> None:
         """Raise if moving the states and, by the Jacobian, the rates leaves the equations."""
         points, highest = self.points, self.highest
-        rng = np.random.default_rng(_PLACES_SEED)
+        rng = np.random.default_rng(SEED)
         moving = [k for k in _finite(points.states, points.rates) if k % _STILL_PERIOD]
-        for k in moving[: _JACOBIANS if self.few else 1]:
+        for k in moving[: _FEW_POINTS if self.few else 1]:
             t, p = points.time[k], points.parameters[:, k]
             u, f = points.states[:, k], points.rates[highest, k]
             jacobian = np.asarray(self.system.jacobian(t, u, p), dtype=float)
@@ -216,7 +217,7 @@ class _ProblemCheck:
                 np.array([0.0, *(0.0 * p), *direction, *(0.0 * f)]),
                 np.array([0.0, *(0.0 * p), *(0.0 * u), *change[highest]]),
             ]
-            negligible = _NEGLIGIBLE_SLOPE * np.abs(direction).max()
+            negligible = 4.0 * EPSILON * np.abs(direction).max()
             for origin, comparison in enumerate(self.compared, start=1):
                 if not self.smooth[origin - 1]:
                     continue
@@ -224,7 +225,7 @@ class _ProblemCheck:
                     slopes = [comparison.slope(here, direction) for direction in along]
                     error = to_float(total(*slopes))
                     scale = sum(map(abs, map(to_float, slopes))) + comparison.residual(here)[1]
-                    if abs(error) <= _SLOPE_TOLERANCE * scale + negligible:
+                    if abs(error) <= _AGREED_ROUGHLY * scale + negligible:
                         continue
                     spread = comparison.slope_spread(here, along, error)
                 except (NoValueError, OverflowError):
@@ -262,12 +263,12 @@ class _ProblemCheck:
             begun = system.initial(self.points.parameters)
             size = max(size, float(np.abs(begun).max()))
         clock, points = self.first_order.coordinates[0], self.points.parameters.T
-        for k, point in enumerate(points[:_LONG_INTEGRATIONS]):
+        for k, point in enumerate(points[:_FEW_POINTS]):
             at = dict(zip(self.symbols, point.tolist(), strict=True))
             states = self.problem.trajectory({clock.symbol: clock.lower, **at}).states
             for state, start in zip(self.first_order.states, generated[:, k], strict=True):
                 off = abs(float(states[state.name]) - start)
-                if off > _START_TOLERANCE * size:
+                if off > _AGREED_ROUGHLY * size:
                     raise DisagreementError(
                         f"the steady state at the start is not where a long integration ends: "
                         f"{quote(state.expression)} differs by {off:.3g} at {self._described(k)}",
@@ -415,12 +416,6 @@ def _finite(*arrays: Array) -> list[int]:
 # Generated code compared with the table of terms that a problem came with.
 
 
-_POINTS = 3  # Points at which a table is compared: each term is in all of them
-_ROUNDING = 1e-11  # Differences below this share of the terms are rounding
-_STEP = 1e-30  # Imaginary step to a derivative
-_SEED = 1938  # Of directions in which the Jacobian is compared
-
-
 def check_table(problem: Problem, table: TermTable, system: System) -> None:
     """Compare rates, Jacobian and initial values with the terms of a problem, summed one by one.
 
@@ -430,7 +425,7 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
     A DisagreementError names the first state that is off by more than rounding.
     """
     with np.errstate(all="ignore"):
-        points = ComparedPoints.of(system, _POINTS)
+        points = ComparedPoints.of(system, _FEW_POINTS)
         t, p, u = points.time, points.parameters, points.states
         _check_start(problem, system, p)
         if table.forms:
@@ -441,7 +436,7 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
         _compare(problem, "rate", points.rates, rates, sizes)
         if table.texts or table.rates:
             _compare(problem, "rate", _written_rates(problem, table, t, p, u), rates, sizes)
-        direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * u
+        direction = np.random.default_rng(SEED).uniform(0.5, 1.0, u.shape) * u
         slopes, sizes = sums.slopes(t, p, u, direction)
         _compare(problem, "Jacobian", _along(system, t, p, u, direction), slopes, sizes)
 
@@ -462,9 +457,10 @@ def _check_forms(
     (Squire and Trapp, SIAM Review 40 (1998) 110).
     """
     t, p, u = points.time, points.parameters, points.states
-    direction = np.random.default_rng(_SEED).uniform(0.5, 1.0, u.shape) * np.where(u, u, 1.0)
-    ahead = _written_rates(problem, table, t, p, u + 1j * _STEP * direction)
-    slopes = np.where(np.isfinite(points.rates), ahead.imag / _STEP, np.nan)
+    direction = np.random.default_rng(SEED).uniform(0.5, 1.0, u.shape) * np.where(u, u, 1.0)
+    step = EPSILON**2
+    ahead = _written_rates(problem, table, t, p, u + 1j * step * direction)
+    slopes = np.where(np.isfinite(points.rates), ahead.imag / step, np.nan)
     sizes = np.abs(points.rates) + _along(system, t, p, u, np.abs(direction), np.abs)
     rates = np.where(np.isfinite(points.rates), ahead.real, np.nan)
     _compare(problem, "rate", points.rates, rates, sizes)
@@ -560,7 +556,7 @@ def _at_points(expression: sp.Expr, symbols: list[sp.Symbol], columns: Array) ->
 
 
 def _compare(problem: Problem, what: str, ours: Array, exact: Array, sizes: Array) -> None:
-    off = np.abs(ours - exact) > _ROUNDING * sizes
+    off = np.abs(ours - exact) > AGREED * sizes
     if (off & np.isfinite(exact)).any():
         state = list(problem.initial)[int(np.argmax(off.any(axis=1)))]
         raise DisagreementError(

@@ -29,35 +29,36 @@ from mpmath.libmp import (
 from sympy.core.relational import Relational
 
 from rankone.support.arrays import Array
+from rankone.support.precision import EPSILON, SEED, TINY
 
 Number = tuple[int, int, int, int]
 """A floating-point number of mpmath: sign, mantissa, exponent, bits."""
 Operation = Callable[..., Number | bool]
 """A function of the values of subexpressions; conditions have truth values."""
 
+_CONTEXT = mpmath.MPContext()
 # Decimal digits of the numbers: where terms cancel over many decades, more digits remain than the
 # sixteen of floating point
-_DIGITS = 100
-PRECISION = 336
-"""Bits of the numbers: as many as mpmath takes for a hundred decimal digits."""
-_CONTEXT = mpmath.MPContext()
-_CONTEXT.dps = _DIGITS
-_LARGEST_ARGUMENT = 1e300  # Of growing functions, and of logarithms: mpmath takes forever beyond
-_LARGEST_OF_SPECIAL = 1e100  # The same of special functions: there it takes seconds
+_CONTEXT.dps = 100
+PRECISION = _CONTEXT.prec
+"""Bits of the numbers."""
+_LARGEST_ARGUMENT = 1e100  # Of functions that grow or take seconds beyond
 _MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
 _STEP = from_float(1e-35)  # Of difference quotients: half of the digits remain in the difference
-# Residuals below this share of the terms are rounding. A larger one is compared with the effect of
-# relative errors of this size in all intermediate results.
-_TOLERANCE = 1e-13
-_LAST_DIGITS = 1e-90  # Relative error of the evaluation: log(1 + 1e-178) has no digits either
+TOLERANCE = 1e-13
+"""Residuals below this share of the terms are rounding.
+
+A larger one is compared with the effect of relative errors of this size in all intermediate
+results.
+"""
+# Relative error of the evaluation: log(1 + 1e-178) has no digits either
+_LAST_DIGITS = 10.0 ** (10 - _CONTEXT.dps)
 _RUNS = 4  # Evaluations with disturbed intermediate results: few, as only the largest effect counts
-_SEED = 1914  # Of the disturbances: the same problem is always judged alike
 _SPREAD_RATIO = 10.0  # Largest residual over that effect: a few runs do not meet the worst errors
 LOST_SHARE = 0.01
 """A residual above this share of the largest value leaves no digits that count."""
 _NEGLIGIBLE_SHARE = 1e-30  # Of the terms: smaller residuals, as between steep steps, do not matter
 _TINY_SHARE = 1e-120  # Residuals below this share of the largest terms are underflow
-_UNDERFLOW = 1e-280  # Smaller residuals are underflow: products of floats end near 1e-308
 
 
 class NoValueError(Exception):
@@ -184,7 +185,7 @@ def _constant(expression: sp.Basic) -> Operation:
         p, q = (_CONTEXT.mpf(int(n))._mpf_ for n in (expression.p, expression.q))
         constant: Number = mpf_div(p, q, PRECISION, "n")
     else:
-        constant = _real(sp.N(expression, _DIGITS))
+        constant = _real(sp.N(expression, _CONTEXT.dps))
     return lambda: constant
 
 
@@ -237,10 +238,10 @@ def _by_sympy(function: Callable[..., sp.Expr]) -> Operation:
 
     def call(*arguments: Number) -> Number:
         wrapped = [_CONTEXT.make_mpf(argument) for argument in arguments]
-        if any(abs(argument) > _LARGEST_OF_SPECIAL for argument in wrapped):
+        if any(abs(argument) > _LARGEST_ARGUMENT for argument in wrapped):
             raise NoValueError
-        floats = [sp.Float(argument, _DIGITS) for argument in wrapped]
-        return _real(sp.N(function(*floats), _DIGITS))
+        floats = [sp.Float(argument, _CONTEXT.dps) for argument in wrapped]
+        return _real(sp.N(function(*floats), _CONTEXT.dps))
 
     return call
 
@@ -350,8 +351,8 @@ class Comparison:
         there = [mpf_add(x, mpf_mul(_STEP, v, PRECISION, "n"), PRECISION, "n") for x, v in pairs]
         residuals = []
         for point in (start, there):
-            noise = None if seed is None else np.random.default_rng([_SEED, seed])
-            residuals.append(self._sums(self.program(point, noise, _TOLERANCE))[0])
+            noise = None if seed is None else np.random.default_rng([SEED, seed])
+            residuals.append(self._sums(self.program(point, noise, TOLERANCE))[0])
         change = mpf_sub(residuals[1], residuals[0], PRECISION, "n")
         return cast(Number, mpf_div(change, _STEP, PRECISION, "n"))
 
@@ -380,9 +381,9 @@ class Comparison:
         exact_sums = [self._sums_at(point) for point in leaves]
         sums = {k: tuple(map(to_float, s)) for k, s in enumerate(exact_sums) if s is not None}
         largest_size = max((size for _, size, _ in sums.values()), default=0.0)
-        floor = max(_TINY_SHARE * largest_size, _UNDERFLOW)
+        floor = max(_TINY_SHARE * largest_size, TINY / EPSILON**2)
         for k, (residual, size, _) in sums.items():
-            if abs(residual) > max(_TOLERANCE * size, floor):
+            if abs(residual) > max(TOLERANCE * size, floor):
                 spread = self._spread(leaves[k], residual)
                 if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
@@ -398,9 +399,9 @@ class Comparison:
                     return k, residual
         return None
 
-    def _spread(self, point: Array, exact: float, size: float = _TOLERANCE) -> float | None:
+    def _spread(self, point: Array, exact: float, size: float = TOLERANCE) -> float | None:
         """How far rounding of a size moves the residual; None if that cannot be told."""
-        noise = np.random.default_rng(_SEED)
+        noise = np.random.default_rng(SEED)
         spread = 0.0
         for _ in range(_RUNS):
             sums = self._sums_at(point, noise, size)
@@ -413,7 +414,7 @@ class Comparison:
         self,
         point: Array,
         noise: np.random.Generator | None = None,
-        size: float = _TOLERANCE,
+        size: float = TOLERANCE,
     ) -> tuple[Number, Number, Number] | None:
         """Residual, size of the terms, computed terms; None where they have no value."""
         try:

@@ -42,8 +42,6 @@ MATRIX_COST = 1.5
 """Microseconds of a matrix product with such rows, whatever its size."""
 ENTRY_COST = 0.02
 """Microseconds of each of its entries."""
-FACTOR_COST = 1.0
-"""Microseconds of its multiplication by a time factor."""
 MATRIX_GAIN = 2.0
 """Microseconds that a matrix must save, since written-out sums read better."""
 
@@ -274,7 +272,7 @@ class Combination:
         )
         size = len(self.rows) * len(self.columns)
         product = MATRIX_COST + ENTRY_COST * size
-        scaled = sum(FACTOR_COST for factor in self.factors if factor)
+        scaled = sum(map(bool, self.factors))
         return written_out - 2 * (product * len(self.factors) + scaled)
 
     def tables(self) -> list[str]:

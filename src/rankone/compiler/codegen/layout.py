@@ -14,11 +14,12 @@ from typing import TypeAlias
 
 from rankone.support.wording import number
 
+MOST_TERMS = 200
+"""Terms of a sum in one expression: Python compiles longer sums by deep recursion."""
 WIDTH = 100
 """Characters of a line."""
 INDENT = "    "
 """One level of indentation."""
-_MAX_TERMS = 400  # Terms of a sum in one statement: Python compiles longer sums by deep recursion
 
 Nested: TypeAlias = "str | Sequence[Nested]"
 """A text, or a tuple of them."""
@@ -50,9 +51,9 @@ def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str
     >>> assignment("y", ["a * b", "- c"], "x'")
     ["    y = a * b - c  # x'"]
     """
-    lines = statement(f"{target} =", terms[:_MAX_TERMS])
-    for k in range(_MAX_TERMS, len(terms), _MAX_TERMS):
-        lines += statement(f"{target} =", [target, *terms[k : k + _MAX_TERMS]])
+    lines = statement(f"{target} =", terms[:MOST_TERMS])
+    for k in range(MOST_TERMS, len(terms), MOST_TERMS):
+        lines += statement(f"{target} =", [target, *terms[k : k + MOST_TERMS]])
     return [commented(lines[0], meaning)] if meaning and len(lines) == 1 else lines
 
 

@@ -26,7 +26,6 @@ from rankone.compiler.codegen.module_header import general_header, header, sum_t
 from rankone.compiler.codegen.pointwise import PointwiseWriter
 from rankone.compiler.codegen.printer import numpy_text
 from rankone.compiler.codegen.rates import (
-    ARRAY_STATES,
     ArrayWriter,
     GeneralWriter,
     SeparatedWriter,
@@ -51,6 +50,7 @@ from rankone.problem.forms import (
 from rankone.problem.functions import known_applied
 from rankone.problem.tables.term_table import TermTable
 from rankone.support.errors import check_kind
+from rankone.support.precision import MANY_STATES
 from rankone.support.progress import timed
 from rankone.support.wording import number
 from rankone.tensors.bases.scales import LINEAR
@@ -101,7 +101,7 @@ def generate_source(
     remedy = "give separate(problem) or quadratic_system(form); what is compiled has `.source`"
     check_kind("generate_source", form, QuadraticSystem, SeparatedForm, remedy=remedy)
     system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
-    large = len(system.differential) >= ARRAY_STATES
+    large = len(system.differential) >= MANY_STATES
     writer = ArrayWriter(system) if large else SeparatedWriter(system)
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
     expressions = [expression for distinct in factors for expression in distinct]
@@ -152,7 +152,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     ProblemError if NumPy and SciPy lack a function or its derivative.
     """
     table = system.table
-    if table is not None and table.forms and len(system.states) >= ARRAY_STATES:
+    if table is not None and table.forms and len(system.states) >= MANY_STATES:
         return _tabulated_source(system, table, title)
     writer = GeneralWriter(system)
     further = [*system.initial, *(value for jump in system.jumps for value in jump.values)]

@@ -35,15 +35,12 @@ from rankone.problem.functions import known_applied
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
+from rankone.support.precision import COINCIDENT, SEED
 from rankone.support.wording import listing, quote, shown
 from rankone.trajectories.system.timeline import Timeline
 
 # Cuts of one period over the horizon; a quadrature between more would take minutes
 _MAX_REPEATS = 201
-# Of the derivatives and reductions at which generated outputs are checked; any will do
-_CHECK_SEED = 1812
-# Relative to an interval: cuts closer to its ends are the ends except for rounding
-_END_DISTANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -193,7 +190,7 @@ def _check(
 ) -> None:
     """Compare the functions with their formulas, at random derivatives and reductions."""
     t, p, states = samples
-    rng = np.random.default_rng(_CHECK_SEED)
+    rng = np.random.default_rng(SEED)
     length = np.ptp(t) or 1.0
 
     def sized(row: Array) -> Array:
@@ -276,7 +273,7 @@ def _cuts(
     """For time and each parameter the points inside at which functions of it are not smooth."""
     inside = []
     for c, cuts in zip(coordinates, cuts_of(coordinates, formulas), strict=True):
-        near = _END_DISTANCE * (c.upper - c.lower)
+        near = COINCIDENT * (c.upper - c.lower)
         points = {*cuts.inside(c.lower, c.upper, _MAX_REPEATS)}
         inside.append(tuple(sorted(x for x in points if c.lower + near < x < c.upper - near)))
     return tuple(inside)

@@ -12,15 +12,13 @@ import sympy as sp
 from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 
-from rankone.compiler.codegen.layout import literal, quoted
+from rankone.compiler.codegen.layout import MOST_TERMS, literal, quoted
 from rankone.problem.expressions.notation import NamedConstant, plain_text
 from rankone.problem.expressions.stable import fraction, scaled_power, stable
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.support.wording import quote
 
 _MAX_INTEGER = 10**15  # Every integer up to this is a floating-point number
-# Terms of a sum in one pair of parentheses: Python compiles longer sums by deep recursion
-_MAX_TERMS = 200
 # Whole powers that are written by squares: NumPy takes ten times as long for others as for these
 _SQUARED, _TIMES_BASE = (4, 6, 8), (3, 5, 7)
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
@@ -135,9 +133,9 @@ class NumPyText(Printer):  # type: ignore[misc]
 
     def _print_Add(self, expr: sp.Add) -> str:
         terms = sorted(expr.as_ordered_terms(), key=lambda term: term.could_extract_minus_sign())
-        if len(terms) > _MAX_TERMS:  # Python compiles long sums by recursion
-            starts = range(0, len(terms), _MAX_TERMS)
-            groups = (sp.Add(*terms[k : k + _MAX_TERMS], evaluate=False) for k in starts)
+        if len(terms) > MOST_TERMS:  # Python compiles long sums by recursion
+            starts = range(0, len(terms), MOST_TERMS)
+            groups = (sp.Add(*terms[k : k + MOST_TERMS], evaluate=False) for k in starts)
             return " + ".join(f"({self._print(group)})" for group in groups)
         text = self.operand(terms[0], PRECEDENCE["Add"])
         if text.startswith("(-"):

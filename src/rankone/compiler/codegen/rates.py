@@ -27,9 +27,7 @@ from rankone.problem.expressions.derivatives import Differentiator
 from rankone.problem.expressions.stable import stable
 from rankone.problem.forms import QuadraticSystem, Term
 from rankone.support.errors import ProblemError, SeparationError
-
-ARRAY_STATES = 64
-"""From this many states on, Jacobians are entries of a pattern and separated rates array code."""
+from rankone.support.precision import MANY_STATES
 
 
 class SeparatedWriter(PointwiseWriter):
@@ -209,7 +207,7 @@ class GeneralWriter(PointwiseWriter):
         of_jacobian = f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."
         slopes = self._slopes()
         right_hand_side = f"{prefix}rhs", "t, u, p", of_rates, (n,), rates, self._meaning
-        if n >= ARRAY_STATES and not prefix:
+        if n >= MANY_STATES and not prefix:
             entries = self._jacobian_entries(slopes)
             return [self.array(*right_hand_side), *entries, unchanged_states(n)]
         return [

@@ -40,18 +40,19 @@ from rankone.problem.forms import Coordinate
 from rankone.problem.tables.term_table import TermTable
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
+from rankone.support.precision import TINY
 from rankone.support.wording import quote, written
 from rankone.trajectories.system.verdict import SwitchingTerm
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
-_SAMPLES = 4096  # Samples of a boundary equation that is not solved
+SAMPLES = 4096
+"""Samples of a boundary equation that is not solved, or of a condition over a box."""
 _MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are solved for
 # A function that changes over the interval divided by this is narrow: samples would miss it
 _NARROW_PARTS = 3e4
 _NARROW_CHANGE = 0.01  # Relative change over that distance from which a function is narrow
 _KINKED = (sp.Abs, sp.Max, sp.Min)
-_HUGE = 1e300  # Stands for infinite function values, so that their differences are numbers
 
 
 @dataclass(frozen=True)
@@ -348,7 +349,8 @@ def _is_narrow(function: Callable[[ArrayLike], Array], coordinate: Coordinate, a
     heights = function(np.array([at - near, at, at + near]))
     if not np.isfinite(heights[1]):
         return False
-    heights = np.nan_to_num(heights, nan=_HUGE, posinf=_HUGE, neginf=-_HUGE)
+    huge = 0.25 / TINY  # so that differences are numbers
+    heights = np.nan_to_num(heights, nan=huge, posinf=huge, neginf=-huge)
     return bool(np.ptp(heights) > _NARROW_CHANGE * np.abs(heights).max())
 
 
@@ -490,7 +492,7 @@ _INVERSES: dict[str, Callable[[float], float]] = {
 def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
     """Changes of sign on the interval of the coordinate."""
     function = numeric(equation, coordinate)
-    points = np.linspace(coordinate.lower, coordinate.upper, _SAMPLES)
+    points = np.linspace(coordinate.lower, coordinate.upper, SAMPLES)
     heights = function(points)
     changes = np.flatnonzero(heights[:-1] * heights[1:] < 0.0)
     roots = {float(x) for x in points[heights == 0.0]} if np.any(heights) else set()
@@ -503,7 +505,7 @@ def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
 
 def _integers(boundary: sp.Expr, coordinate: Coordinate) -> list[float]:
     """The integers between the least and the largest value on the interval."""
-    points = np.linspace(coordinate.lower, coordinate.upper, _SAMPLES)
+    points = np.linspace(coordinate.lower, coordinate.upper, SAMPLES)
     heights = numeric(boundary, coordinate)(points)
     heights = heights[np.isfinite(heights)]
     if not heights.size or np.ptp(heights) > _MAX_LEVELS:

@@ -21,9 +21,9 @@ from rankone.problem.expressions.notation import exact, text_of
 from rankone.problem.forms import Jump, State
 from rankone.solvers.outcome import Role
 from rankone.support.budget import check_time
+from rankone.support.precision import MANY_STATES
 from rankone.support.wording import count
 
-_MOST_UNKNOWNS = 60  # Unknowns that may be added: a system with more gains nothing from lifting
 # Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the degree
 # of z' grows with q
 _MOST_ROOT = 3
@@ -236,7 +236,7 @@ class _Lifter:
     def unknown(self, meaning: sp.Expr, prefix: str, rate: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
         """The state that stands for an expression; ``rate`` gives its rate from the state."""
         if meaning not in self.lifted:
-            if len(self.lifted) == _MOST_UNKNOWNS:
+            if len(self.lifted) == MANY_STATES:
                 raise NotLiftable(meaning)
             name, suffix = prefix, 1
             while name in self.names:

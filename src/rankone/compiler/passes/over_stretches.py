@@ -28,9 +28,9 @@ from rankone.problem.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, 
 from rankone.problem.functions import namespace_of
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
+from rankone.support.precision import NEGLIGIBLE
 
 _SHARES = (0.02, 0.3, 0.5, 0.7, 0.98)  # Times of a stretch at which switches are looked at
-_SHORT = 1e-9  # Length of a stretch, over that elsewhere, below which rounding decides the side
 _SWITCHES = (
     *(Relational, sp.Heaviside, sp.sign, sp.Abs, sp.Max, sp.Min),
     *(sp.floor, sp.ceiling, sp.Mod, sp.frac),
@@ -190,7 +190,7 @@ class _StretchWriter:
         begin, length = (
             _values(each, symbols, self.points) for each in (self.borders[i], self.lengths[i])
         )
-        long = length > _SHORT * length.max() if length.any() else length == 0.0
+        long = length > NEGLIGIBLE * length.max() if length.any() else length == 0.0
         times = np.concatenate([(begin + share * length)[long] for share in _SHARES])
         places = np.concatenate([times[None], np.tile(self.points[:, long], len(_SHARES))])
         variables = [self.time, *symbols]

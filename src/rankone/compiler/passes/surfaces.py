@@ -34,6 +34,7 @@ from rankone.problem.expressions.boundaries import (
 from rankone.problem.expressions.derivatives import slope
 from rankone.problem.expressions.notation import exact
 from rankone.problem.forms import Coordinate
+from rankone.support.precision import NEGLIGIBLE
 
 # Functions of two sides, one of which may be narrow
 _SIDES = (sp.Abs, sp.Max, sp.Min, Relational, sp.Heaviside, sp.sign)
@@ -224,7 +225,6 @@ def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:
 
 
 _MOST_SIDES = 5  # Most sides of others of which all combinations are looked at
-_ROUNDING = 1e-9  # Value at a random place, from which an expression is not zero
 
 Sides = Mapping[sp.Dummy, sp.Expr]
 """What stands for sides in rates, with the states that hold them."""
@@ -315,6 +315,6 @@ def _is_zero(expression: sp.Expr) -> bool:
     value = expression.xreplace({each: sp.Float(random.uniform(0.5, 1.5)) for each in atoms})
     if value.is_number:
         size = abs(sp.N(value))
-        if not size.is_finite or size > _ROUNDING:
+        if not size.is_finite or size > NEGLIGIBLE:
             return False
     return bool(sp.expand(expression) == 0)

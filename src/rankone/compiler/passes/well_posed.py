@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from rankone.compiler.passes.feature_pass import cuts_of
+from rankone.compiler.passes.feature_pass import SAMPLES, cuts_of
 from rankone.compiler.passes.first_order import FirstOrderSystem
 from rankone.problem.algebra.consistency import no_consistent_values
 from rankone.problem.expressions.admissible import gaps, known_functions, located_defect, numeric
@@ -29,24 +29,17 @@ from rankone.problem.forms import Coordinate, SeparatedForm, State
 from rankone.problem.functions import Table, known_applied
 from rankone.problem.problem import Problem
 from rankone.solvers.request import Domain
-from rankone.support.arrays import Array, bisected, corners, spread
+from rankone.support.arrays import HALVINGS, Array, bisected, corners, spread
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning
+from rankone.support.precision import COINCIDENT, SEED
 from rankone.support.wording import number, quote
 from rankone.trajectories.system.features import GAP_REMEDY
 from rankone.trajectories.system.system import System, refuse_gap
 
 NamedExpression: TypeAlias = "tuple[str, int | None, sp.Expr]"
 """What an expression is, the user's equation it comes from, and the expression."""
-_ROUNDING = 1e-12  # Narrower gaps, relative to the ends of the interval, are rounding errors
-_MAX_CELLS = 1 << 18  # Cells between boundaries of several coordinates: a few megabytes
-_MAX_REPEATS = 1 << 14  # Boundaries of one period inside an interval that are checked
-_GAP_SAMPLES = 4096  # Points of the box at which conditions that couple coordinates are checked
-_BISECTIONS = 40  # Halvings of lines between such points, to within rounding of a boundary
-_TABLE_SAMPLES = 257  # Points at which the argument of a table is compared with the table's ends
-_MOST_CORNERS = 64  # Corners at which the start is evaluated: all of them up to six parameters
-_RANDOM_STARTS = 64  # Random points of the box at which the start is evaluated
-_START_SEED = 20140  # Of the points at which the start is evaluated: always the same ones
-_GAP_SEED = 20151  # Of the points at which conditions are checked: always the same ones
+_MAX_CELLS = 1 << 18  # Cells between boundaries of coordinates: a few megabytes
+_STARTS = 64  # Corners of the box at which the start is evaluated, and random points
 
 
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
@@ -59,7 +52,7 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
             continue
         coordinate = coordinate_of[next(iter(symbols))]
         lower, upper = coordinate.lower, coordinate.upper
-        points = np.linspace(lower, upper, _TABLE_SAMPLES)
+        points = np.linspace(lower, upper, SAMPLES)
         arguments = numeric(argument, coordinate)(points)
         first, last = table.points[0], table.points[-1]
         outside = (arguments < first) | (arguments > last)
@@ -99,9 +92,9 @@ def check_known(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> 
 
 def _starting_points(parameters: Sequence[Coordinate]) -> Array:
     """The centre of the box, random points and corners, (d, N)."""
-    generator = np.random.default_rng(_START_SEED)
-    at_corners = corners(len(parameters), _MOST_CORNERS, generator)
-    inside = generator.random((_RANDOM_STARTS, len(parameters)))
+    generator = np.random.default_rng(SEED)
+    at_corners = corners(len(parameters), _STARTS, generator)
+    inside = generator.random((_STARTS, len(parameters)))
     unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
     lower = np.array([c.lower for c in parameters])
     upper = np.array([c.upper for c in parameters])
@@ -297,9 +290,9 @@ def _edges(region: sp.Basic, coordinate: Coordinate) -> Array:
     """The ends of an interval and what boundaries of a region lie inside, ascending."""
     lower, upper = float(coordinate.lower), float(coordinate.upper)
     (cuts,) = cuts_of([coordinate], [region])
-    edges = [lower, upper, *cuts.inside(lower, upper, _MAX_REPEATS)]
+    edges = [lower, upper, *cuts.inside(lower, upper, _MAX_CELLS)]
     inside = np.unique([edge for edge in edges if lower <= edge <= upper])
-    least = _ROUNDING * max(abs(lower), abs(upper))
+    least = COINCIDENT * max(abs(lower), abs(upper))
     return np.asarray(inside[np.concatenate([[True], np.diff(inside) > least])])
 
 
@@ -312,18 +305,18 @@ def _point_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | Non
     def pattern(points: Array) -> Array:
         return np.array([side(points) for side in sides])
 
-    unit = spread(_GAP_SAMPLES, len(involved), np.random.default_rng(_GAP_SEED)).T
+    unit = spread(SAMPLES, len(involved), np.random.default_rng(SEED)).T
     points = lower + (upper - lower) * unit
     a, b = points[:, ::2], points[:, 1::2]
     samples, at_start = [points], pattern(a)
 
     def like_start(middle: Array) -> NDArray[np.bool_]:
-        if len(samples) < _BISECTIONS // 2:
+        if len(samples) < HALVINGS // 2:
             samples.append(middle)
         return np.asarray((pattern(middle) == at_start).all(axis=0))
 
     # to where the first of the conditions changes on each line
-    _, b = bisected(a, b, like_start, _BISECTIONS)
+    _, b = bisected(a, b, like_start)
     points = np.concatenate([*samples, b], axis=1)
     inside = np.flatnonzero(truth(points))
     if not inside.size:
