@@ -25,6 +25,13 @@ from rankone.trajectories.system.verdict import MemoryNeeded, Status
 
 logger = logging.getLogger("rankone")
 
+REJECTED_FACTOR = 0.5  # Factor on the length of a slab that was rejected
+SLOW_FACTOR = 0.7  # Factor on the length of the next slab after many iterations
+FAST_FACTOR = 1.5  # Factor on the length of the next slab after few iterations
+# Change or residual, in units of the states' sizes, above which an iteration has diverged
+DIVERGED = 1e3
+# Up to this many parameters, known functions are resolved and kept to rounding level
+FEW_PARAMETERS = 2
 _LEFT_POINTS = 9  # Random left points of the first attempt; each further attempt doubles them
 _HIGHEST_RANK = 200  # Largest rank: initial values and states after jumps are smooth functions
 _INITIAL_TOLERANCE = 1e-13  # Error of initial values, in their sizes: far below that of any solve

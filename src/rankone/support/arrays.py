@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 """Real numbers."""
 
-_ITERATIONS = 40  # Fixed-point iterations for the root of φ^(d + 1) = φ + 1
+HALVINGS = 60
+"""Bisections of an interval to the last digit."""
 _MOST_OF_SEQUENCE = 2  # Coordinates up to which a sequence is even in every direction
 
 
@@ -25,7 +26,7 @@ def sequence(count: int, d: int, generator: np.random.Generator) -> Array:
     coordinates they are on few hyperplanes in some direction.
     """
     phi = 2.0
-    for _ in range(_ITERATIONS):
+    for _ in range(HALVINGS):
         phi = (1.0 + phi) ** (1.0 / (d + 1))
     steps = phi ** -np.arange(1.0, d + 1.0)
     return np.asarray((generator.random(d) + np.outer(np.arange(1, count + 1), steps)) % 1.0)
@@ -55,7 +56,7 @@ def corners(d: int, most: int, generator: np.random.Generator) -> Array:
 
 
 def bisected(
-    a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int
+    a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int = HALVINGS
 ) -> tuple[Array, Array]:
     """The ends of segments [a, b] after halvings around a border between ``a`` and ``b``.
 

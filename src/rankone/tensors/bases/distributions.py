@@ -18,8 +18,9 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import HALVINGS, Array
 from rankone.support.errors import OptionError, warn
+from rankone.support.precision import ROUNDING
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.bases import Basis1D, Scale
 from rankone.tensors.bases.scales import LINEAR, LOG, written_scale
@@ -36,9 +37,6 @@ _PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15,
 _EXACT_MASS_ERROR = 1e-10
 # Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
 _SHARE_RANGE = (1e-300, 1.0 - 2.0**-53)
-_MOST_HALVINGS = 52  # Most halvings of a panel: after 52 it is as narrow as the spacing of numbers
-# Change of the mean of a mode below which a panel is not halved: near rounding
-_SETTLED_CHANGE = 1e-14
 # Probability outside the box above which a user is warned: it shows in three digits
 _WARNED_OUTSIDE = 1e-3
 # Weight, relative to the largest, of points that a Gauss rule leaves out
@@ -350,15 +348,15 @@ class Measure:
         edges = np.unique(np.clip([*shares, *tails, *(1.0 - tails)], 0.0, 1.0))
         waiting = np.stack([edges[:-1], edges[1:]], axis=1)
         rules: list[tuple[Array, Array]] = []
-        for level in range(_MOST_HALVINGS):
+        for level in range(HALVINGS):
             points, weights = self._on_panels(waiting)
             halves = np.repeat(waiting, 2, axis=0)
             halves[::2, 1] = halves[1::2, 0] = waiting.mean(axis=1)
             finer, finer_weights = self._on_panels(halves)
             coarse = _sums(basis, points, weights)
             fine = _sums(basis, finer, finer_weights).reshape(len(waiting), 2, -1).sum(axis=1)
-            good = np.abs(fine - coarse).max(axis=1) <= _SETTLED_CHANGE
-            good |= level == _MOST_HALVINGS - 1
+            good = np.abs(fine - coarse).max(axis=1) <= ROUNDING
+            good |= level == HALVINGS - 1
             both = np.repeat(good, 2)
             rules.append((finer[both].ravel(), finer_weights[both].ravel()))
             waiting = halves[~both]

@@ -16,6 +16,7 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import EPSILON
 from rankone.support.wording import did_you_mean, quote, shown
 
 __all__ = [
@@ -33,7 +34,6 @@ __all__ = [
 _DECADES_RATIO = 10.0
 
 _MOST_SLOPE_MODES = 200  # Modes looked at for the slope of a scale: it is analytic on an interval
-_SLOPE_TOLERANCE = 1e-15  # Size of the modes of a slope that are left out, relative to the largest
 _NOISE_MODES = 20  # Highest modes, which show the rounding errors of the others
 _NOISE_FACTOR = 8.0  # Size of the modes that are left out, over these rounding errors
 
@@ -77,7 +77,7 @@ class Scale(ABC):
         modes = np.cos(np.arange(_MOST_SLOPE_MODES)[:, None] * angles)
         spectrum = np.abs(modes @ (1.0 / slopes if inverse else slopes))
         noise = _NOISE_FACTOR * spectrum[-_NOISE_MODES:].max()
-        significant = spectrum > max(_SLOPE_TOLERANCE * spectrum.max(), noise)
+        significant = spectrum > max(4.0 * EPSILON * spectrum.max(), noise)
         return int(np.flatnonzero(significant)[-1]) + 1
 
 

@@ -13,10 +13,9 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE
 from rankone.tensors.bases.basis import legendre_derivative, legendre_values
 
-_SHORTEST_AT_TIME = 1e-12
-"""Shortest slab, relative to its times: only near t = 0 fast layers have room."""
 _SHORTEST_OF_HORIZON = 1e-18
 """Shortest slab, relative to the horizon: a layer at t = 0 may be that thin."""
 _PROBES = np.array([-0.999999, -0.97, -0.31, 0.42, 0.98, 0.999999])
@@ -25,8 +24,6 @@ _DENSE_RATIO = 4
 """Points of a slab where extremes and crossings are looked for, over its nodes."""
 _NEWTON_STEPS = 8
 """Newton steps from the largest of these points to a maximum; convergence is quadratic."""
-_HALVINGS = 60
-"""Bisections of an interval with a zero: to the last digit."""
 
 
 @lru_cache
@@ -97,7 +94,7 @@ def resolving_breaks(
             errors += missed.max(axis=(0, 2)).tolist()
         halves = []
         for (a, b), error in zip(waiting, errors, strict=True):
-            shortest = max(_SHORTEST_AT_TIME * max(abs(a), abs(b)), _SHORTEST_OF_HORIZON * horizon)
+            shortest = max(COINCIDENT * max(abs(a), abs(b)), _SHORTEST_OF_HORIZON * horizon)
             if error <= tolerance or b - a < shortest:
                 done.append((a, b))
             else:
@@ -242,7 +239,7 @@ class Polynomials:
         def on_left(times: Array) -> NDArray[np.bool_]:
             return np.asarray(~(self.at(times, columns) * sign > 0.0))
 
-        left, right = bisected(left, right, on_left, _HALVINGS)
+        left, right = bisected(left, right, on_left)
         return np.asarray(0.5 * (left + right))
 
 
@@ -291,8 +288,6 @@ def times_within(start: float, end: float, shares: Array) -> Array:
 # Right Radau collocation on one time slab.
 
 
-_INSET = 1e-9
-"""Distance of times from the ends of a slab or segment, relative to its length."""
 _INSET_SPACINGS = 8.0
 """The same in spacings of floating-point numbers, at least."""
 
@@ -306,7 +301,7 @@ def insets(starts: Array, ends: Array) -> Array:
     """The insets of several slabs or segments."""
     lengths = ends - starts
     rounding = _INSET_SPACINGS * np.spacing(np.maximum(np.abs(starts), np.abs(ends)))
-    return np.asarray(np.minimum(np.maximum(_INSET * lengths, rounding), 0.25 * lengths))
+    return np.asarray(np.minimum(np.maximum(NEGLIGIBLE * lengths, rounding), 0.25 * lengths))
 
 
 class RadauCollocation:

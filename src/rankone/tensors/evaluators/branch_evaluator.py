@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, warn
+from rankone.support.precision import AT_ONCE, COINCIDENT
 from rankone.support.wording import quote
 from rankone.tensors.evaluators.decisions import LOOKS, Decider, Decision, Grazing, clearance, looks
 from rankone.tensors.evaluators.evaluator import Rows, TrainEvaluator
@@ -230,8 +231,6 @@ def _warn_of(doubtful: NDArray[np.bool_]) -> None:
 # Boxes that tile a box, and evaluation of the piece that holds a point.
 
 
-# Distance, over the length of the whole interval, below which two edges are the same
-_SAME_EDGE = 1e-12
 # Cells of the grid of all edges, beyond which boxes are cut at too many different places
 _MOST_CELLS = 10_000_000
 _EMPTY = -1  # The owner of a cell that no box covers
@@ -338,7 +337,7 @@ class Tiling:
 def _distinct(ends: Array) -> Array:
     """Ends in ascending order, those that differ by rounding once."""
     ascending = np.unique(ends)
-    reach = _SAME_EDGE * (ascending[-1] - ascending[0])
+    reach = COINCIDENT * (ascending[-1] - ascending[0])
     return np.asarray(ascending[np.diff(ascending, prepend=-np.inf) > reach])
 
 
@@ -364,7 +363,6 @@ def _where(names: Sequence[str], box: Iterable[tuple[float, float]]) -> str:
 # Evaluation of pieces that tile a box: each point belongs to one of them.
 
 
-_VALUES = 1 << 22  # Numbers of one piece that are held at once beside all of them
 PieceOf = TrainEvaluator | TimelineEvaluator | BranchEvaluator
 """The evaluator of one piece."""
 
@@ -462,6 +460,6 @@ def _parts(
         yield ()
         return
     longest = int(np.argmax(sizes))
-    count = min(math.ceil(numbers * math.prod(sizes) / _VALUES), sizes[longest])
+    count = min(math.ceil(numbers * math.prod(sizes) / AT_ONCE), sizes[longest])
     for cut in np.array_split(places[longest], max(count, 1)):
         yield (*places[:longest], cut, *places[longest + 1 :])

@@ -22,15 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.support.precision import AT_ONCE
 from rankone.tensors.bases import IDENTITY, Basis1D, LegendreBasis
 from rankone.tensors.trains.slab import SlabTrain, sharing
 
 Rows = slice | NDArray[np.intp]
 
-# Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product
-_BUFFER = 1 << 19
-_HELD = 1 << 21  # Numbers of products on a tensor grid that are held at once
-_VALUES = 1 << 20  # Numbers of values that are held at once beside all of them
 _POINTS = 1024  # Points taken at once at most
 _TIMES = 256  # Times taken at once at least, where one product serves many
 
@@ -251,7 +248,7 @@ class _Train:
         )
         self.time = self.dimensions[0]
         self.widest = max(dimension.degree * dimension.right for dimension in self.dimensions)
-        self.chunk = min(max(_BUFFER // self.widest, 64), _POINTS)
+        self.chunk = min(max(AT_ONCE // self.widest, 64), _POINTS)
         self.degree = max(dimension.degree for dimension in self.dimensions)
 
     def over_parameters(self, points: Array) -> Array:
@@ -417,7 +414,7 @@ class TrainEvaluator:
                 ],
                 axis=1,
             )
-            most = max(_BUFFER // (len(states) * train.time.degree), 1)
+            most = max(AT_ONCE // (len(states) * train.time.degree), 1)
             for part in _chunks(np.arange(owned.size), most):
                 here = owned[part]
                 states[:, here] = train.time.spread(paired[here], contraction, of[part], rows)
@@ -428,7 +425,7 @@ class TrainEvaluator:
         sizes = [axis.size for axis in axes]
 
         def contractions(train: _Train) -> Iterator[tuple[int, Array]]:
-            for begin, part in _parts(axes[1:], max(_HELD // train.widest, 1)):
+            for begin, part in _parts(axes[1:], max(AT_ONCE // train.widest, 1)):
                 yield begin, train.over_grid(part)
 
         states = self._at_all(axes[0], math.prod(sizes[1:]), contractions, rows)
@@ -449,8 +446,8 @@ class TrainEvaluator:
         states = np.empty((self.count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):
             for begin, contraction in contractions(train):
-                for here in _chunks(owned, max(_BUFFER // max(contraction.shape), _TIMES)):
-                    width = max(_VALUES // (len(states) * here.size), 1)
+                for here in _chunks(owned, max(AT_ONCE // max(contraction.shape), _TIMES)):
+                    width = max(AT_ONCE // (len(states) * here.size), 1)
                     for first in range(0, contraction.shape[1], width):
                         part = contraction[:, first : first + width]
                         columns = slice(begin + first, begin + first + part.shape[1])

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.support.precision import AT_ONCE
 from rankone.tensors.bases.coordinates import round_off
 from rankone.tensors.evaluators.evaluator import AtTimes, Rows, TrainEvaluator
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 
-# Times and points at once, with what decides which slabs hold there: few bytes beside the values
-_AT_ONCE = 1 << 18
 Part = tuple[slice, slice, slice]
 """Some of the values (rows, T, N)."""
 
@@ -44,10 +43,10 @@ class ClockEvaluator(ABC):
     def parts(self, times: Array, points: Array) -> Iterator[tuple[Part, Array, Array]]:
         """Parts of the values (rows, T, N) that are evaluated at once, with times and points."""
         several, count = len(times), points.shape[1]
-        columns = max(_AT_ONCE // (min(several, _AT_ONCE) + self.numbers_each), 1)
-        for first in range(0, several, _AT_ONCE):
+        columns = max(AT_ONCE // (min(several, AT_ONCE) + self.numbers_each), 1)
+        for first in range(0, several, AT_ONCE):
             for begin in range(0, count, columns):
-                when, here = slice(first, first + _AT_ONCE), slice(begin, begin + columns)
+                when, here = slice(first, first + AT_ONCE), slice(begin, begin + columns)
                 at = times[when] if times.shape[1] == 1 else times[when, here]
                 yield (slice(None), when, here), at, points[:, here]
 
@@ -63,7 +62,7 @@ class ClockEvaluator(ABC):
         """States on a tensor grid of 1 + d axes: (rows, *sizes of the axes)."""
         times, sizes = np.asarray(axes[0])[:, None], [axis.size for axis in axes]
         states = np.empty((self.count(rows), sizes[0], math.prod(sizes[1:])))
-        columns = max(_AT_ONCE // max(sizes[0], 1), 1)
+        columns = max(AT_ONCE // max(sizes[0], 1), 1)
         for begin in range(0, states.shape[2], columns):
             here = slice(begin, min(begin + columns, states.shape[2]))
             places = np.unravel_index(np.arange(here.start, here.stop), sizes[1:] or 1)
@@ -76,9 +75,6 @@ class ClockEvaluator(ABC):
 
 # -----------------------------------------------------------------------------
 # Evaluation over clock time of slabs over stretches: the stretch first, then its states.
-
-
-_PRODUCTS = 1 << 21  # Numbers of values with derivatives, and of their products, at once
 
 
 @dataclass(frozen=True)
@@ -218,7 +214,7 @@ class TimelineEvaluator(ClockEvaluator):
         width = 1 + len(free)
         table = np.empty((self.count(rows), *times.shape, width))
         ranks = sum(slab.cores[0].shape[2] for slab in self.slabs)
-        columns = max(_PRODUCTS // (width * (ranks + table[..., :1, 0].size)), 1)
+        columns = max(AT_ONCE // (width * (ranks + table[..., :1, 0].size)), 1)
         for begin in range(0, points.shape[1], columns):
             here = slice(begin, begin + columns)
             table[:, :, here] = self._linearised(times[:, here], points[:, here], rows, free)

@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.support.arrays import Array
+from rankone.support.precision import NEGLIGIBLE, SEED
 from rankone.tensors.bases import Basis1D, Scale, first_scale
 from rankone.tensors.trains.cross import (
     FULL_GRID_NODES,
@@ -71,9 +72,7 @@ ELEMENT_COST_RATIO = 2.0
 MOVING_COST_RATIO = 0.25
 # Distance of points beside a border, in widths of the interval: there may be a jump
 BORDER_DISTANCE = 4e-9
-NARROWEST_ELEMENT = 1e-9  # Width of the smallest element, relative to the interval: it holds a jump
 LEAST_NODES = 3  # Fewest nodes of a parameter
-SEED = 20140  # Seed of the left points and of the side of the second lines
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ class AdaptiveInterpolation:
     def with_jumps(self, bases: Sequence[Basis1D]) -> list[int]:
         """The parameters with elements as narrow as those that hold a jump."""
         widths = [np.diff(basis.scale.to_scale(np.asarray(basis.edges))) for basis in bases]
-        narrow = [each.min() <= NARROWEST_ELEMENT * each.sum() for each in widths]
+        narrow = [each.min() <= NEGLIGIBLE * each.sum() for each in widths]
         return np.flatnonzero(narrow).tolist()
 
     def interpolate(
@@ -325,7 +324,7 @@ class AdaptiveInterpolation:
                     error = float(np.linalg.norm(errors, axis=0).max())
                     rough = error > BORDER_ERROR_FACTOR * tolerance
                 room = (len(begins) + len(halves) + 3) * basis.degree <= self.limits.max_nodes
-                if rough and room and b - a > NARROWEST_ELEMENT * width:
+                if rough and room and b - a > NEGLIGIBLE * width:
                     middle = 0.5 * (a + b)
                     in_user[middle] = float(scale.from_scale(np.array(middle)))
                     halves += [(a, middle), (middle, b)]
@@ -475,7 +474,7 @@ def _halved(basis: Basis1D, spectrum: Array, tolerance: float, most: int) -> Bas
     tails = np.linalg.norm(spectrum.reshape(basis.elements, -1)[:, -2:], axis=1)
     tails *= math.sqrt(basis.elements)
     edges = basis.scaled_edges
-    narrowest = NARROWEST_ELEMENT * (edges[-1] - edges[0])
+    narrowest = NEGLIGIBLE * (edges[-1] - edges[0])
     rough = (tails > tolerance) & (np.diff(edges) > narrowest)
     room = max(most // basis.degree - basis.elements, 0)
     chosen = np.flatnonzero(rough)[np.argsort(-tails[rough])][:room]

@@ -29,6 +29,7 @@ from numpy.polynomial.legendre import leggauss
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, warn
 from rankone.support.options import checked_number
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import listing
 from rankone.tensors.bases import IDENTITY, Basis1D, Scale, legendre_values
 from rankone.tensors.bases.coordinates import Coordinates, name_of, round_off
@@ -36,8 +37,6 @@ from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train, block_diagonal
 
 _ROUNDING_SHARE = 0.1  # Share of the tolerance spent on rounding the train of the horizon
-# Normal equations square the condition: below this tolerance they are not worth trying
-_LEAST_SQUARES_LIMIT = 1e-9
 _MAX_SWEEPS = 400  # Most sweeps of least squares: slower convergence is not worth the time
 _MAX_TERM_SWEEPS = 20_000  # Most sweeps times terms: a sweep costs in proportion to the terms
 
@@ -283,7 +282,7 @@ def canonical_form(
     tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
     amplitudes, modes = _branches(train, tolerance, max_rank)
     error = _distance(train, amplitudes, modes)
-    if len(axes) > 2 and rtol >= _LEAST_SQUARES_LIMIT:
+    if len(axes) > 2 and rtol >= NEGLIGIBLE:
         amplitudes, modes, error = _shortened(train, amplitudes, modes, error, tolerance, norm)
     relative = error / norm + rounding
     if relative > rtol:

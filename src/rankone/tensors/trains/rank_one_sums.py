@@ -18,15 +18,14 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
 from rankone.support.costs import product, qr
+from rankone.support.precision import AT_ONCE, EPSILON
 from rankone.tensors.bases.basis import LagrangeElements
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Integers, Train
 
 # Largest rank whose norm in three dimensions or more is found by orthogonalisation, in cubic time
 _ORTHOGONALISED_RANK = 120
-_GRAM_ENTRIES = 4_000_000  # Inner products of products formed at once: 32 MB
 _TRAIN_COPIES = 3.0  # Copies of the cores of an element before their ranks are rounded
-_CANCELLED = 1e-15  # Relative size of rounding in squared norms
 
 
 @dataclass(frozen=True)
@@ -86,11 +85,11 @@ class RankOneSum:
             return (self - other).norm()
         square = self.inner(self) if square is None else square
         difference = square - 2.0 * self.inner(other) + other.inner(other)
-        return math.sqrt(max(difference, _CANCELLED * square))
+        return math.sqrt(max(difference, 4.0 * EPSILON * square))
 
     def _grams(self, other: RankOneSum) -> Iterator[Array]:
         """Inner products of the products, (R, R of the other), a block of columns at a time."""
-        step = max(_GRAM_ENTRIES // max(self.rank, 1), 1)
+        step = max(AT_ONCE // max(self.rank, 1), 1)
         for first in range(0, other.rank, step):
             gram = np.ones((self.rank, min(step, other.rank - first)))
             charge(sum(product(len(gram), len(f), gram.shape[1]) for f in self.factors))
@@ -110,7 +109,7 @@ class RankOneSum:
             square = size = 0.0
             for gram in self._grams(self):
                 square, size = square + float(gram.sum()), size + float(np.abs(gram).sum())
-            return math.sqrt(max(square, _CANCELLED * size))
+            return math.sqrt(max(square, 4.0 * EPSILON * size))
         products = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
             block = (products[:, None, :] * factor).reshape(-1, self.rank)

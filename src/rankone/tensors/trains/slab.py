@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
+from rankone.support.precision import AT_ONCE
 from rankone.tensors.bases import (
     IDENTITY,
     Basis1D,
@@ -32,7 +33,6 @@ from rankone.tensors.trains.train import Train
 # Operations of multiplying a core: once, and for each of its entries at a point
 _CORE_COST = Cost(10.0 * CALL, 0.1)
 _MODE_COST = 15.0  # Operations of evaluating a mode at a point
-_ENTRIES_AT_ONCE = 1 << 18  # Entries of matrices at points that are held together
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class SlabTrain:
         charge(_MODE_COST * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
         count = points.shape[1]
         widest = max((_entries(core) for core in self.cores[1:]), default=1)
-        step = max(_ENTRIES_AT_ONCE // widest, 1)
+        step = max(AT_ONCE // widest, 1)
         if count <= step:
             return self._over_parameters(points, precision)
         parts = np.array_split(points, -(-count // step), axis=1)
@@ -108,9 +108,7 @@ class SlabTrain:
         For each point the value, then the derivatives from the last parameter to the first.
         """
         count = points.shape[1]
-        step = max(
-            _ENTRIES_AT_ONCE // max((len(c) * c.shape[2] for c in self.cores[1:]), default=1), 1
-        )
+        step = max(AT_ONCE // max((len(c) * c.shape[2] for c in self.cores[1:]), default=1), 1)
         products = np.empty((self.ranks[0] if self.ranks else 1, count, 1 + len(free)))
         for begin in range(0, count, step):
             here = slice(begin, begin + step)

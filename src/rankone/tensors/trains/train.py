@@ -26,7 +26,6 @@ _ROWS_RATIO, _MORE_ROWS = 1.25, 8
 _LEAST_SPARE_ROWS = 6  # Fewest of them beyond the rank that tell the remainder
 _DIRECT_RATIO = 1.5  # Rows over combinations up to which the rows themselves are taken
 _QR_BLOCK = 32  # Columns that a QR decomposition takes together
-_RANDOM_COST = 1.0  # Operations of a random sign
 _MAX_EXCHANGES = 100  # Most exchanges of columns; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 _EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
@@ -78,7 +77,7 @@ def _combined(matrices: Sequence[Array], count: int) -> Array:
     generator, combined = np.random.default_rng(count), np.zeros((count, matrices[0].shape[1]))
     for matrix in matrices:
         m, n = matrix.shape
-        charge(product(count, m, n) + _RANDOM_COST * count * m)
+        charge(product(count, m, n) + count * m)
         bits = np.frombuffer(generator.bytes(-(-count * m // 8)), dtype=np.uint8)
         signs = 2.0 * np.unpackbits(bits, count=count * m).reshape(count, m) - 1.0
         combined += signs @ matrix

@@ -38,6 +38,8 @@ from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.bases import BASES, Basis1D
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
 from rankone.tensors.trains.adaptive import (
+    LEAST_NODES,
+    MAX_STEEP_LINES,
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
@@ -230,7 +232,7 @@ class CrossMarcher:
         """The trajectory at the centre for every parameter, which is better than nothing."""
         reference_set, basis_type = self.reference_set, BASES[self.options.basis]
         box = reference_set.domain.box
-        bases = tuple(basis_type(lower, upper, constants.LEAST_NODES) for lower, upper in box)
+        bases = tuple(basis_type(lower, upper, LEAST_NODES) for lower, upper in box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             states = reference_set.reference.of(slice(1))(grid.times)
@@ -247,7 +249,7 @@ class CrossMarcher:
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
         highest_modes = constants.HIGHEST_TIME_MODES_SHARE * level
-        tolerance = max(highest_modes, constants.TIGHTEST_TIME_TOLERANCE)
+        tolerance = max(highest_modes, constants.TIGHTEST_TOLERANCE)
 
         breaks: Sequence[float] = edges
         # slabs that do not resolve some trajectories need no look at all of them
@@ -329,7 +331,7 @@ class CrossMarcher:
             self.worst = list(dict.fromkeys(latest))[: constants.WORST_POINTS]
         if not self.worst:
             return None
-        points, trajectories = np.array(self.worst[: constants.LINED_POINTS]), self.trajectories
+        points, trajectories = np.array(self.worst[:MAX_STEEP_LINES]), self.trajectories
         share = constants.LINES_BUDGET_SHARE * work_left()
         affordable = max(trajectories.count, share / trajectories.work_of_each)
         limits = LineLimits(self.options.max_nodes, affordable)

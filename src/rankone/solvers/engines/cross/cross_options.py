@@ -85,16 +85,16 @@ class CrossRecord(SlabRecord):
 INTEGRATION_SHARE = 0.3  # Error of the integration, over the level: interpolation needs room
 # Size of the highest modes in time, relative to the level, above which slabs are halved
 HIGHEST_TIME_MODES_SHARE = 0.2
-# What an element may miss of the known functions of its parameter, relative to the level
+# What an element may miss of the known functions of its parameter, or a line of its column,
+# relative to the level
 KNOWN_FUNCTIONS_SHARE = 0.1
 # Nodes of one element, over those of the lines, tried for known functions before elements
 KNOWN_NODE_RATIOS = (1.5, 2.5, 4.0)
-# Tightest tolerance of the time grid: dense output of the reference has that much noise
-TIGHTEST_TIME_TOLERANCE = 1e-13
-LEAST_NODES = 3  # Nodes of a parameter on which a function does not depend
 # Power below one: there are more nodes and left points as well
 TIGHTENING = Tightening(settled_growth=1.2, power=0.7, smallest=0.1, largest=0.5)
-LINE_NODE_RATIO = 1.5  # Nodes of lines that predict a narrower box, over those of smooth functions
+# Nodes of lines that show what an attempt missed, or predict a narrower box, over those of the
+# attempt or of smooth functions
+LINE_NODE_RATIO = 1.5
 MAX_STALLS = 5  # Attempts in a row that may stall as long as attempts are cheap
 MAX_COSTLY_STALLS = 2  # Attempts in a row that may stall afterwards
 # Trajectories in all up to which attempts are cheap: seconds for small systems
@@ -107,7 +107,6 @@ FAST_ERROR_RATIO = 0.2
 WORST_POINTS = 12  # Latest worst points, near which left points are
 # Part of the budget that lines through worst points may take where an attempt takes less
 LINES_BUDGET_SHARE = 0.01
-LINED_POINTS = 6  # Of them those through which lines are drawn
 
 LINES_FRACTION = 0.1  # Part of an attempt that the lines take on which nodes are chosen
 REPORTED_FRACTION = 0.005  # Smallest change of the fraction that is reported
@@ -116,9 +115,7 @@ FIRST_TIGHTNESS = 0.3  # First tolerance of the integration over the error allow
 FIRST_MARKED_TIGHTNESS = 0.01  # The same over stretches between markers, whose times add up
 # Level of the first attempt between markers, over the tolerance: a second one costs as much again
 FIRST_MARKED_LEVEL = 0.7
-# Tolerance of stiff integrations over the error allowed, which is not measured for them
-STIFF_TIGHTNESS = 0.5
-# Tightest tolerance of the integration: rounding errors are not far below
+# Tightest tolerance of the integration and of the time grid: rounding errors are not far below
 TIGHTEST_TOLERANCE = 1e-13
 # Absolute tolerance in units of each state's size, over the relative tolerance
 ABSOLUTE_TOLERANCE_RATIO = 1e-5
@@ -128,9 +125,9 @@ MAX_CALIBRATIONS = 3  # How often the error of the integration is measured
 REFERENCE_ERROR_RATIO = 0.5
 # Errors below this part of the error allowed waste work: the tolerance grows
 LEAST_ERROR_RATIO = 0.1
-AIMED_ERROR_RATIO = 0.5  # Error aimed at when the tolerance is changed, over the error allowed
-# Smallest factor on the tolerance from one calibration to the next
-SMALLEST_TIGHTNESS_FACTOR = 1e-3
+# Error aimed at when the tolerance is changed, over the error allowed, and tolerance of stiff
+# integrations, whose error is not measured
+AIMED_ERROR_RATIO = 0.5
 LARGEST_TIGHTNESS_FACTOR = 4.0  # Largest factor on the tolerance from one calibration to the next
 # This many explicit steps cost less than the implicit steps that would replace them
 EXPLICIT_STEP_LIMIT = 400
@@ -144,13 +141,11 @@ MAX_STIFF_STACK = 300
 MAX_USER_STACK = 64
 STACK_STATES = 15_000  # States of a stack that fits the cache
 HELD_NUMBERS = 2**24  # Numbers of sampled trajectories that are held before they are compressed
-# States above which the error is a mean over the states, and not a sum
-MANY_STATES = 64
 
 LINE_PLACES = 65  # Places on a line through the box where trajectories are compared
 # Places between two neighbours on a line at a closer look: fewer need one look more for a jump, and
 # a stack of as few costs as much
-ZOOM_PLACES = 17
+ZOOM_PLACES = LINE_PLACES // 4 + 1
 MAX_ZOOMS = 4  # Pairs of neighbours on a line that are looked at closer
 FRONT_CHANGE = 0.1  # Change of a state, in units of its size, that makes a front
 KEPT_CHANGE = 0.5  # Part of the change that a narrower piece must hold to be looked at instead

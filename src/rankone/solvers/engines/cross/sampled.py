@@ -11,6 +11,7 @@ from rankone.solvers.engines.cross import cross_options as constants
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, memory_left, reserve, work_done, work_left
+from rankone.support.precision import MANY_STATES, TINY
 from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.cross import GrowingBasis
 from rankone.trajectories.integrators.diagnosis import first_to_end
@@ -66,7 +67,7 @@ class Trajectories:
         self.allowed_error = allowed_error
         avoided = reference_set.reference.avoided
         self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
-        self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
+        self.tightness = constants.AIMED_ERROR_RATIO if self.stiff else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
         self._counted_work = 0.0
         after_reference = reference_set.taken, reference_set.reference.integrator
@@ -170,13 +171,12 @@ class Trajectories:
                 break
             before, used = ratio, self.tightness
             if not constants.LEAST_ERROR_RATIO <= ratio <= 1.0:
-                factor = constants.AIMED_ERROR_RATIO / max(ratio, 1e-300)
-                factor = max(factor, constants.SMALLEST_TIGHTNESS_FACTOR)
+                factor = constants.AIMED_ERROR_RATIO / max(ratio, TINY)
                 self.tightness *= min(factor, constants.LARGEST_TIGHTNESS_FACTOR)
             if ratio <= 1.0:
                 break
         if ratio > 1.0 and reference.stiff:  # explicit steps do not come to the accuracy
-            self.stiff, self.tightness = True, constants.STIFF_TIGHTNESS
+            self.stiff, self.tightness = True, constants.AIMED_ERROR_RATIO
             columns = self._integrated(points)
         return columns
 
@@ -246,7 +246,7 @@ def _norm_of_ones(times: int, states: int) -> float:
 
     An error that all of many states share is not taken for a larger one.
     """
-    return float(np.sqrt(times * max(states / constants.MANY_STATES, 1.0)))
+    return float(np.sqrt(times * max(states / MANY_STATES, 1.0)))
 
 
 def _with_rows(block: Array, rank: int) -> Array:

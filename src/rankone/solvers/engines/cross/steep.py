@@ -25,9 +25,7 @@ from rankone.tensors.trains.adaptive import LinePoints, needed
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import SteepParameter
 
-_LINE_RATIO = 1.5  # Nodes of a line over those of the attempt: they show what it missed
 _MORE_NODES = 2  # Nodes of a line over those that did not resolve it
-_TAIL_SHARE = 0.1  # Sum of the modes left out on a line, over rtol, that nodes aim at
 # Sum of the modes that an attempt left out, over its error, that explains the error
 _EXPLAINING_SHARE = 0.3
 
@@ -71,7 +69,7 @@ def worst_lines(
     with several elements keep their bases: these are halved where they do not suffice.
     """
     drawn = {
-        j: replace(basis, degree=math.ceil(_LINE_RATIO * basis.size))
+        j: replace(basis, degree=math.ceil(constants.LINE_NODE_RATIO * basis.size))
         for j, basis in enumerate(bases)
         if basis.elements == 1
     }
@@ -86,11 +84,11 @@ def worst_lines(
             modes = (on_lines.reshape(-1, basis.size) * np.sqrt(basis.weights)) @ basis.to_modal.T
             tails = np.cumsum(np.abs(modes).max(axis=0)[::-1])[::-1]
             missed = max(missed, float(tails[bases[j].size]))
-            small = np.flatnonzero(tails <= _TAIL_SHARE * rtol)
+            small = np.flatnonzero(tails <= constants.KNOWN_FUNCTIONS_SHARE * rtol)
             if small.size > 1:
                 nodes[j] = int(small[0])
                 continue
-            nodes[j] = needed(tails, _TAIL_SHARE * rtol)
+            nodes[j] = needed(tails, constants.KNOWN_FUNCTIONS_SHARE * rtol)
             if basis.size < limits.nodes:
                 degree = min(max(_MORE_NODES * basis.size, nodes[j]), limits.nodes)
                 finer[j] = replace(basis, degree=degree)

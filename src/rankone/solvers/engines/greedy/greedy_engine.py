@@ -11,13 +11,9 @@ import numpy as np
 
 from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engines.greedy.greedy_options import (
-    FAST_FACTOR,
     FEW_ITERATIONS,
     FIRST_SLAB_CONTRACTION,
     MANY_ITERATIONS,
-    REJECTED_FACTOR,
-    SHORTEST_SLAB,
-    SLOW_FACTOR,
     TAIL_SHARE,
     TOLERANCE_SHARE,
     GreedyOptions,
@@ -29,18 +25,25 @@ from rankone.solvers.engines.greedy.slabs import (
     GreedyTrial,
     LaggedSlabs,
 )
-from rankone.solvers.march import March, MarchResult, Span
+from rankone.solvers.march import (
+    FAST_FACTOR,
+    REJECTED_FACTOR,
+    SLOW_FACTOR,
+    March,
+    MarchResult,
+    Span,
+)
 from rankone.solvers.request import SolveRequest
 from rankone.solvers.verification.growth import amplification
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
 from rankone.support.budget import memory_left, reserve
+from rankone.support.precision import AT_ONCE, NEGLIGIBLE, TINY
 from rankone.support.progress import Report
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.verdict import Cause, Status, UnsettledTerms
 
 _STIFFNESS_SAMPLES = 101  # Evenly spaced times at which stiffness is measured
-_HELD_ENTRIES = 2**22  # Entries of Jacobians that are held at once, unless one time has more
 _COPIES = 4  # Copies of these while they are scaled and summed
 
 
@@ -79,7 +82,7 @@ class SlabLengths:
         """Halve after a rejection, lengthen where few iterations were needed."""
         if not trial.record.accepted:
             self.length = REJECTED_FACTOR * span.length
-            self._hopeless = not self.adaptive or self.length <= SHORTEST_SLAB * self.horizon
+            self._hopeless = not self.adaptive or self.length <= NEGLIGIBLE * self.horizon
         elif self.adaptive:
             iterations = len(trial.record.residuals)
             factor = (
@@ -117,7 +120,7 @@ class GreedyMarcher(Marcher):
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
         self.longest = (
-            FIRST_SLAB_CONTRACTION / max(_stiffness(reference_set), 1e-300) if lagged else math.inf
+            FIRST_SLAB_CONTRACTION / max(_stiffness(reference_set), TINY) if lagged else math.inf
         )
         self.nodes = first_nodes(system, domain, self.rtol, self.options)
         self.tails = np.zeros(1 + len(domain.box))
@@ -164,7 +167,7 @@ def _stiffness(reference_set: ReferenceSet) -> float:
     system, reference, sizes = reference_set.system, reference_set.reference, reference_set.states
     times = np.linspace(reference.start, reference_set.end, _STIFFNESS_SAMPLES)
     n, m = system.n_differential, len(reference.points)
-    held = min(_HELD_ENTRIES, memory_left() / (8.0 * _COPIES))
+    held = min(AT_ONCE, memory_left() / (8.0 * _COPIES))
     together, largest = max(int(held // (n * n * m)), 1), 0.0
     reserve(8.0 * _COPIES * n * n * m * together)
     for first in range(0, times.size, together):

@@ -29,18 +29,12 @@ JUMP_SHARE = 0.01
 
 # Length of the first slab times the largest norm of the scaled Jacobian
 FIRST_SLAB_CONTRACTION = 3.0
-SHORTEST_SLAB = 1e-6  # Shortest slab, relative to the horizon
 FEW_ITERATIONS = 10  # Lagged iterations up to which the next slab is longer
 MANY_ITERATIONS = 16  # Lagged iterations above which the next slab is shorter
-FAST_FACTOR = 1.5  # Factor on the length after few iterations
-SLOW_FACTOR = 0.7  # Factor on the length after many iterations
-REJECTED_FACTOR = 0.5  # Factor on the length after a rejection
 
 # Convergence of the lagged iteration
 
 INNER_TOLERANCE_SHARE = 0.1  # Tolerance of an equation relative to the last change of the unknowns
-# Change, in units of the states' sizes, above which the iteration has diverged
-DIVERGED_CHANGE = 1e3
 MAX_SOURCE_RANK = 4000  # Rank above which a source is compressed before it is solved for
 
 # Enrichment
@@ -57,8 +51,6 @@ MAX_DENSE_SIZE = 1200
 
 FINE_DEGREE = 64  # Degree of the basis on which the factors of a parameter are resolved
 FINITE_ELEMENT_NODES = 41  # Nodes in every dimension for finite elements, if none are given
-# Up to this many parameters, known functions are resolved nearly to rounding level
-FEW_PARAMETERS = 2
 
 # Counted work
 

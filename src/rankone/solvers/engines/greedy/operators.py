@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.engines.greedy.greedy_options import (
-    FEW_PARAMETERS,
     FINE_DEGREE,
     FINITE_ELEMENT_NODES,
     GreedyOptions,
 )
+from rankone.solvers.march import FEW_PARAMETERS
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Array
 from rankone.tensors.bases import LegendreBasis

@@ -14,7 +14,6 @@ import numpy as np
 
 from rankone.solvers.engines.greedy.enrichment import Enrichment, ModeRecord
 from rankone.solvers.engines.greedy.greedy_options import (
-    DIVERGED_CHANGE,
     END_ROUNDING_SHARE,
     INNER_TOLERANCE_SHARE,
     JUMP_SHARE,
@@ -30,7 +29,14 @@ from rankone.solvers.engines.greedy.operators import (
     evaluation_order,
     source_terms,
 )
-from rankone.solvers.march import PlainNodes, SlabTrial, Span, interpolated, interpolated_initial
+from rankone.solvers.march import (
+    DIVERGED,
+    PlainNodes,
+    SlabTrial,
+    Span,
+    interpolated,
+    interpolated_initial,
+)
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Array
@@ -138,7 +144,7 @@ class LaggedSlab:
             if converged and (not done or len(steps) > len(changes)):
                 changes = steps
             converged = converged and done
-            usable = usable and bool(steps) and steps[-1] < DIVERGED_CHANGE
+            usable = usable and bool(steps) and steps[-1] < DIVERGED
             if not usable:
                 break
         last = {record.state: record.residual for record in records}
@@ -165,7 +171,7 @@ class LaggedSlab:
             changes.append(largest)
             if not lagged:
                 return changes, True
-            if not largest < DIVERGED_CHANGE:
+            if not largest < DIVERGED:
                 return changes, False
             # an equation that was only solved coarsely has changes of that order
             if largest <= 2.0 * tolerance and inner == tolerance:

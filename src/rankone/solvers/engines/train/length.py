@@ -12,25 +12,29 @@ import numpy as np
 from rankone.solvers.engines.train.slab_operators import ParameterOperators
 from rankone.solvers.engines.train.sweep import Sweeper
 from rankone.solvers.engines.train.train_options import (
-    DIVERGED_FACTOR,
-    FAST_FACTOR,
-    FEW_PARAMETERS,
     MAX_REFINEMENTS,
     MEMORY_HALVING_LIMIT,
     PROBE_MODES,
     RECOVERY_FACTOR,
     REFERENCE_NOISE,
     RETRY_LENGTH_RATIO,
-    ROUNDING_LEVEL,
-    SHORTEST_SLAB,
-    SLOW_FACTOR,
     UNRESOLVED_TAIL,
     TrainOptions,
 )
-from rankone.solvers.march import SlabTrial, Span, interpolated, interpolated_initial
+from rankone.solvers.march import (
+    FAST_FACTOR,
+    FEW_PARAMETERS,
+    REJECTED_FACTOR,
+    SLOW_FACTOR,
+    SlabTrial,
+    Span,
+    interpolated,
+    interpolated_initial,
+)
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
+from rankone.support.precision import NEGLIGIBLE, ROUNDING
 from rankone.tensors.bases import BASES, Basis1D, RadauCollocation
 from rankone.tensors.bases.time_grid import times_within
 from rankone.tensors.trains.train import Integers, Train
@@ -116,7 +120,7 @@ class SlabLengths:
         """The next slab: the same as earlier, or as long as its nodes resolve the reference."""
         if self._hopeless:
             return Status.MEMORY_LIMIT
-        if self.length < min(SHORTEST_SLAB * self.horizon, self.borders[-1] - start):
+        if self.length < min(NEGLIGIBLE * self.horizon, self.borders[-1] - start):
             return Status.NO_CONVERGENCE
         self._proposed = self.length
         border = min(b for b in self.borders if b > start + 1e-12 * self.horizon)
@@ -132,7 +136,7 @@ class SlabLengths:
     def adapt(self, span: TrainSpan, trial: TrainTrial) -> bool:
         """Shorten after a rejection, lengthen where few sweeps were needed."""
         solved = trial.record.accepted
-        stretch = self._stretch(span, trial) if solved else DIVERGED_FACTOR
+        stretch = self._stretch(span, trial) if solved else REJECTED_FACTOR
         self._memory = self._memory or Status.MEMORY_LIMIT in trial.limits
         if not solved or stretch < RETRY_LENGTH_RATIO:
             self.ceiling = self.length = span.length * max(stretch, 0.2)
@@ -288,7 +292,7 @@ def first_bases(
     basis_class = BASES[options.basis]
     most = min(options.max_degree, options.max_nodes)
     common = min(max(round(2.0 + 1.2 * -math.log10(rtol)), 4), most)
-    tolerance = ROUNDING_LEVEL if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
+    tolerance = ROUNDING if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
     bases, floors = [], []
     for j, (lower, upper) in enumerate(domain.box):
         needed = _resolving_degree(system, j, basis_class(lower, upper, most), tolerance)

@@ -127,9 +127,7 @@ def _sums(matrices: dict[int, scipy.sparse.csr_matrix], phi: Array, x: Array) ->
 # a second-kind equation, near the identity, that treats the stiffness common to the box exactly.
 
 
-CONSTANT = 0
-LINEAR = 1
-QUADRATIC = 2
+CONSTANT, LINEAR, QUADRATIC = range(3)
 """Degrees of term groups in the states."""
 
 Key = tuple[int, tuple[int, ...]]

@@ -25,8 +25,6 @@ from rankone.solvers.engines.train.sweep import Sweeper
 from rankone.solvers.engines.train.train_options import (
     COARSENING_SHARE,
     CORNERS_TOLERANCE_SHARE,
-    DIVERGED_RESIDUAL,
-    FEW_PARAMETERS,
     FIRST_SWEEP_FACTOR,
     INTERIOR_TOLERANCE_SHARE,
     JUMP_SHARE,
@@ -38,7 +36,7 @@ from rankone.solvers.engines.train.train_options import (
     THINNING_SHARE,
     TrainOptions,
 )
-from rankone.solvers.march import March, MarchResult
+from rankone.solvers.march import DIVERGED, FEW_PARAMETERS, March, MarchResult
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import SolveRequest
 from rankone.solvers.verification.growth import amplification
@@ -167,7 +165,7 @@ class Convergence:
     def hopeless(self, limited: bool) -> bool:
         """Whether the sweeps diverge or converge too slowly."""
         residual = self.residuals[-1]
-        if not math.isfinite(residual) or residual > DIVERGED_RESIDUAL:
+        if not math.isfinite(residual) or residual > DIVERGED:
             return True
         return self._since_restart >= 4 and self.contraction > SLOWEST_CONTRACTION and not limited
 

@@ -28,31 +28,22 @@ JUMP_SHARE = 0.1
 
 # Lengths of slabs
 
-DIVERGED_FACTOR = 0.5  # Factor on the length of a slab whose sweeps diverged
-SLOW_FACTOR = 0.7  # Factor on the length of the next slab after many sweeps
-FAST_FACTOR = 1.5  # Factor on the length of the next slab after few sweeps
 RECOVERY_FACTOR = 1.15  # Largest growth of the length per slab after a rejection
 REFERENCE_NOISE = 1e-7  # Relative size below which the dense output of the reference is not smooth
 RETRY_LENGTH_RATIO = 0.8  # A slab whose proper length is below this part of its own is solved again
 MEMORY_HALVING_LIMIT = 1e-3  # Shortest slab, relative to the horizon, that is halved to save memory
-SHORTEST_SLAB = 1e-10  # Shortest slab, relative to the horizon
 
 # Convergence of sweeps
 
 SLOWEST_CONTRACTION = 0.6  # Sweeps that contract less than this after the fourth will not converge
 RELIABLE_CONTRACTION = 0.5  # A smaller ratio of two residuals predicts the next residual
 LEAST_CONTRACTION = 0.15  # The predicted contraction is never taken below this
-# Residual, in units of the states' sizes, above which the sweeps have diverged
-DIVERGED_RESIDUAL = 1e2
 STAGNANT_CONTRACTION = 0.3  # Contraction above which a slab at the rank limit counts as solved
 FIRST_SWEEP_FACTOR = 30.0  # Largest tolerance of the first sweep, relative to the final one
 MAX_PROBES = 8  # Largest number of random sums that widen the frame
 
 # Parameter nodes
 
-# Up to this many parameters, known functions are resolved and kept to rounding level
-FEW_PARAMETERS = 2
-ROUNDING_LEVEL = 1e-14  # Relative size of modes at rounding level
 # Relative size of the last modes above which a function counts as unresolved
 UNRESOLVED_TAIL = 1e-12
 PROBE_MODES = 3  # Modes of a probe; higher ones would look like a need for more nodes
