@@ -109,7 +109,7 @@ def test_curves_of_slabs_that_share_cores_or_not(
     evaluator, rows = TrainEvaluator(slabs), slice(None)
     assert len(evaluator.trains) == len({"abbba": "abc", "aaAAa": "aAa"}.get(shared, {*shared}))
     if chunk == 5:
-        monkeypatch.setattr(module, "_BUFFER", 5)
+        monkeypatch.setattr(module, "AT_ONCE", 5)
         monkeypatch.setattr(module, "_TIMES", 2)
         for train in evaluator.trains:
             train.chunk = 5

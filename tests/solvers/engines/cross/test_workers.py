@@ -6,12 +6,14 @@ import concurrent.futures
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import sympy as sp
 
 import rankone as ro
+from rankone.solvers.engines.cross import sampled
 from tests.problems import EXAMPLES
 from tests.solvers.engines.cross.functions import (
     FLAG,
@@ -53,7 +55,7 @@ def processes_have_ended():
 @pytest.fixture(scope="module", autouse=True)
 def _many_chunks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rankone.solvers.engines.cross.cross_options.STACK_STATES", 2000)
+        patch.setattr(sampled, "TUNING", replace(sampled.TUNING, stack_states=2000))
         yield
 
 

@@ -11,8 +11,13 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.solvers.attempts import CLOSE_ERROR_RATIO, Attempt, Progress
-from rankone.solvers.engines.cross import cross_options as constants
-from rankone.solvers.engines.cross.cross_options import AttemptCost, CrossOptions, CrossRecord
+from rankone.solvers.engines.cross.cross_options import (
+    TIGHTENING,
+    TUNING,
+    AttemptCost,
+    CrossOptions,
+    CrossRecord,
+)
 from rankone.solvers.engines.cross.sampled import (
     TooManyTrajectories,
     Trajectories,
@@ -82,12 +87,12 @@ class Pace:
 
     def __init__(self, report: Report, event: ProgressEvent) -> None:
         self.report, self.event = report, event
-        self._stage = 0.0, constants.LINES_FRACTION
+        self._stage = 0.0, TUNING.lines_fraction
 
     def bond(self, done: int, total: int, rank: int) -> None:
         """A sweep begins a bond after ``done`` of them; ``rank`` is the largest so far."""
-        width = (1.0 - constants.LINES_FRACTION) / total
-        begin = constants.LINES_FRACTION + done * width
+        width = (1.0 - TUNING.lines_fraction) / total
+        begin = TUNING.lines_fraction + done * width
         self._stage = begin, begin + width
         self.event = replace(self.event, rank=max(rank, self.event.rank))
         self.batch(0.0)
@@ -96,7 +101,7 @@ class Pace:
         """A share of the trajectories that are being integrated is done."""
         begin, end = self._stage
         fraction = begin + share * (end - begin)
-        if fraction >= self.event.fraction + constants.REPORTED_FRACTION:
+        if fraction >= self.event.fraction + TUNING.reported_fraction:
             self.event = replace(self.event, fraction=fraction)
             self.report(self.event)
 
@@ -128,7 +133,7 @@ class CrossMarcher:
         self.worst: list[tuple[float, ...]] = []
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
-        self.tightness = constants.FIRST_MARKED_TIGHTNESS if marked else constants.FIRST_TIGHTNESS
+        self.tightness = TUNING.first_marked_tightness if marked else TUNING.first_tightness
         self.integrators: tuple[str, str] | None = None
         self.last: AttemptCost | None = None
         self.jump: SteepParameter | None = None
@@ -144,7 +149,7 @@ class CrossMarcher:
         self.trajectories = trajectories = Trajectories(
             self.reference_set,
             grid,
-            constants.INTEGRATION_SHARE * level,
+            TUNING.integration_share * level,
             self.tightness,
             self.options.max_trajectories - self.integrated,
             self.workers,
@@ -248,8 +253,8 @@ class CrossMarcher:
         edges = [start, *sorted(cut for cut in between if cut < end), end]
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        highest_modes = constants.HIGHEST_TIME_MODES_SHARE * level
-        tolerance = max(highest_modes, constants.TIGHTEST_TOLERANCE)
+        highest_modes = TUNING.highest_time_modes_share * level
+        tolerance = max(highest_modes, TUNING.tightest_tolerance)
 
         breaks: Sequence[float] = edges
         # slabs that do not resolve some trajectories need no look at all of them
@@ -269,7 +274,7 @@ class CrossMarcher:
     def _known_elements(self, nodes: int) -> list[KnownElements]:
         """Elements of ``nodes`` nodes that resolve the known functions of each parameter."""
         reference_set, known_elements = self.reference_set, []
-        tolerance = constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level
+        tolerance = TUNING.known_functions_share * self.adaptive.level
         domain = reference_set.domain
         for j, (interval, scale) in enumerate(
             zip(domain.box, domain.first_coordinates, strict=True)
@@ -281,7 +286,7 @@ class CrossMarcher:
             factors = partial(reference_set.system.parameter_factors, j)
             scaled, ends = in_scale(factors, interval, scale)
             places = scale.to_scale(np.array(cuts.points)).tolist()
-            for count in (nodes, *(round(ratio * nodes) for ratio in constants.KNOWN_NODE_RATIOS)):
+            for count in (nodes, *(round(ratio * nodes) for ratio in TUNING.known_node_ratios)):
                 pieces = resolving_pieces(scaled, *ends, places, count, tolerance)
                 if count == nodes:
                     begins = np.array([a for a, _ in pieces[1:]])
@@ -328,11 +333,11 @@ class CrossMarcher:
             return None
         if attempt.measured.worst:
             latest = [attempt.measured.worst, *attempt.measured.also_bad, *self.worst]
-            self.worst = list(dict.fromkeys(latest))[: constants.WORST_POINTS]
+            self.worst = list(dict.fromkeys(latest))[: TUNING.worst_points]
         if not self.worst:
             return None
         points, trajectories = np.array(self.worst[:MAX_STEEP_LINES]), self.trajectories
-        share = constants.LINES_BUDGET_SHARE * work_left()
+        share = TUNING.lines_budget_share * work_left()
         affordable = max(trajectories.count, share / trajectories.work_of_each)
         limits = LineLimits(self.options.max_nodes, affordable)
         try:
@@ -342,19 +347,19 @@ class CrossMarcher:
 
     def _patient(self, attempt: Attempt, stalls: int, grows: bool) -> bool:
         """Whether another attempt may be worth its cost; ``grows``: it has more elements."""
-        if self.integrated < constants.CHEAP_TRAJECTORIES:
-            return grows or stalls < constants.MAX_STALLS
-        affordable = constants.UNTIGHTENED_RATIO * constants.CHEAP_TRAJECTORIES
+        if self.integrated < TUNING.cheap_trajectories:
+            return grows or stalls < TUNING.max_stalls
+        affordable = TUNING.untightened_ratio * TUNING.cheap_trajectories
         if self.adaptive.share == 1.0 and self.integrated < affordable:
             return True
-        far, fast = CLOSE_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
-        return stalls < constants.MAX_COSTLY_STALLS and attempt.error < max(far, fast)
+        far, fast = CLOSE_ERROR_RATIO * self.rtol, TUNING.fast_error_ratio * self.error
+        return stalls < TUNING.max_costly_stalls and attempt.error < max(far, fast)
 
     def _halve_slabs(self) -> None:
         """Halve the slabs on which some trajectory varies more than those of the reference."""
         assert self.trajectories is not None
         breaks = np.array(self.trajectories.grid.breaks)
-        tolerance = constants.HIGHEST_TIME_MODES_SHARE * self.adaptive.share * self.rtol
+        tolerance = TUNING.highest_time_modes_share * self.adaptive.share * self.rtol
         rough = self.trajectories.highest_modes > tolerance
         self.breaks |= {*(0.5 * (breaks[:-1] + breaks[1:])[rough]).tolist()}
 
@@ -363,7 +368,7 @@ class CrossMarcher:
         trajectories, domain = self.trajectories, self.reference_set.domain
         if trajectories is None:
             return []
-        count = round(constants.LINE_NODE_RATIO * (4.0 - 1.4 * math.log10(self.rtol)))
+        count = round(TUNING.line_node_ratio * (4.0 - 1.4 * math.log10(self.rtol)))
         kind, modes = BASES[self.options.basis], list[tuple[Basis1D, Array]]()
 
         def columns(points: Array) -> Array:
@@ -394,7 +399,7 @@ class CrossMarcher:
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
         # later attempts cost more
-        trajectories.allowed_error = constants.INTEGRATION_SHARE * self.rtol
+        trajectories.allowed_error = TUNING.integration_share * self.rtol
         lines = [domain.bounds.mean(axis=1)]
         try:
             if attempt.result.slabs:
@@ -414,10 +419,8 @@ def _interpolation(system: System, request: SolveRequest) -> AdaptiveInterpolati
     """The interpolation of a solve, before its first attempt."""
     options, domain = request.options_of(CrossOptions), request.domain
     limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
-    target = (constants.FIRST_MARKED_LEVEL if _is_marked(system) else 1.0) * request.rtol
-    return AdaptiveInterpolation(
-        domain.box, limits, target, constants.TIGHTENING, domain.first_coordinates
-    )
+    target = (TUNING.first_marked_level if _is_marked(system) else 1.0) * request.rtol
+    return AdaptiveInterpolation(domain.box, limits, target, TIGHTENING, domain.first_coordinates)
 
 
 def _first_points(system: System, request: SolveRequest) -> Array:

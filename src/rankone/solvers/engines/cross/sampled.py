@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rankone.solvers.engines.cross import cross_options as constants
+from rankone.solvers.engines.cross.cross_options import TUNING
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, memory_left, reserve, work_done, work_left
@@ -19,9 +19,6 @@ from rankone.trajectories.integrators.integrator import Integrator, Tolerances
 from rankone.trajectories.integrators.integrator_choice import following, integrator_for
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System
-
-# Copies of sampled trajectories that are held at once: stages of steps, columns, coefficients
-_COPIES = 6
 
 
 class TooManyTrajectories(Exception):
@@ -66,8 +63,8 @@ class Trajectories:
         self.reference_set, self.grid, self.most = reference_set, grid, most
         self.allowed_error = allowed_error
         avoided = reference_set.reference.avoided
-        self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
-        self.tightness = constants.AIMED_ERROR_RATIO if self.stiff else tightness
+        self.stiff = self.calibrated = avoided > TUNING.explicit_step_limit
+        self.tightness = TUNING.aimed_error_ratio if self.stiff else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
         self._counted_work = 0.0
         after_reference = reference_set.taken, reference_set.reference.integrator
@@ -86,7 +83,7 @@ class Trajectories:
             raise TooManyTrajectories
         blocks, begun, before = [], 0, self.work
         for group in self._groups(points):
-            least = constants.LEAST_SAMPLE_RATIO * self.least_work
+            least = TUNING.least_sample_ratio * self.least_work
             if least * (len(points) - begun) > work_left():
                 raise OutOfWorkError
             begun += len(group)
@@ -104,20 +101,20 @@ class Trajectories:
         highest_modes = self.grid.highest_modes(in_units) * self.scale
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
-        lost = max(min(self.tightness, 1.0) * self.allowed_error, constants.TIGHTEST_TOLERANCE)
+        lost = max(min(self.tightness, 1.0) * self.allowed_error, TUNING.tightest_tolerance)
         return self.basis.coefficients(columns, lost)
 
     def _groups(self, points: Array) -> list[Array]:
         """Points whose columns are held at a time: few of many states, whole chunks of others."""
         numbers = self._read * self.grid.times.size
-        held = min(constants.HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
+        held = min(TUNING.held_numbers, memory_left() / (8.0 * TUNING.copies))
         size = max(int(held // numbers), self._chunk_size())
         return np.array_split(points, max(-(-len(points) // size), 1))
 
     def _reserve(self, count: int) -> None:
         """Raise an OutOfMemoryError if so many trajectories do not fit beside the basis."""
         times = self.grid.times.size
-        numbers = _COPIES * count * self._read * times + 2.0 * self.basis.vectors.size
+        numbers = TUNING.copies * count * self._read * times + 2.0 * self.basis.vectors.size
         reserve(8.0 * numbers)
 
     @property
@@ -155,28 +152,28 @@ class Trajectories:
         """The first trajectories, at a tolerance that brings the allowed error."""
         self.calibrated = True
         reference = self.reference_set.reference
-        some = slice(constants.CALIBRATION_POINTS)
+        some = slice(TUNING.calibration_points)
         first, times = reference.of(some), self.grid.times
         exact = self.reference_set.seen(times, first(times), some) / self.sizes[:, None, None]
         exact_points = first.points
         before, ratio, used = math.inf, math.inf, self.tightness
-        for calibration in range(constants.MAX_CALIBRATIONS):
+        for calibration in range(TUNING.max_calibrations):
             columns = self._integrated(np.concatenate([exact_points, points]))
             self.count += len(exact_points) + (len(points) if calibration else 0)
             ours, columns = np.split(columns, [len(exact_points)], axis=1)
             errors = exact.swapaxes(1, 2) - self._in_sizes(ours)
             ratio = float(np.abs(errors).max()) / self.allowed_error
-            if ratio > constants.REFERENCE_ERROR_RATIO * before:  # the reference's own error
+            if ratio > TUNING.reference_error_ratio * before:  # the reference's own error
                 self.tightness = used
                 break
             before, used = ratio, self.tightness
-            if not constants.LEAST_ERROR_RATIO <= ratio <= 1.0:
-                factor = constants.AIMED_ERROR_RATIO / max(ratio, TINY)
-                self.tightness *= min(factor, constants.LARGEST_TIGHTNESS_FACTOR)
+            if not TUNING.least_error_ratio <= ratio <= 1.0:
+                factor = TUNING.aimed_error_ratio / max(ratio, TINY)
+                self.tightness *= min(factor, TUNING.largest_tightness_factor)
             if ratio <= 1.0:
                 break
         if ratio > 1.0 and reference.stiff:  # explicit steps do not come to the accuracy
-            self.stiff, self.tightness = True, constants.AIMED_ERROR_RATIO
+            self.stiff, self.tightness = True, TUNING.aimed_error_ratio
             columns = self._integrated(points)
         return columns
 
@@ -194,8 +191,8 @@ class Trajectories:
         reference_set, end = self.reference_set, self.grid.breaks[-1]
         cuts = (cut for cut in reference_set.cuts if cut < end)
         edges = [reference_set.domain.horizon[0], *cuts, end]
-        tolerance = max(self.tightness * self.allowed_error, constants.TIGHTEST_TOLERANCE)
-        least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.of_states
+        tolerance = max(self.tightness * self.allowed_error, TUNING.tightest_tolerance)
+        least_sizes = TUNING.absolute_tolerance_ratio * reference_set.of_states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         least = np.maximum(reference_set.reference.rounded, reference_set.reference.least)
         absolute = np.maximum(tolerance * floor, least)
@@ -204,7 +201,7 @@ class Trajectories:
             reference_set.system,
             self.integrator,
             stiff=self.stiff,
-            bearable_steps=constants.EXPLICIT_STEP_LIMIT,
+            bearable_steps=TUNING.explicit_step_limit,
         )
         tolerances = Tolerances(tolerance, absolute[:, None])
         observed = reference_set.observed
@@ -235,10 +232,10 @@ class Trajectories:
     def _chunk_size(self) -> int:
         """Largest number of trajectories in a chunk."""
         if self.reference_set.system.user_functions:
-            return constants.MAX_USER_STACK
-        most = constants.MAX_STIFF_STACK if self.stiff else constants.MAX_STACK
+            return TUNING.max_user_stack
+        most = TUNING.max_stiff_stack if self.stiff else TUNING.max_stack
         states = self.reference_set.system.n_differential
-        return min(max(constants.STACK_STATES // states, constants.MIN_STACK), most)
+        return min(max(TUNING.stack_states // states, TUNING.min_stack), most)
 
 
 def _norm_of_ones(times: int, states: int) -> float:

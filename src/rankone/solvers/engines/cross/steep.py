@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.solvers.engines.cross import cross_options as constants
+from rankone.solvers.engines.cross.cross_options import TUNING
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
@@ -24,10 +24,6 @@ from rankone.tensors.bases import Basis1D
 from rankone.tensors.trains.adaptive import LinePoints, needed
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import SteepParameter
-
-_MORE_NODES = 2  # Nodes of a line over those that did not resolve it
-# Sum of the modes that an attempt left out, over its error, that explains the error
-_EXPLAINING_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -43,7 +39,7 @@ class WorstLines:
 
     def explain(self, error: float) -> bool:
         """Whether too few nodes are the reason of an error."""
-        return self.missed > _EXPLAINING_SHARE * error
+        return self.missed > TUNING.explaining_share * error
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def worst_lines(
     with several elements keep their bases: these are halved where they do not suffice.
     """
     drawn = {
-        j: replace(basis, degree=math.ceil(constants.LINE_NODE_RATIO * basis.size))
+        j: replace(basis, degree=math.ceil(TUNING.line_node_ratio * basis.size))
         for j, basis in enumerate(bases)
         if basis.elements == 1
     }
@@ -84,13 +80,13 @@ def worst_lines(
             modes = (on_lines.reshape(-1, basis.size) * np.sqrt(basis.weights)) @ basis.to_modal.T
             tails = np.cumsum(np.abs(modes).max(axis=0)[::-1])[::-1]
             missed = max(missed, float(tails[bases[j].size]))
-            small = np.flatnonzero(tails <= constants.KNOWN_FUNCTIONS_SHARE * rtol)
+            small = np.flatnonzero(tails <= TUNING.known_functions_share * rtol)
             if small.size > 1:
                 nodes[j] = int(small[0])
                 continue
-            nodes[j] = needed(tails, constants.KNOWN_FUNCTIONS_SHARE * rtol)
+            nodes[j] = needed(tails, TUNING.known_functions_share * rtol)
             if basis.size < limits.nodes:
-                degree = min(max(_MORE_NODES * basis.size, nodes[j]), limits.nodes)
+                degree = min(max(TUNING.more_nodes * basis.size, nodes[j]), limits.nodes)
                 finer[j] = replace(basis, degree=degree)
         most -= len(points) * sum(basis.size for basis in finer.values())
         drawn = finer
@@ -150,7 +146,7 @@ def _on_line(
     domain: Domain,
     point: Array,
     j: int,
-    zooms: int = constants.MAX_ZOOMS,
+    zooms: int = TUNING.max_zooms,
 ) -> Iterator[tuple[float, SteepParameter]]:
     """Relative widths and fronts on the line through a point along parameter j.
 
@@ -171,19 +167,19 @@ def _on_line(
         line[:, j] = np.clip(scale.from_scale(places), *box)
         return places, np.abs(np.diff(trajectories(line), axis=2))
 
-    places, coarse = changes(start, end, constants.LINE_PLACES)
+    places, coarse = changes(start, end, TUNING.line_places)
     for times in (slice(-1, None), slice(None)):
         for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:zooms]:
             a, b, change = places[i], places[i + 1], coarse[:, times, i]
-            if not change.max() >= constants.FRONT_CHANGE:
+            if not change.max() >= TUNING.front_change:
                 break
-            while b - a > constants.JUMP_WIDTH * width:
-                closer, fine = changes(a, b, constants.ZOOM_PLACES)
+            while b - a > TUNING.jump_width * width:
+                closer, fine = changes(a, b, TUNING.zoom_places)
                 k = int(fine[:, times].max(axis=(0, 1)).argmax())
-                if not fine[:, times, k].max() >= constants.KEPT_CHANGE * change.max():
+                if not fine[:, times, k].max() >= TUNING.kept_change * change.max():
                     break
                 a, b, change = closer[k], closer[k + 1], fine[:, times, k]
-            if b - a < constants.FRONT_WIDTH * width:
+            if b - a < TUNING.front_width * width:
                 lower, upper = np.clip(scale.from_scale(np.array([a, b])), *box).tolist()
                 yield (
                     (b - a) / width,
@@ -193,7 +189,7 @@ def _on_line(
                         lower=lower,
                         upper=upper,
                         change=float(change.max()),
-                        jump=bool((b - a) / width <= constants.JUMP_WIDTH),
+                        jump=bool((b - a) / width <= TUNING.jump_width),
                         at_end=change.shape[1] == 1,
                         others=fixed,
                     ),

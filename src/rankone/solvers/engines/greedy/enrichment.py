@@ -23,12 +23,8 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from rankone.solvers.engines.greedy.greedy_options import (
-    BETTER_RESIDUAL,
-    MAX_DENSE_SIZE,
-    PASS_OPERATIONS,
-    PROXIMAL_WEIGHT,
-    SPARSE_OPERATIONS,
     STALLED_MODES,
+    TUNING,
     GreedyOptions,
 )
 from rankone.solvers.engines.greedy.operators import Equation
@@ -128,7 +124,7 @@ class Enrichment:
             shown = residual if self.functional is None else self.minimal_residual()
             records.append(ModeRecord(differences, amplitude / amplitude_unit, shown / unit))
             if residual < best[0]:
-                stalled = 0 if residual < BETTER_RESIDUAL * best[0] else stalled + 1
+                stalled = 0 if residual < TUNING.better_residual * best[0] else stalled + 1
                 best = residual, self.factors.copy(), self.amplitudes
             else:
                 stalled += 1
@@ -181,7 +177,7 @@ class Enrichment:
         """Operations of finding the function of a dimension for one mode."""
         count, size = self.equation.matrices[j].shape[:2]
         onto = 4.0 * self.loads.factors[j].size + 2.0 * count * size * self.rank
-        return float(PASS_OPERATIONS + onto + 3.0 * count * size**2 + _solving(size))
+        return float(TUNING.pass_operations + onto + 3.0 * count * size**2 + _solving(size))
 
     def _against_modes(self, j: int, r: Array) -> Array:
         """``r^T D_j^i U_k`` for all terms i and modes k, (terms, rank)."""
@@ -230,11 +226,11 @@ class Enrichment:
         """All functions of dimension j at once, those of the others fixed."""
         equation = self.equation
         count, size = equation.matrices[j].shape[:2]
-        charge(PASS_OPERATIONS + self.rank**2 * 4.0 * equation.terms * len(self._grams))
+        charge(TUNING.pass_operations + self.rank**2 * 4.0 * equation.terms * len(self._grams))
         charge(_solving(size * self.rank if count > 1 else max(size, self.rank)))
         grams = _collected(self._other_grams(j), equation.index[j])
         right = self.loads.factors[j] @ _product(self._load_products, j)
-        held = PROXIMAL_WEIGHT * float(np.abs(np.diagonal(grams[0])).max())
+        held = TUNING.proximal_weight * float(np.abs(np.diagonal(grams[0])).max())
         grams[0] += held * np.eye(self.rank)
         right = right + held * (self.amplitudes * self._images[j][0])
         self.factors[j] = _solve_coupled(grams, equation.matrices[j], right, equation.bandwidth[j])
@@ -298,7 +294,9 @@ class Enrichment:
 def _solving(size: int) -> float:
     """Operations of a solve with a matrix of this size, full or with few bands."""
     dense = 0.05 * size**3 + size**2
-    return 10.0 * CALL + (dense if size <= MAX_DENSE_SIZE else SPARSE_OPERATIONS * size)
+    return 10.0 * CALL + (
+        dense if size <= TUNING.max_dense_size else TUNING.sparse_operations * size
+    )
 
 
 def _product(arrays: list[Array], j: int) -> Array:
@@ -337,7 +335,7 @@ def _solve_coupled(grams: Array, matrices: Array, right: Array, bandwidth: int) 
     size, rank = right.shape
     if len(matrices) == 1:
         return _solve(grams[0], _solve(matrices[0], right, bandwidth).T).T
-    if size * rank <= MAX_DENSE_SIZE or 4 * bandwidth > size:
+    if size * rank <= TUNING.max_dense_size or 4 * bandwidth > size:
         total = sum(np.kron(a, g) for a, g in zip(matrices, grams, strict=True))
         return _solve(np.asarray(total), right.ravel()).reshape(size, rank)
     sparse = sum(

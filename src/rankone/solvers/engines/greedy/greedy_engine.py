@@ -11,11 +11,7 @@ import numpy as np
 
 from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engines.greedy.greedy_options import (
-    FEW_ITERATIONS,
-    FIRST_SLAB_CONTRACTION,
-    MANY_ITERATIONS,
-    TAIL_SHARE,
-    TOLERANCE_SHARE,
+    TUNING,
     GreedyOptions,
 )
 from rankone.solvers.engines.greedy.operators import first_nodes
@@ -42,9 +38,6 @@ from rankone.support.precision import AT_ONCE, NEGLIGIBLE, TINY
 from rankone.support.progress import Report
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.verdict import Cause, Status, UnsettledTerms
-
-_STIFFNESS_SAMPLES = 101  # Evenly spaced times at which stiffness is measured
-_COPIES = 4  # Copies of these while they are scaled and summed
 
 
 @dataclass
@@ -87,9 +80,9 @@ class SlabLengths:
             iterations = len(trial.record.residuals)
             factor = (
                 FAST_FACTOR
-                if iterations <= FEW_ITERATIONS
+                if iterations <= TUNING.few_iterations
                 else SLOW_FACTOR
-                if iterations > MANY_ITERATIONS
+                if iterations > TUNING.many_iterations
                 else 1.0
             )
             longer = span.length * (
@@ -120,11 +113,13 @@ class GreedyMarcher(Marcher):
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
         self.longest = (
-            FIRST_SLAB_CONTRACTION / max(_stiffness(reference_set), TINY) if lagged else math.inf
+            TUNING.first_slab_contraction / max(_stiffness(reference_set), TINY)
+            if lagged
+            else math.inf
         )
         self.nodes = first_nodes(system, domain, self.rtol, self.options)
         self.tails = np.zeros(1 + len(domain.box))
-        self.share = TOLERANCE_SHARE
+        self.share = TUNING.tolerance_share
 
     def tolerance(self, time: float) -> float:
         """Tolerance of a slab, in units of the sizes."""
@@ -144,7 +139,7 @@ class GreedyMarcher(Marcher):
         """More nodes where the highest modes are not small, else a tighter tolerance."""
         nodes, limits = self.nodes, attempt.result.limits
         stalls = 0 if progress.pays else progress.stalls
-        self.nodes = nodes.finer(self.tails > TAIL_SHARE * self.rtol, self.options)
+        self.nodes = nodes.finer(self.tails > TUNING.tail_share * self.rtol, self.options)
         same = self.nodes == nodes
         stuck = stalls or limits or self.options.tolerance is not None
         if (stalls and limits) or (same and stuck):
@@ -165,11 +160,11 @@ class GreedyMarcher(Marcher):
 def _stiffness(reference_set: ReferenceSet) -> float:
     """Largest row sum norm of the Jacobian over the check points, in units of the sizes."""
     system, reference, sizes = reference_set.system, reference_set.reference, reference_set.states
-    times = np.linspace(reference.start, reference_set.end, _STIFFNESS_SAMPLES)
+    times = np.linspace(reference.start, reference_set.end, TUNING.stiffness_samples)
     n, m = system.n_differential, len(reference.points)
-    held = min(AT_ONCE, memory_left() / (8.0 * _COPIES))
+    held = min(AT_ONCE, memory_left() / (8.0 * TUNING.copies))
     together, largest = max(int(held // (n * n * m)), 1), 0.0
-    reserve(8.0 * _COPIES * n * n * m * together)
+    reserve(8.0 * TUNING.copies * n * n * m * together)
     for first in range(0, times.size, together):
         some = times[first : first + together]
         jacobian = system.jacobian(some, reference(some), reference.points.T[:, :, None])

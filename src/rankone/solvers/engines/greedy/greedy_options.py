@@ -14,49 +14,8 @@ from rankone.support.errors import OptionError
 from rankone.support.options import Options, choice, integer, integers, number
 from rankone.tensors.bases.basis import LagrangeElements
 
-# Accuracy of slabs
-
-TOLERANCE_SHARE = 0.03  # Tolerance of a slab relative to rtol, before errors grow
-TAIL_SHARE = 0.1  # Part of rtol that the highest modes may make up
-# Largest loss from rounding a state at the end of a slab, relative to the slab's tolerance
-END_ROUNDING_SHARE = 0.2
-# Largest loss from thinning the trains of a slab, relative to the slab's tolerance
-THINNING_SHARE = 0.05
-# Largest interpolation error of states after a jump, relative to the slab's tolerance
-JUMP_SHARE = 0.01
-
-# Lengths of slabs
-
-# Length of the first slab times the largest norm of the scaled Jacobian
-FIRST_SLAB_CONTRACTION = 3.0
-FEW_ITERATIONS = 10  # Lagged iterations up to which the next slab is longer
-MANY_ITERATIONS = 16  # Lagged iterations above which the next slab is shorter
-
-# Convergence of the lagged iteration
-
-INNER_TOLERANCE_SHARE = 0.1  # Tolerance of an equation relative to the last change of the unknowns
-MAX_SOURCE_RANK = 4000  # Rank above which a source is compressed before it is solved for
-
-# Enrichment
-
 # Modes in a row without a better residual after which enrichment ends, by what is updated
 STALLED_MODES = {"all": 4, "time": 8, "amplitudes": 12}
-BETTER_RESIDUAL = 0.98  # Ratio of residuals below which a mode counts as an improvement
-# Weight, relative to the largest diagonal entry, that ties an update to the modes it replaces
-PROXIMAL_WEIGHT = 1e-12
-# Largest system of coupled modes that is solved densely whatever its bandwidth
-MAX_DENSE_SIZE = 1200
-
-# Parameter nodes
-
-FINE_DEGREE = 64  # Degree of the basis on which the factors of a parameter are resolved
-FINITE_ELEMENT_NODES = 41  # Nodes in every dimension for finite elements, if none are given
-
-# Counted work
-
-# Operations of a pass over a dimension, besides those with large arrays
-PASS_OPERATIONS = 100.0 * CALL
-SPARSE_OPERATIONS = 5e3  # Operations for each unknown of a sparse system
 
 _SLIDES: dict[str, Any] = {
     "formulation": "derivative",
@@ -69,6 +28,55 @@ _SLIDES: dict[str, Any] = {
     "max_fixed_point": 50,
     "fixed_point_tolerance": 1e-6,
 }
+
+
+@dataclass(frozen=True)
+class GreedyTuning:
+    """Tuning of the classic method, measured over the reference problems."""
+
+    tolerance_share: float = 0.03
+    """Tolerance of a slab relative to rtol, before errors grow."""
+    tail_share: float = 0.1
+    """Part of rtol that the highest modes may make up."""
+    end_rounding_share: float = 0.2
+    """Largest loss from rounding a state at the end of a slab, relative to the slab's
+    tolerance."""
+    thinning_share: float = 0.05
+    """Largest loss from thinning the trains of a slab, relative to the slab's tolerance."""
+    jump_share: float = 0.01
+    """Largest interpolation error of states after a jump, relative to the slab's tolerance."""
+    first_slab_contraction: float = 3.0
+    """Length of the first slab times the largest norm of the scaled Jacobian."""
+    few_iterations: int = 10
+    """Lagged iterations up to which the next slab is longer."""
+    many_iterations: int = 16
+    """Lagged iterations above which the next slab is shorter."""
+    inner_tolerance_share: float = 0.1
+    """Tolerance of an equation relative to the last change of the unknowns."""
+    max_source_rank: int = 4000
+    """Rank above which a source is compressed before it is solved for."""
+    better_residual: float = 0.98
+    """Ratio of residuals below which a mode counts as an improvement."""
+    proximal_weight: float = 1e-12
+    """Weight, relative to the largest diagonal entry, that ties an update to the modes it
+    replaces."""
+    max_dense_size: int = 1200
+    """Largest system of coupled modes that is solved densely whatever its bandwidth."""
+    fine_degree: int = 64
+    """Degree of the basis on which the factors of a parameter are resolved."""
+    finite_element_nodes: int = 41
+    """Nodes in every dimension for finite elements, if none are given."""
+    pass_operations: float = 100.0 * CALL
+    """Operations of a pass over a dimension, besides those with large arrays."""
+    sparse_operations: float = 5e3
+    """Operations for each unknown of a sparse system."""
+    stiffness_samples: int = 101
+    """Evenly spaced times at which stiffness is measured."""
+    copies: int = 4
+    """Copies of these while they are scaled and summed."""
+
+
+TUNING = GreedyTuning()
 
 
 @dataclass(frozen=True, kw_only=True)

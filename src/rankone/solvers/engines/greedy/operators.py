@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.engines.greedy.greedy_options import (
-    FINE_DEGREE,
-    FINITE_ELEMENT_NODES,
+    TUNING,
     GreedyOptions,
 )
 from rankone.solvers.march import FEW_PARAMETERS
@@ -275,8 +274,8 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
     counts = options.given_parameter_nodes(len(domain.box))
     digits = -math.log10(rtol)
     if options.elements != "legendre":
-        equal = (FINITE_ELEMENT_NODES,) * len(domain.box)
-        return Nodes(options.time_nodes or FINITE_ELEMENT_NODES, counts or equal)
+        equal = (TUNING.finite_element_nodes,) * len(domain.box)
+        return Nodes(options.time_nodes or TUNING.finite_element_nodes, counts or equal)
     time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
     if counts is not None:
         return Nodes(time, counts)
@@ -289,11 +288,11 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
 
 def _resolving(system: System, dimension: int, lower: float, upper: float, tolerance: float) -> int:
     """Nodes that resolve the factors of one parameter to a part of the largest of each."""
-    fine = LegendreBasis(lower, upper, FINE_DEGREE)
+    fine = LegendreBasis(lower, upper, TUNING.fine_degree)
     relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     return int(np.flatnonzero(relative > tolerance).max(initial=0)) + 2
 
 
 def _more(nodes: int) -> int:
     """The next larger number of nodes; odd stays odd, as quadratic elements need."""
-    return min(nodes + 2 * max(2, nodes // 6), 2 * FINE_DEGREE)
+    return min(nodes + 2 * max(2, nodes // 6), 2 * TUNING.fine_degree)

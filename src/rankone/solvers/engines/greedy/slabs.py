@@ -14,11 +14,7 @@ import numpy as np
 
 from rankone.solvers.engines.greedy.enrichment import Enrichment, ModeRecord
 from rankone.solvers.engines.greedy.greedy_options import (
-    END_ROUNDING_SHARE,
-    INNER_TOLERANCE_SHARE,
-    JUMP_SHARE,
-    MAX_SOURCE_RANK,
-    THINNING_SHARE,
+    TUNING,
     GreedyOptions,
 )
 from rankone.solvers.engines.greedy.operators import (
@@ -180,7 +176,7 @@ class LaggedSlab:
             if slow and inner == tolerance:
                 # what is left is the truncation of the modes, if it is small
                 return changes, largest <= 20.0 * tolerance
-            inner = min(max(tolerance, INNER_TOLERANCE_SHARE * largest), inner)
+            inner = min(max(tolerance, TUNING.inner_tolerance_share * largest), inner)
         return changes, False
 
     def _solve_equation(self, state: int, iteration: int, tolerance: float) -> EquationRecord:
@@ -188,7 +184,7 @@ class LaggedSlab:
         unit = float(self._units[state])
         source = self._source(state)
         loads = equation.loads(source)
-        if loads.rank > MAX_SOURCE_RANK:  # to a tolerance in the dual norm of the equation
+        if loads.rank > TUNING.max_source_rank:  # to a tolerance in the dual norm of the equation
             inverse = [np.asarray(np.linalg.inv(metric)) for metric in equation.metrics]
             limit, nodal = 0.1 * tolerance * unit, loads.applied(inverse)
             loads = compressed(nodal, equation.metrics, limit, self.options)
@@ -300,11 +296,11 @@ class LaggedSlabs:
         """One train for each element in time; the next slab begins at the end of this one."""
         bases, modes, lost = trial.space.bases, trial.solved.modes, trial.record.tolerance
         trains, tails = element_trains(
-            bases, self._values, modes, THINNING_SHARE * lost * self.sizes
+            bases, self._values, modes, TUNING.thinning_share * lost * self.sizes
         )
         self.tails = np.maximum(self.tails, (tails / self.sizes[:, None]).max(axis=0))
         self._values = [
-            self._at_end(state, added, END_ROUNDING_SHARE * lost * size)
+            self._at_end(state, added, TUNING.end_rounding_share * lost * size)
             for state, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
         kind = self.coupling.system.jumps.kind_at(span.end)
@@ -332,7 +328,7 @@ class LaggedSlabs:
         if not parameters:
             return [RankOneSum((row[None, :],)) for row in first]
         states = (RankOneSum.of_train(row, parameters) for row in first)
-        limits = END_ROUNDING_SHARE * tolerance * self.sizes
+        limits = TUNING.end_rounding_share * tolerance * self.sizes
         return [self._compressed(s, limit) for s, limit in zip(states, limits, strict=True)]
 
     def _after_jump(self, kind: int, tolerance: float) -> list[RankOneSum]:
@@ -347,7 +343,7 @@ class LaggedSlabs:
             )
 
         plain = [PlainNodes(x.size) for x in nodes]
-        return self._of_train(interpolated(values, plain, JUMP_SHARE * tolerance), tolerance)
+        return self._of_train(interpolated(values, plain, TUNING.jump_share * tolerance), tolerance)
 
     def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
         """A state at the end of a slab, in few products.

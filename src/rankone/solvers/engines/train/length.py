@@ -12,13 +12,7 @@ import numpy as np
 from rankone.solvers.engines.train.slab_operators import ParameterOperators
 from rankone.solvers.engines.train.sweep import Sweeper
 from rankone.solvers.engines.train.train_options import (
-    MAX_REFINEMENTS,
-    MEMORY_HALVING_LIMIT,
-    PROBE_MODES,
-    RECOVERY_FACTOR,
-    REFERENCE_NOISE,
-    RETRY_LENGTH_RATIO,
-    UNRESOLVED_TAIL,
+    TUNING,
     TrainOptions,
 )
 from rankone.solvers.march import (
@@ -138,14 +132,16 @@ class SlabLengths:
         solved = trial.record.accepted
         stretch = self._stretch(span, trial) if solved else REJECTED_FACTOR
         self._memory = self._memory or Status.MEMORY_LIMIT in trial.limits
-        if not solved or stretch < RETRY_LENGTH_RATIO:
+        if not solved or stretch < TUNING.retry_length_ratio:
             self.ceiling = self.length = span.length * max(stretch, 0.2)
-            self._hopeless = self._memory and self.length < MEMORY_HALVING_LIMIT * self.horizon
+            self._hopeless = (
+                self._memory and self.length < TUNING.memory_halving_limit * self.horizon
+            )
             return False
         sweeps = len(trial.record.residuals)
         factor = FAST_FACTOR if sweeps <= 3 else SLOW_FACTOR if sweeps >= 6 else 1.0
         self.length = span.length * min(factor, stretch)
-        self.ceiling = min(RECOVERY_FACTOR * self.ceiling, self.longest)
+        self.ceiling = min(TUNING.recovery_factor * self.ceiling, self.longest)
         if span.end in self.borders:
             self.length = max(self.length, self._proposed)
         self.length = min(self.length, self.ceiling)
@@ -153,7 +149,7 @@ class SlabLengths:
 
     def resolved(self, start: float, length: float) -> float:
         """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
-        tolerance = max(self.accuracy.resolution, REFERENCE_NOISE)
+        tolerance = max(self.accuracy.resolution, TUNING.reference_noise)
         scale = self.reference_set.states[:, None, None]
         nodes = self.collocation
         for _ in range(60):
@@ -268,7 +264,7 @@ class ParameterNodes:
         cores = []
         for basis in self.bases:
             constant = np.sqrt(basis.weights)
-            low = np.arange(basis.size) % basis.degree < PROBE_MODES
+            low = np.arange(basis.size) % basis.degree < TUNING.probe_modes
             modes = generator.standard_normal((count, basis.size)) * low
             modes *= np.sqrt(0.5) / np.linalg.norm(modes, axis=1, keepdims=True)
             core = np.zeros((count + 1, basis.size, count + 1))
@@ -305,7 +301,7 @@ def _resolving_degree(system: System, dimension: int, fine: Basis1D, tolerance: 
     """Smallest degree that resolves the factors of one parameter; 3 if the fine basis does not."""
     relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     noise = float(relative[-3:].max())
-    if noise > UNRESOLVED_TAIL:
+    if noise > TUNING.unresolved_tail:
         return 3
     significant = np.flatnonzero(relative > max(tolerance, 8.0 * noise))
     return max(int(significant[-1]) + 2 if significant.size else 1, 3)
@@ -321,13 +317,13 @@ def after_jump(
     ``tolerance``. Trains are in ``units`` (n,), scaled by the roots of the weights of the nodes.
     """
     bases = nodes.bases
-    for refinement in range(MAX_REFINEMENTS + 1):
+    for refinement in range(TUNING.max_refinements + 1):
         if bases != nodes.bases:
             source = source.apply_to_modes(nodes.take(bases)).right_orthonormal()
         jumped = interpolated(_Jumped(kind, nodes, source, units), nodes.bases, tolerance)
         modal = jumped.apply_to_modes([basis.to_modal for basis in nodes.bases])
         bases, _ = nodes.refined(modal.mode_norms(), tolerance)
-        if bases == nodes.bases or refinement == MAX_REFINEMENTS:
+        if bases == nodes.bases or refinement == TUNING.max_refinements:
             break
     return jumped
 

@@ -14,6 +14,7 @@ import scipy.linalg
 import scipy.sparse
 from numpy.typing import NDArray
 
+from rankone.solvers.engines.train.train_options import TUNING
 from rankone.support.arrays import Array
 from rankone.support.budget import reserve
 from rankone.support.costs import SparseFactors, product
@@ -336,10 +337,6 @@ class SlabOperator:
 
 MOST_DENSE = 640
 """Pairs of state and time node up to which S is one matrix."""
-# Change of the Jacobian over the slab, times its length, that S may leave out: it costs no sweeps
-_LARGEST_CHANGE = 3.0
-_COPIES = 5  # Matrices over these pairs while S is set up
-_ENTRY_BYTES = 16.0  # An entry of a sparse matrix, with its row
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,7 +411,7 @@ def inverse_of(jacobian: SlabJacobian, mass: Array, collocation: RadauCollocatio
     """The inverse for the masses (n,) of the states, divided by the length of the slab."""
     if jacobian.size * collocation.count <= MOST_DENSE:
         return DenseInverse(jacobian, mass, collocation)
-    if jacobian.change <= _LARGEST_CHANGE * mass.max():
+    if jacobian.change <= TUNING.largest_change * mass.max():
         return SchurInverse(jacobian, mass, collocation)
     return SparseInverse(jacobian, mass, collocation)
 
@@ -424,7 +421,7 @@ class DenseInverse:
 
     def __init__(self, jacobian: SlabJacobian, mass: Array, collocation: RadauCollocation) -> None:
         n, count = self._shape = jacobian.size, collocation.count
-        reserve(8.0 * _COPIES * (n * count) ** 2)
+        reserve(8.0 * TUNING.copies * (n * count) ** 2)
         self._jacobian = jacobian.dense()
         matrix = np.zeros((n, count, n, count))
         index, nodes = np.arange(n), np.arange(count)
@@ -454,7 +451,7 @@ class SparseInverse:
 
     def __init__(self, jacobian: SlabJacobian, mass: Array, collocation: RadauCollocation) -> None:
         n, count = jacobian.size, collocation.count
-        reserve(_ENTRY_BYTES * count * (n * count + 2.0 * jacobian.rows.size))
+        reserve(TUNING.entry_bytes * count * (n * count + 2.0 * jacobian.rows.size))
         nodes, shape = np.arange(count), (n * count, n * count)
         rows = (jacobian.rows[:, None] * count + nodes).ravel()
         columns = (jacobian.columns[:, None] * count + nodes).ravel()

@@ -28,11 +28,7 @@ from rankone.solvers.engines.train.slab_operators import (
     ParameterOperators,
     SlabOperator,
 )
-from rankone.solvers.engines.train.train_options import (
-    BLOCK_COUNT,
-    BLOCK_MULTIPLICATIONS,
-    GROUP_COST,
-)
+from rankone.solvers.engines.train.train_options import GROUP_COST, TUNING
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, memory_left, reserve
 from rankone.support.costs import CALL, product
@@ -65,8 +61,8 @@ def unpack(packed: Array, rank: int) -> Array:
 
 def _blocks(rank: int, work: float) -> list[tuple[int, int]]:
     """Blocks of rows for one matrix product; ``work`` counts the multiplications of a row."""
-    step = -(-rank // BLOCK_COUNT) if rank > 2 * BLOCK_COUNT else rank
-    step = max(min(step, int(BLOCK_MULTIPLICATIONS / max(work, 1.0))), 1)
+    step = -(-rank // TUNING.block_count) if rank > 2 * TUNING.block_count else rank
+    step = max(min(step, int(TUNING.block_multiplications / max(work, 1.0))), 1)
     return [(first, min(first + step, rank)) for first in range(0, rank, step)]
 
 

@@ -23,17 +23,7 @@ from rankone.solvers.engines.train.length import (
 from rankone.solvers.engines.train.slab_operators import SlabJacobian, SlabOperator, term_groups
 from rankone.solvers.engines.train.sweep import Sweeper
 from rankone.solvers.engines.train.train_options import (
-    COARSENING_SHARE,
-    CORNERS_TOLERANCE_SHARE,
-    FIRST_SWEEP_FACTOR,
-    INTERIOR_TOLERANCE_SHARE,
-    JUMP_SHARE,
-    LEAST_CONTRACTION,
-    MAX_PROBES,
-    RELIABLE_CONTRACTION,
-    SLOWEST_CONTRACTION,
-    STAGNANT_CONTRACTION,
-    THINNING_SHARE,
+    TUNING,
     TrainOptions,
 )
 from rankone.solvers.march import DIVERGED, FEW_PARAMETERS, March, MarchResult
@@ -75,7 +65,9 @@ class TrainMarcher(Marcher):
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
         self.inner = self.rtol * (
-            CORNERS_TOLERANCE_SHARE if reference_set.whole_box else INTERIOR_TOLERANCE_SHARE
+            TUNING.corners_tolerance_share
+            if reference_set.whole_box
+            else TUNING.interior_tolerance_share
         )
         self.guesses: Sequence[Guess] = ()
         self.longest = math.inf
@@ -156,10 +148,12 @@ class Convergence:
 
     def solved(self, limited: bool) -> bool:
         """Whether the slab is accurate enough, or as accurate as the rank limit allows."""
-        if limited and self._since_restart >= 3 and self.contraction > STAGNANT_CONTRACTION:
+        if limited and self._since_restart >= 3 and self.contraction > TUNING.stagnant_contraction:
             return True
-        reliable = self._since_restart > 1 and self.contraction < RELIABLE_CONTRACTION
-        ahead = self.residuals[-1] * (max(self.contraction, LEAST_CONTRACTION) if reliable else 1.0)
+        reliable = self._since_restart > 1 and self.contraction < TUNING.reliable_contraction
+        ahead = self.residuals[-1] * (
+            max(self.contraction, TUNING.least_contraction) if reliable else 1.0
+        )
         return self._final and ahead <= self.tolerance
 
     def hopeless(self, limited: bool) -> bool:
@@ -167,7 +161,11 @@ class Convergence:
         residual = self.residuals[-1]
         if not math.isfinite(residual) or residual > DIVERGED:
             return True
-        return self._since_restart >= 4 and self.contraction > SLOWEST_CONTRACTION and not limited
+        return (
+            self._since_restart >= 4
+            and self.contraction > TUNING.slowest_contraction
+            and not limited
+        )
 
 
 def _memory_needed(count: float) -> MemoryNeeded | None:
@@ -209,7 +207,7 @@ class SlabIteration:
         self._memory_needed = None
         spectra: list[Array] = []
         if self.nodes.bases:
-            coarse = min(0.1 * self._second_residual, FIRST_SWEEP_FACTOR * tolerance)
+            coarse = min(0.1 * self._second_residual, TUNING.first_sweep_factor * tolerance)
             convergence = Convergence(tolerance, coarse)
             sweeper, spectra, solved = self._swept(sweeper, convergence, limits)
         else:
@@ -231,13 +229,13 @@ class SlabIteration:
         train = sweeper.train.with_first(trial.time_modes)
         train = train.apply_to_modes([basis.to_modal for basis in bases])
         if len(bases) > FEW_PARAMETERS:
-            train = train.thinned(THINNING_SHARE * self.accuracy.resolution)
+            train = train.thinned(TUNING.thinning_share * self.accuracy.resolution)
         units = self.scale[: len(train.first)]
         self.guesses.append(Guess(span.start, span.length, sweeper.train, bases))
         self._source = self._at_end(trial)
         kind = self.reference_set.system.jumps.kind_at(span.end)
         if kind is not None and span.end < self.reference_set.end:
-            tolerance = JUMP_SHARE * trial.record.tolerance
+            tolerance = TUNING.jump_share * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
         train = train.with_first(train.first * units[:, None, None])
         return [SlabTrain(span.start, span.end, train, bases)]
@@ -251,7 +249,7 @@ class SlabIteration:
             maps = [b.transfer(basis) for b, basis in zip(guess.bases, bases, strict=True)]
             train = guess.train.apply_to_modes(maps).right_orthonormal()
         if bases:
-            count = min(self.scale.size, MAX_PROBES)
+            count = min(self.scale.size, TUNING.max_probes)
             train = train.widened(self.nodes.probe(count, seed=self._trials))
         return self._sweeper(operator, train)
 
@@ -313,7 +311,9 @@ class SlabIteration:
         """The train at the end of the slab, on no more parameter nodes than it needs."""
         last = trial.sweeper.cores[0][: self.reference_set.system.n_differential, -1]
         source = trial.sweeper.train.with_first(last * np.sqrt(self.collocation.count))
-        bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)
+        bases = self.nodes.coarsened(
+            trial.spectra, TUNING.coarsening_share * trial.record.tolerance
+        )
         if bases is self.nodes.bases:
             return source
         return source.apply_to_modes(self.nodes.take(bases)).right_orthonormal()

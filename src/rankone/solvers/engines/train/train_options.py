@@ -13,46 +13,63 @@ from rankone.support.costs import CALL, Cost
 from rankone.support.options import Options, choice, integer
 from rankone.tensors.bases import BASES
 
-# Accuracy of slabs
 
-# First inner tolerance, relative to rtol, where corners of the box count
-CORNERS_TOLERANCE_SHARE = 0.06
-# First inner tolerance, relative to rtol, where only interior points count
-INTERIOR_TOLERANCE_SHARE = 0.4
-# Norm of the entries dropped from an accepted slab, relative to its resolution
-THINNING_SHARE = 0.5
-# Largest loss from coarser parameter nodes at the end of a slab, relative to its tolerance
-COARSENING_SHARE = 0.02
-# Largest error of the states after a jump, relative to the tolerance of the slab before it
-JUMP_SHARE = 0.1
+@dataclass(frozen=True)
+class TrainTuning:
+    """Tuning of the tensor-train engine, measured over the reference problems."""
 
-# Lengths of slabs
+    corners_tolerance_share: float = 0.06
+    """First inner tolerance, relative to rtol, where corners of the box count."""
+    interior_tolerance_share: float = 0.4
+    """First inner tolerance, relative to rtol, where only interior points count."""
+    thinning_share: float = 0.5
+    """Norm of the entries dropped from an accepted slab, relative to its resolution."""
+    coarsening_share: float = 0.02
+    """Largest loss from coarser parameter nodes at the end of a slab, relative to its
+    tolerance."""
+    jump_share: float = 0.1
+    """Largest error of the states after a jump, relative to the tolerance of the slab before
+    it."""
+    recovery_factor: float = 1.15
+    """Largest growth of the length per slab after a rejection."""
+    reference_noise: float = 1e-7
+    """Relative size below which the dense output of the reference is not smooth."""
+    retry_length_ratio: float = 0.8
+    """A slab whose proper length is below this part of its own is solved again."""
+    memory_halving_limit: float = 1e-3
+    """Shortest slab, relative to the horizon, that is halved to save memory."""
+    slowest_contraction: float = 0.6
+    """Sweeps that contract less than this after the fourth will not converge."""
+    reliable_contraction: float = 0.5
+    """A smaller ratio of two residuals predicts the next residual."""
+    least_contraction: float = 0.15
+    """The predicted contraction is never taken below this."""
+    stagnant_contraction: float = 0.3
+    """Contraction above which a slab at the rank limit counts as solved."""
+    first_sweep_factor: float = 30.0
+    """Largest tolerance of the first sweep, relative to the final one."""
+    max_probes: int = 8
+    """Largest number of random sums that widen the frame."""
+    unresolved_tail: float = 1e-12
+    """Relative size of the last modes above which a function counts as unresolved."""
+    probe_modes: int = 3
+    """Modes of a probe; higher ones would look like a need for more nodes."""
+    max_refinements: int = 24
+    """Largest number of refinements of the nodes at a jump."""
+    block_multiplications: float = 5e9
+    """Multiplications between two looks at the budget."""
+    block_count: int = 4
+    """Blocks of rows in which a packed product is formed."""
+    largest_change: float = 3.0
+    """Change of the Jacobian over the slab, times its length, that S may leave out: it costs no
+    sweeps."""
+    copies: int = 5
+    """Matrices over these pairs while S is set up."""
+    entry_bytes: float = 16.0
+    """An entry of a sparse matrix, with its row."""
 
-RECOVERY_FACTOR = 1.15  # Largest growth of the length per slab after a rejection
-REFERENCE_NOISE = 1e-7  # Relative size below which the dense output of the reference is not smooth
-RETRY_LENGTH_RATIO = 0.8  # A slab whose proper length is below this part of its own is solved again
-MEMORY_HALVING_LIMIT = 1e-3  # Shortest slab, relative to the horizon, that is halved to save memory
 
-# Convergence of sweeps
-
-SLOWEST_CONTRACTION = 0.6  # Sweeps that contract less than this after the fourth will not converge
-RELIABLE_CONTRACTION = 0.5  # A smaller ratio of two residuals predicts the next residual
-LEAST_CONTRACTION = 0.15  # The predicted contraction is never taken below this
-STAGNANT_CONTRACTION = 0.3  # Contraction above which a slab at the rank limit counts as solved
-FIRST_SWEEP_FACTOR = 30.0  # Largest tolerance of the first sweep, relative to the final one
-MAX_PROBES = 8  # Largest number of random sums that widen the frame
-
-# Parameter nodes
-
-# Relative size of the last modes above which a function counts as unresolved
-UNRESOLVED_TAIL = 1e-12
-PROBE_MODES = 3  # Modes of a probe; higher ones would look like a need for more nodes
-MAX_REFINEMENTS = 24  # Largest number of refinements of the nodes at a jump
-
-# Counted work
-
-BLOCK_MULTIPLICATIONS = 5e9  # Multiplications between two looks at the budget
-BLOCK_COUNT = 4  # Blocks of rows in which a packed product is formed
+TUNING = TrainTuning()
 # Operations of the kernel of a group: once, and for each number of its output
 GROUP_COST = Cost(30.0 * CALL, 4.0)
 
