@@ -375,7 +375,7 @@ class _Sliding:
         """Where the side of a switch changes no rate, by the sides of those that always do.
 
         There its surface is passed without an event: orders of what changes nothing are no orders.
-        Not where another side must have changed by then, as that of ``Max(0, 1 - Abs(x))`` at x = 0.
+        Not where another side must have changed by then, as of ``Max(0, 1 - Abs(x))`` at x = 0.
         """
         where = dict[_Switch, Boolean]()
         for switch in self.switches:
