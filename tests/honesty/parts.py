@@ -37,7 +37,7 @@ from rankone.solvers import attempts, branches, branching, selection, stretches_
 from rankone.solvers.engines.cross import cross_engine
 from rankone.solvers.engines.greedy import greedy_engine
 from rankone.solvers.engines.train import train_engine
-from rankone.solvers.verification import coverage, points, reference_set, resolution
+from rankone.solvers.verification import points, reference_set, resolution
 from rankone.solvers.verification.cuts import Cuts
 from rankone.tensors.trains import adaptive
 from rankone.trajectories.events import markers
@@ -204,7 +204,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
         Place(reference_set, "inside_jumps", _first, lambda a, b, *_: (a != b).any()),
     ),
     "narrow times of quantities": (Place(reference_set, "narrow_times", _empty, _any),),
-    "coverage of decades": (Place(coverage, "_spans_decades", _never, _true),),
+    "coverage of decades": (Place(points, "_spans_decades", _never, _true),),
     "digits that quantities lose": (
         Place(reference_set.ReferenceSet, "_resolving", _first, _other),
     ),

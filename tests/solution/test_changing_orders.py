@@ -21,7 +21,7 @@ from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.selection import ENGINES
 from rankone.solvers.stretches_by_markers import timed_system
 from rankone.solvers.verification.branch_errors import points_with_other_events
-from rankone.solvers.verification.coverage import Coverage
+from rankone.solvers.verification.points import Coverage
 from rankone.support.budget import limited, work_done
 from rankone.trajectories.system.events import SystemEvent
 from rankone.trajectories.system.timeline import BranchedTimeline

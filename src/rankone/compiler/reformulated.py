@@ -29,9 +29,8 @@ from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.forms import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.problem.functions import known_applied, namespace_of
 from rankone.problem.problem import Problem
-from rankone.solvers.observation import Observation
 from rankone.solvers.outcome import SolutionMetadata
-from rankone.solvers.request import Domain, SolveRequest, counted_states
+from rankone.solvers.request import Domain, Observation, SolveRequest, counted_states
 from rankone.solvers.verification.points import branch_points, check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import limited

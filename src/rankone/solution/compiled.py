@@ -20,8 +20,7 @@ from rankone.problem.problem import Problem
 from rankone.problem.user_markers import warn_of_missed_markers, with_markers
 from rankone.solution.evaluation.core import raise_blow_up
 from rankone.solution.solution import Solution
-from rankone.solvers.observation import Observation
-from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, SolveRequest
+from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, Observation, SolveRequest
 from rankone.solvers.selection import engines_for, solve_with
 from rankone.solvers.ways import Engine
 from rankone.support.budget import preparing

@@ -14,14 +14,12 @@ measured against reference trajectories, and how the solve ended.
 - ``branching``: the branches of a search for orders: continued over the box, and where each two
   of them part
 - ``march``: one pass over the horizon, slab after slab, and functions of the parameters alone
-- ``observation``: what a solve keeps of trajectories in place of their states
 - ``outcome``: what an engine returns, and the problem and the request behind it as plain data
 - ``remedies``: what to do about a solve that is refused: a remedy is tried before it is offered
-- ``request``: the request of a solve: domain, tolerance, check, limits, and the options of the
-  engines
+- ``request``: the request of a solve: domain, tolerance, check, limits, and what is observed
 - ``selection``: the engines by name, and a solve that tries one after another
-- ``stretches_by_markers``: solves over stretches between events or markers, where all
-  trajectories are in step
+- ``stretches_by_markers``: the reference of a solve, one for all attempts, over stretches where
+  markers pay
 - ``ways``: the interface of engines, and the ways in which one solves: as written, in order, in
   branches
 """

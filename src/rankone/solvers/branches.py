@@ -24,9 +24,13 @@ from rankone.solvers.verification.branch_errors import (
     points_with_other_events,
     undecided_share,
 )
-from rankone.solvers.verification.coverage import Coverage
 from rankone.solvers.verification.measure import SAFE_QUANTILE
-from rankone.solvers.verification.points import FEW_PARAMETERS, check_points, covers_corners
+from rankone.solvers.verification.points import (
+    FEW_PARAMETERS,
+    Coverage,
+    check_points,
+    covers_corners,
+)
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from rankone.solvers.observation import Observation
+from rankone.solvers.request import Observation
 from rankone.support.errors import EvaluationError
 from rankone.support.wording import did_you_mean
 from rankone.tensors.trains.slab import SlabTrain, fixed

@@ -14,9 +14,9 @@ from rankone.solvers.engines import cross, greedy, train
 from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.solvers.remedies import Trials, remedied, remedied_error
 from rankone.solvers.request import Limits, SolveRequest, check_factors
+from rankone.solvers.stretches_by_markers import sharing_references
 from rankone.solvers.verification.measure import drift, measure
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.solvers.verification.sharing import sharing_references
 from rankone.solvers.ways import Engine, sums, without_last
 from rankone.support.budget import (
     REMEDIES,

@@ -1,9 +1,11 @@
-"""Solves over stretches between events or markers, where all trajectories are in step."""
+"""The reference of a solve, one for all attempts, over stretches where markers pay."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import TypeAlias, cast
 
@@ -13,7 +15,6 @@ from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.verification.cuts import system_cuts
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.solvers.verification.sharing import reference_set_of
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, looking, memory_left, work_left
 from rankone.trajectories.events.event_order import OrderError, event_order
@@ -44,6 +45,56 @@ from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.events import Ending, EventOrder
 from rankone.trajectories.system.system import Clock, System
+
+
+@dataclass
+class _Kept:
+    """The last reference set that was made, and what it was made for."""
+
+    system: System | None = None
+    request: SolveRequest | None = None
+    reference_set: ReferenceSet | None = None
+
+
+_KEPT: ContextVar[_Kept | None] = ContextVar("rankone_reference", default=None)
+
+
+@contextmanager
+def sharing_references() -> Iterator[None]:
+    """Keep the last reference set of :func:`reference_set_of` for those inside that ask again."""
+    token = _KEPT.set(_Kept())
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
+def reference_set_of(
+    system: System, request: SolveRequest, lines: Array | None, workers: Workers
+) -> ReferenceSet:
+    """The reference set of a system and a request: see :meth:`ReferenceSet.of`.
+
+    One that was made for the same before is taken again, without its trajectories on ``lines``
+    (m, d) where nobody asks for them. Nothing is kept where a user limits the memory.
+    """
+    kept, count = _KEPT.get(), 0 if lines is None else len(lines)
+    if kept is None or request.limits.memory < math.inf:
+        return ReferenceSet.of(system, request, lines, workers)
+    reference_set = kept.reference_set
+    if reference_set is not None and kept.system is system and kept.request is request:
+        if count == reference_set.on_lines:
+            return replace(reference_set, workers=workers)
+        if not count and reference_set.reference.blown is None:
+            return replace(reference_set.without_lines(), workers=workers)
+    kept.reference_set = None  # two are not held at once
+    made = ReferenceSet.of(system, request, lines, workers)
+    kept.system, kept.request, kept.reference_set = system, request, made
+    return made
+
+
+# -----------------------------------------------------------------------------
+# Solves over stretches between events or markers, where all trajectories are in step.
+
 
 _PILOTS = 16  # Trajectories, besides corners, that tell the order of events
 _ORDER_PILOT_RTOL = 1e-6  # Their relative tolerance

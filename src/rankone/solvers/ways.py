@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
 from rankone.solvers.branches import solve_in_branches
-from rankone.solvers.observation import Observation
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.remedies import box_of_one_order
-from rankone.solvers.request import USUAL_POINTS, Domain, SolveRequest
+from rankone.solvers.request import USUAL_POINTS, Domain, Observation, SolveRequest
 from rankone.solvers.stretches_by_markers import (
     FirstPoints,
     SolveStart,

@@ -5,8 +5,7 @@ import pytest
 
 import rankone as ro
 from rankone.solvers.request import Domain
-from rankone.solvers.verification.coverage import Coverage
-from rankone.solvers.verification.points import active_points, check_points
+from rankone.solvers.verification.points import Coverage, active_points, check_points
 from rankone.support.arrays import spread
 from rankone.tensors.bases import ChebyshevBasis
 from rankone.tensors.bases.scales import Logarithm

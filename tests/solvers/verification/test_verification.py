@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.solvers.observation import Observation
-from rankone.solvers.request import Check, Domain, SolveRequest
+from rankone.solvers.request import Check, Domain, Observation, SolveRequest
 from rankone.solvers.verification.measure import measure
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.budget import limited, memory_left

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from rankone.solution.evaluation.core import timeline_evaluator
 from rankone.solvers.branches import evaluator_of_branches
 from rankone.solvers.verification.branch_errors import undecided_share
-from rankone.solvers.verification.coverage import Coverage
-from rankone.solvers.verification.points import Climb, climbed
+from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import Array
 from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
 from rankone.tensors.evaluators.evaluator import TrainEvaluator

@@ -13,7 +13,7 @@ import numpy as np
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Measured, Outcome, Piece, SolutionMetadata
 from rankone.solvers.verification.branch_errors import MOST_UNDECIDED, undecided_share
-from rankone.solvers.verification.coverage import Coverage
+from rankone.solvers.verification.points import Coverage
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of, round_off

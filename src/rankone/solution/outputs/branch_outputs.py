@@ -21,7 +21,7 @@ from rankone.solvers.branches import (
 from rankone.solvers.outcome import Measured, Outcome, Role
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.branch_errors import MOST_UNDECIDED, undecided_share
-from rankone.solvers.verification.coverage import Coverage
+from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.progress import Report, quiet

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from rankone.compiler.codegen.quantities import Quantities
 from rankone.solution.outputs.sampling import Sampler
 from rankone.solvers.request import Domain
-from rankone.solvers.verification.coverage import Coverage
-from rankone.solvers.verification.points import Climb, climbed
+from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions

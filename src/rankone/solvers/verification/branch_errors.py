@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.verification.coverage import Coverage
 from rankone.solvers.verification.measure import compared_times
+from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array, spread
 from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
 from rankone.trajectories.events.event_trajectory import EventTrajectory

@@ -10,9 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.observation import Observation
 from rankone.solvers.outcome import SafeInterval
-from rankone.solvers.request import Domain
+from rankone.solvers.request import Domain, Observation
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.resolution import NEGLIGIBLE, Resolution, times_held
 from rankone.support.arrays import Array, bisected

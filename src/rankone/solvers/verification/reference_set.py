@@ -11,8 +11,7 @@ from functools import cached_property, partial, reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.observation import Observation
-from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.request import Domain, Observation, SolveRequest
 from rankone.solvers.verification.cuts import Cuts, system_cuts
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,

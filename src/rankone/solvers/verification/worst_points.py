@@ -15,9 +15,14 @@ from functools import partial
 
 import numpy as np
 
-from rankone.solvers.verification.coverage import Coverage
 from rankone.solvers.verification.measure import with_contractions
-from rankone.solvers.verification.points import FEW_PARAMETERS, Climb, climbed, points_in_elements
+from rankone.solvers.verification.points import (
+    FEW_PARAMETERS,
+    Climb,
+    Coverage,
+    climbed,
+    points_in_elements,
+)
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
 from rankone.support.budget import charge

@@ -5,9 +5,9 @@ import pytest
 
 import rankone as ro
 from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.stretches_by_markers import reference_set_of, sharing_references
 from rankone.solvers.verification import reference_set as reference_sets
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.solvers.verification.sharing import reference_set_of, sharing_references
 from rankone.trajectories.integrators.workers import Workers
 from tests.problems import EXAMPLES
 
