@@ -1,6 +1,7 @@
 """Jumps at known times: what may be given, and what becomes of it."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -59,6 +60,26 @@ def test_impulses_outside_of_the_horizon():
     messages = sorted(str(each.message) for each in found)
     assert "`DiracDelta(t + 1)` is before the start of time, 0, and does nothing" in messages[0]
     assert "`DiracDelta(t - 20)` is not before the end of time, 10" in messages[1]
+
+
+@pytest.mark.parametrize("written", ["jump", "impulse", "event"])
+@pytest.mark.parametrize(("lag", "is_late"), [(1, False), (7, True)])
+def test_doses_at_times_of_parameters_behind_the_end(written, lag, is_late):
+    """No trajectory gets such a dose; at the lower end of `k` it may come before the end."""
+    at = lag + 4 * k
+    options = {"jumps": {at: {x: x + dose}}} if written == "jump" else {}
+    if written == "event":
+        options = {"events": [ro.Event(t - at, "rising", then={x: x + dose}, name="jump_0")]}
+    rate = -k * x + (dose * sp.DiracDelta(t - at) if written == "impulse" else 0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ro.Problem(
+            [sp.Eq(x.diff(t), rate)], (t, 0, 10), {k: (1, 3), dose: (1, 2)}, {x: 1}, **options
+        )
+    late = [str(each.message) for each in caught]
+    assert bool(late) is is_late
+    if is_late:
+        assert "`jump_0` happens at t = 4*k + 7, which is not before the end of time, 10" in late[0]
 
 
 def test_times_may_be_ranges_and_states_have_names():

@@ -61,7 +61,13 @@ from rankone.problem.tables.term_table import (
     TermTable,
     has_distinct_names,
 )
-from rankone.problem.user_events import check_events, impulse_events, moving_jumps, without_rates
+from rankone.problem.user_events import (
+    check_events,
+    impulse_events,
+    moving_jumps,
+    warn_of_late,
+    without_rates,
+)
 from rankone.support.errors import ProblemError, RankoneWarning, warn
 from rankone.support.wording import is_line, quote, shown
 from rankone.tensors.bases.coordinates import name_of
@@ -123,6 +129,7 @@ class CheckedProblem(ProblemContent):
             used |= sp.Tuple(*rest.residuals, *rest.initial.values()).free_symbols
         warn_of_unused(symbols.parameters, used)
         self._determine_rates(symbols, moving)
+        warn_of_late(self.events, box, time)
 
     def _determine_rates(self, symbols: Symbols, moving: int) -> None:
         """Set the mass matrix, and what else tells the rates; ``moving`` jumps are events."""

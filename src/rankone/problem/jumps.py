@@ -29,7 +29,8 @@ MovingImpulses = dict[sp.Expr, dict[int, sp.Expr]]
 _SEVERAL = (tuple, range, frozenset, sp.Tuple)  # Keys that stand for several times
 _SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
-_LATE_REMEDY = "remove it, unless `t_final` is to be later"
+LATE_REMEDY = "remove it, unless `t_final` is to be later"
+"""What to do about what happens behind the end of time."""
 _AS_JUMPS = "give the values after it as jumps={time: {unknown: value}}"
 _ADD_IMPULSE = "an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))"
 _LEAST_GAP = 1e-9  # Least time between two jumps, in horizons: closer ones differ by rounding alone
@@ -69,7 +70,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
         near = f" by {_LEAST_GAP:g} of the horizon" if late[0] < time[2] else ""
         warn(
             f"{first}{further}: not before the end of time, {time[2]:.12g}{near}",
-            remedy=_LATE_REMEDY,
+            remedy=LATE_REMEDY,
         )
     return {at: resets[at] for at in sorted(resets)}
 
@@ -275,7 +276,7 @@ def _known_instant(impulse: sp.Expr, when: sp.Expr, time: Time, origin: int | No
             remedy="remove it",
         )
     elif _is_late(at, time):
-        warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}", remedy=_LATE_REMEDY)
+        warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}", remedy=LATE_REMEDY)
     return at
 
 

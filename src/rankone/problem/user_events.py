@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
@@ -9,12 +10,14 @@ from typing import Any
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.problem.box import Box, Time
 from rankone.problem.equations import Symbols, check_names
 from rankone.problem.expressions.admissible import closed
 from rankone.problem.expressions.derivatives import slope
 from rankone.problem.expressions.notation import latex_of, text_of
 from rankone.problem.functions import check_name
 from rankone.problem.jumps import (
+    LATE_REMEDY,
     MovingImpulses,
     change_latex,
     change_texts,
@@ -22,7 +25,7 @@ from rankone.problem.jumps import (
     check_reset,
     instants_of,
 )
-from rankone.support.errors import ProblemError
+from rankone.support.errors import ProblemError, warn
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
@@ -175,6 +178,23 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
             name = f"jump_{len(moving)}"
             moving.append(Event(symbols.time[0] - at, "rising", then=reset, name=name))
     return at_times, moving
+
+
+def warn_of_late(events: Iterable[Event], box: Box, time: Time) -> None:
+    """Warn of events at times of parameters that are behind the end at all corners of the box."""
+    for event in events:
+        at = sp.expand(time[0] - event.when)
+        if not at.free_symbols <= box.keys() or at.atoms(AppliedUndef):
+            continue
+        symbols = [symbol for symbol in box if symbol in at.free_symbols]
+        corners = itertools.product(*(box[symbol] for symbol in symbols))
+        instants = (at.xreplace(dict(zip(symbols, corner, strict=True))) for corner in corners)
+        if all(instant >= time[2] for instant in instants):
+            warn(
+                f"{quote(event.name)} happens at {time[0]} = {text_of(at)}, which is not before "
+                f"the end of time, {time[2]:.12g}, at any corner of the box",
+                remedy=LATE_REMEDY,
+            )
 
 
 def impulse_events(impulses: MovingImpulses, symbols: Symbols, first: int) -> list[Event]:
