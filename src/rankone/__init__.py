@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from rankone.problem.models.model import Model
     from rankone.problem.models.sbml import read_sbml
     from rankone.problem.problem import Problem
-    from rankone.problem.single.trajectory import Trajectory
     from rankone.problem.steady_start import SteadyState
+    from rankone.problem.trajectory import Trajectory
     from rankone.problem.user_events import Event
     from rankone.solution.compiled import CompiledProblem
     from rankone.solution.compiled import compile_problem as compile
@@ -162,7 +162,7 @@ _MODULES = {
     "problem.user_events": ("Event",),
     "problem.problem": ("Problem",),
     "problem.steady_start": ("SteadyState",),
-    "problem.single.trajectory": ("Trajectory",),
+    "problem.trajectory": ("Trajectory",),
     "solution.compiled": ("CompiledProblem", "compile", "solve"),
     "solution.many": ("Solutions", "solve_many"),
     "solution.solution": ("Solution", "load"),

@@ -8,7 +8,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.problem.algebra.elimination import Elimination, LinearRow
+from rankone.problem.algebra.mass import Elimination, LinearRow
 from rankone.problem.problem_files import load_problem
 
 t, k, m = sp.symbols("t k m")

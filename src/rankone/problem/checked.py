@@ -28,6 +28,7 @@ from rankone.problem.box import (
     check_tolerances,
     check_units,
 )
+from rankone.problem.changes import coupled_by, with_decisive
 from rankone.problem.content import ProblemContent
 from rankone.problem.equations import (
     Symbols,
@@ -46,7 +47,6 @@ from rankone.problem.expressions.admissible import closed
 from rankone.problem.expressions.derivatives import rate_of
 from rankone.problem.functions import check_distinct
 from rankone.problem.jumps import check_jumps, moving_impulses
-from rankone.problem.run_time import coupled_by, with_decisive
 from rankone.problem.shorthand import (
     Shorthand,
     check_apart,

@@ -13,8 +13,8 @@ from sympy.core.function import AppliedUndef
 from rankone.problem.changes import changed_symbols
 from rankone.problem.equations import Symbols, as_expression, listed_equations, state_of
 from rankone.problem.expressions.notation import exact, text_of
-from rankone.problem.single.integration import Integration
-from rankone.problem.single.numeric import NumericEquations
+from rankone.problem.integration import Integration
+from rankone.problem.numeric import NumericEquations
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError, ProblemError
 from rankone.support.options import checked_number

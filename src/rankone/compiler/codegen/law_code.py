@@ -33,8 +33,7 @@ from rankone.problem.expressions.derivatives import Differentiator
 from rankone.problem.expressions.notation import plain_text
 from rankone.problem.expressions.stable import stable
 from rankone.problem.forms import ConstraintForms
-from rankone.problem.tables.rate_forms import RateForm, Value
-from rankone.problem.tables.term_table import TermTable
+from rankone.problem.tables.term_table import RateForm, TermTable, Value
 from rankone.support.wording import clip
 
 _HELPERS = '''\

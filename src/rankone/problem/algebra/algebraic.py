@@ -22,8 +22,14 @@ import scipy
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.problem.algebra.elimination import Eliminated, Elimination, LinearRow
-from rankone.problem.algebra.mass import MassForm, leading_derivatives, linear_in
+from rankone.problem.algebra.mass import (
+    Eliminated,
+    Elimination,
+    LinearRow,
+    MassForm,
+    leading_derivatives,
+    linear_in,
+)
 from rankone.problem.equations import algebraic_unknowns
 from rankone.problem.expressions.derivatives import slope
 from rankone.problem.expressions.notation import exact

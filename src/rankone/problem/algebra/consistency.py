@@ -12,7 +12,7 @@ from dataclasses import replace
 import sympy as sp
 
 from rankone.problem.algebra.algebraic import Constraint, Reduction
-from rankone.problem.algebra.elimination import evaluation
+from rankone.problem.algebra.mass import evaluation
 from rankone.problem.box import Time
 from rankone.problem.expressions.notation import exact
 from rankone.problem.forms import Coordinate

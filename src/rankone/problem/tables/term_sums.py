@@ -1,7 +1,7 @@
 """The arithmetic of tables of terms: sums of products, and operations on them.
 
 What adds and multiplies is multiplied out. Quotients by unknowns, powers and functions of them are
-symbols of their own, written once by :class:`~rankone.problem.tables.rate_forms.RateLaws`.
+symbols of their own, written once by :class:`~rankone.problem.tables.term_table.RateLaws`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.problem.tables.rate_forms import (
+from rankone.problem.tables.term_table import (
     FUNCTIONS,
+    Entry,
     RateForm,
     RateLaws,
     TermSum,
+    TermTable,
     Value,
     rational,
 )
-from rankone.problem.tables.term_table import Entry, TermTable
 
 _HIGHEST_POWER = 8  # Of an unknown; higher ones of numbers of any size are for the general way
 _DIGITS = 20  # Decimal digits of numbers that are no fractions: a few more than floats hold

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from rankone.problem.single.numeric import NumericEvents
+from rankone.problem.numeric import NumericEvents
 from rankone.support.arrays import Array
 
 SHARES = np.linspace(0.125, 1.0, 8)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from rankone.problem.single.crossings import Crossing, Sides, first_change
-from rankone.problem.single.numeric import NumericEquations
+from rankone.problem.crossings import Crossing, Sides, first_change
+from rankone.problem.numeric import NumericEquations
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote

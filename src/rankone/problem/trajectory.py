@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.problem.forms import Coordinate
-from rankone.problem.single.integration import LEAST_RTOL, MOST_RTOL, Integration
-from rankone.problem.single.numeric import NumericEquations
+from rankone.problem.integration import LEAST_RTOL, MOST_RTOL, Integration
+from rankone.problem.numeric import NumericEquations
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError
 from rankone.support.options import checked_number
