@@ -13,6 +13,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 from rankone.support.wording import shortened
@@ -195,7 +196,7 @@ class BlowUpError(ConvergenceError):
 
 def optional_module(
     name: str, purpose: str, remedy: str, error: type[RankoneError] = RankoneError
-) -> Any:
+) -> ModuleType:
     """An optional package, or an error that says what needs it and how to install it."""
     try:
         return importlib.import_module(name)

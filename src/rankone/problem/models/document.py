@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from rankone.support.errors import ProblemError, optional_module
 from rankone.support.files import as_path
 from rankone.support.wording import listing, quote
+
+if TYPE_CHECKING:
+    import libsbml
 
 SBML_SUFFIXES = (".xml", ".sbml")
 ANTIMONY_SUFFIXES = (".ant", ".antimony")
@@ -17,7 +21,7 @@ _HARMLESS = ("comp", "l3v2extendedmath", "layout", "render", "groups", "fbc", "d
 _PARTS_READ = 3  # Errors of a file that a message quotes
 
 
-def sbml_library() -> Any:
+def sbml_library() -> ModuleType:
     """The module ``libsbml``; a ProblemError says how to install it."""
     return optional_module(
         "libsbml",
@@ -32,7 +36,7 @@ def is_model_file(path: Path) -> bool:
     return path.suffix in (*SBML_SUFFIXES, *ANTIMONY_SUFFIXES)
 
 
-def open_document(path: object) -> tuple[Any, Any]:
+def open_document(path: object) -> tuple[libsbml.SBMLDocument, libsbml.Model]:
     """The libsbml document of a file and its model, which lives as long as the document does.
 
     Submodels are flattened, and Levels 1 and 2 are raised to Level 3. A ProblemError if the file
@@ -79,7 +83,7 @@ def _sbml_of_antimony(file: Path) -> str:
     return str(antimony.getSBMLString(antimony.getMainModuleName()))
 
 
-def _check_errors(document: Any, libsbml: Any, file: Path) -> None:
+def _check_errors(document: libsbml.SBMLDocument, libsbml: ModuleType, file: Path) -> None:
     """Raise the errors that libsbml found while it read a file."""
     errors = [document.getError(k) for k in range(document.getNumErrors())]
     grave = [error for error in errors if error.getSeverity() >= libsbml.LIBSBML_SEV_ERROR]
@@ -95,7 +99,7 @@ def _check_errors(document: Any, libsbml: Any, file: Path) -> None:
         )
 
 
-def _check_packages(document: Any, file: Path) -> None:
+def _check_packages(document: libsbml.SBMLDocument, file: Path) -> None:
     """Raise for a required package that is not understood."""
     packages = [document.getPlugin(k).getPackageName() for k in range(document.getNumPlugins())]
     for name in packages:
@@ -115,7 +119,7 @@ def _check_packages(document: Any, file: Path) -> None:
             )
 
 
-def _flatten(document: Any, libsbml: Any, file: Path) -> None:
+def _flatten(document: libsbml.SBMLDocument, libsbml: ModuleType, file: Path) -> None:
     """Put submodels into the model itself."""
     if document.getPlugin("comp") is None:
         return

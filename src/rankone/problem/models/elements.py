@@ -6,7 +6,7 @@ import graphlib
 import itertools
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import sympy as sp
 from sympy.logic.boolalg import Boolean
@@ -24,6 +24,9 @@ from rankone.problem.models.species import (
 )
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, listing, quote
+
+if TYPE_CHECKING:
+    import libsbml
 
 Definitions = Mapping[sp.Symbol, sp.Expr]
 
@@ -115,7 +118,7 @@ class Happening:
         return f"event {quote(self.name)}"
 
 
-def happenings_of(model: Any, vocabulary: Vocabulary) -> tuple[Happening, ...]:
+def happenings_of(model: libsbml.Model, vocabulary: Vocabulary) -> tuple[Happening, ...]:
     """Read all events; one without a trigger or without assignments does nothing."""
     happenings = [
         _happening(event, position, vocabulary)
@@ -124,7 +127,7 @@ def happenings_of(model: Any, vocabulary: Vocabulary) -> tuple[Happening, ...]:
     return tuple(each for each in happenings if each is not None)
 
 
-def _happening(event: Any, position: int, vocabulary: Vocabulary) -> Happening | None:
+def _happening(event: libsbml.Event, position: int, vocabulary: Vocabulary) -> Happening | None:
     name = event.getIdAttribute() or f"event_{position}"
     formula = Formula(vocabulary, f"event {quote(name)}")
     trigger = event.getTrigger()
@@ -147,7 +150,7 @@ def _happening(event: Any, position: int, vocabulary: Vocabulary) -> Happening |
     )
 
 
-def _optional(element: Any, formula: Formula) -> sp.Expr | None:
+def _optional(element: libsbml.SBase, formula: Formula) -> sp.Expr | None:
     """The formula of a delay or priority, if there is one."""
     if element is None or element.getMath() is None:
         return None
@@ -229,7 +232,9 @@ class Rules:
     algebraic: Expressions
 
 
-def rules_of(model: Any, vocabulary: Vocabulary, quantities: Mapping[str, Quantity]) -> Rules:
+def rules_of(
+    model: libsbml.Model, vocabulary: Vocabulary, quantities: Mapping[str, Quantity]
+) -> Rules:
     """Read all rules and initial assignments; one without a formula says nothing."""
     assigned: dict[str, sp.Expr] = {}
     rates: dict[str, sp.Expr] = {}
@@ -298,7 +303,7 @@ class Elements:
     taken: set[str]
 
 
-def elements_of(model: Any) -> Elements:
+def elements_of(model: libsbml.Model) -> Elements:
     """Read the elements of a libsbml model."""
     quantities = quantities_of(model)
     taken = {*quantities, *(each.getId() for each in members(model.getListOfReactions()))}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rankone.problem.models.assembly import Assembly
 from rankone.problem.models.document import open_document, sbml_library
@@ -12,6 +12,9 @@ from rankone.problem.models.elements import elements_of, with_free_starts
 from rankone.problem.models.model import Model
 from rankone.problem.models.sbml_formulas import members
 from rankone.support.errors import bounded_depth
+
+if TYPE_CHECKING:
+    import libsbml
 
 _SYMBOLS = {
     "mole": "mol",
@@ -49,7 +52,7 @@ _PREFIXES = {
 }
 
 
-def units_of(model: Any, time: str) -> dict[str, str]:
+def units_of(model: libsbml.Model, time: str) -> dict[str, str]:
     """Units of quantities by id, and of time by its name, as far as the model gives them."""
     quantities = [
         *members(model.getListOfSpecies()),
@@ -61,13 +64,13 @@ def units_of(model: Any, time: str) -> dict[str, str]:
     return {name: text for name, text in pairs if text}
 
 
-def _named(model: Any, name: str) -> str:
+def _named(model: libsbml.Model, name: str) -> str:
     """The unit of a name: one of the model's definitions, or a unit itself."""
     definition = model.getUnitDefinition(name) if name else None
     return unit_text(definition) if definition is not None else _SYMBOLS.get(name, name)
 
 
-def unit_text(definition: Any) -> str:
+def unit_text(definition: libsbml.UnitDefinition) -> str:
     """A unit such as ``µmol/L``; empty if there is none, or it is a plain number."""
     if definition is None:
         return ""
@@ -86,7 +89,7 @@ def unit_text(definition: Any) -> str:
     return "/".join([text, *below])
 
 
-def _unit_symbol(unit: Any) -> str:
+def _unit_symbol(unit: libsbml.Unit) -> str:
     """The symbol of a unit with its prefix: ``µmol``, or ``(60 s)`` where none fits."""
     name: str = sbml_library().UnitKind_toString(unit.getKind())
     symbol = _SYMBOLS.get(name, name)

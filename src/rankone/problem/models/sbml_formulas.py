@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 from sympy.logic.boolalg import Boolean
@@ -19,6 +19,9 @@ from sympy.logic.boolalg import Boolean
 from rankone.problem.models.document import sbml_library
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, quote
+
+if TYPE_CHECKING:
+    import libsbml
 
 AVOGADRO = sp.Rational("6.02214179e23")
 """The constant that SBML Level 3 calls by that name."""
@@ -43,7 +46,7 @@ class Vocabulary:
     """
 
     names: Expressions
-    functions: Mapping[str, Any]
+    functions: Mapping[str, libsbml.ASTNode]
     time: sp.Symbol
     rates: Mapping[str, sp.Symbol]
 
@@ -61,7 +64,7 @@ class Formula:
     local: Expressions = field(default_factory=dict)
     calls: tuple[str, ...] = ()
 
-    def expression(self, node: Any) -> sp.Expr:
+    def expression(self, node: libsbml.ASTNode) -> sp.Expr:
         """The number that a node stands for."""
         kind, library = node.getType(), sbml_library()
         if kind in _numbers():
@@ -84,7 +87,7 @@ class Formula:
             raise self._unsupported(node)
         return _functions()[kind](*map(self.expression, _children(node)))
 
-    def condition(self, node: Any) -> Boolean:
+    def condition(self, node: libsbml.ASTNode) -> Boolean:
         """The truth value that a node stands for."""
         kind, library = node.getType(), sbml_library()
         if kind == library.AST_FUNCTION:
@@ -100,7 +103,7 @@ class Formula:
             return sp.true if kind == library.AST_CONSTANT_TRUE else sp.false
         return sp.Ne(self.expression(node), 0)
 
-    def _number(self, node: Any) -> sp.Rational:
+    def _number(self, node: libsbml.ASTNode) -> sp.Rational:
         library, kind = sbml_library(), node.getType()
         if kind == library.AST_INTEGER:
             return sp.Integer(node.getInteger())
@@ -116,7 +119,7 @@ class Formula:
             raise self._error(f"the unknown name {quote(name)}{did_you_mean(name, names)}", name)
         return names[name]
 
-    def _rate(self, node: Any) -> sp.Expr:
+    def _rate(self, node: libsbml.ASTNode) -> sp.Expr:
         """The rate of change of a quantity; local parameters do not change."""
         name = node.getChild(0).getName()
         quantity = self.local.get(name, sp.Symbol(name))
@@ -127,7 +130,7 @@ class Formula:
             return sp.S.Zero
         raise self._error(f"the rate of {quote(name)}, which is no quantity of the model", name)
 
-    def _definition(self, node: Any) -> Any:
+    def _definition(self, node: libsbml.ASTNode) -> libsbml.ASTNode:
         """The definition of the function that a node calls."""
         name = node.getName()
         definition = self.vocabulary.functions.get(name)
@@ -138,7 +141,7 @@ class Formula:
             raise self._error(f"the function {quote(name)}, which calls itself", name)
         return definition
 
-    def _called(self, node: Any) -> Formula:
+    def _called(self, node: libsbml.ASTNode) -> Formula:
         """Reads the body of the function that a node calls, with its arguments as names."""
         definition = self._definition(node)
         count = definition.getNumChildren() - 1
@@ -150,7 +153,7 @@ class Formula:
         local = dict(zip(names, arguments, strict=True))
         return Formula(self.vocabulary, self.subject, local, (*self.calls, node.getName()))
 
-    def _piecewise(self, node: Any) -> sp.Expr:
+    def _piecewise(self, node: libsbml.ASTNode) -> sp.Expr:
         children = _children(node)
         branches = [
             (self.expression(children[k]), self.condition(children[k + 1]))
@@ -162,7 +165,7 @@ class Formula:
             raise self._error("a piecewise without branches", None)
         return sp.Piecewise(*branches)
 
-    def _cases(self, node: Any) -> Boolean:
+    def _cases(self, node: libsbml.ASTNode) -> Boolean:
         """The truth value of a piecewise; false where it has no branch."""
         children = _children(node)
         truth = self.condition(children[-1]) if len(children) % 2 else sp.false
@@ -170,7 +173,7 @@ class Formula:
             truth = sp.ITE(self.condition(children[k + 1]), self.condition(children[k]), truth)
         return sp.to_nnf(truth, simplify=False)
 
-    def _unsupported(self, node: Any) -> ProblemError:
+    def _unsupported(self, node: libsbml.ASTNode) -> ProblemError:
         if node.getType() == sbml_library().AST_FUNCTION_DELAY:
             return self._error("the csymbol `delay`: delay equations are not supported", node)
         name = node.getName() or sbml_library().formulaToL3String(node)
@@ -189,11 +192,11 @@ def exact_number(number: float, subject: str) -> sp.Rational:
     return sp.Rational(repr(number))
 
 
-def _children(node: Any) -> list[Any]:
+def _children(node: libsbml.ASTNode) -> list[libsbml.ASTNode]:
     return [node.getChild(k) for k in range(node.getNumChildren())]
 
 
-def _body(definition: Any) -> Any:
+def _body(definition: libsbml.ASTNode) -> libsbml.ASTNode:
     return definition.getChild(definition.getNumChildren() - 1)
 
 
@@ -305,6 +308,6 @@ def _quotient(a: sp.Expr, b: sp.Expr) -> sp.Expr:
     return sp.Piecewise((sp.floor(ratio), ratio >= 0), (sp.ceiling(ratio), True))
 
 
-def members(container: Any) -> list[Any]:
+def members(container: libsbml.ListOf) -> list[Any]:
     """The elements of one of libsbml's lists."""
     return [container.get(k) for k in range(container.size())]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import sympy as sp
 
@@ -18,6 +18,9 @@ from rankone.problem.models.sbml_formulas import (
 )
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
+
+if TYPE_CHECKING:
+    import libsbml
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class Species(Quantity):
     factor: str | None
 
 
-def quantities_of(model: Any) -> dict[str, Quantity]:
+def quantities_of(model: libsbml.Model) -> dict[str, Quantity]:
     """All quantities of a libsbml model by their ids."""
     quantities = [
         *(_compartment(each) for each in members(model.getListOfCompartments())),
@@ -73,12 +76,12 @@ def quantities_of(model: Any) -> dict[str, Quantity]:
     return {quantity.name: quantity for quantity in quantities}
 
 
-def reference_label(reaction: Any, reference: Any) -> str:
+def reference_label(reaction: libsbml.Reaction, reference: libsbml.SpeciesReference) -> str:
     """How messages name a reactant or product of a reaction."""
     return f"reaction {quote(reaction.getId())}, species {quote(reference.getSpecies())},"
 
 
-def references_of(reaction: Any) -> Iterator[tuple[int, Any]]:
+def references_of(reaction: libsbml.Reaction) -> Iterator[tuple[int, libsbml.SpeciesReference]]:
     """The reactants of a reaction with -1, and its products with 1."""
     for reference in members(reaction.getListOfReactants()):
         yield -1, reference
@@ -91,19 +94,19 @@ def _number(is_set: bool, number: float, label: str) -> sp.Rational | None:
     return exact_number(number, label) if is_set and not math.isnan(number) else None
 
 
-def _compartment(compartment: Any) -> Quantity:
+def _compartment(compartment: libsbml.Compartment) -> Quantity:
     name = compartment.getId()
     size = _number(compartment.isSetSize(), compartment.getSize(), f"compartment {quote(name)}")
     return Quantity(name, "compartment", size, compartment.getConstant())
 
 
-def _parameter(parameter: Any) -> Quantity:
+def _parameter(parameter: libsbml.Parameter) -> Quantity:
     name = parameter.getId()
     value = _number(parameter.isSetValue(), parameter.getValue(), f"parameter {quote(name)}")
     return Quantity(name, "parameter", value, parameter.getConstant())
 
 
-def _species(species: Any, model: Any) -> Species:
+def _species(species: libsbml.Species, model: libsbml.Model) -> Species:
     name, label = species.getId(), f"species {quote(species.getId())}"
     compartment = model.getCompartment(species.getCompartment())
     if compartment is None:
@@ -129,7 +132,7 @@ def _species(species: Any, model: Any) -> Species:
     )
 
 
-def _references(model: Any) -> Iterator[Quantity]:
+def _references(model: libsbml.Model) -> Iterator[Quantity]:
     """The stoichiometries that have ids."""
     for reaction in members(model.getListOfReactions()):
         for _, reference in references_of(reaction):
@@ -164,7 +167,10 @@ class Reactions:
 
 
 def reactions_of(
-    model: Any, vocabulary: Vocabulary, quantities: Mapping[str, Quantity], taken: set[str]
+    model: libsbml.Model,
+    vocabulary: Vocabulary,
+    quantities: Mapping[str, Quantity],
+    taken: set[str],
 ) -> Reactions:
     """Read all reactions; names of local parameters are added to those ``taken``."""
     laws: dict[str, sp.Expr] = {}
@@ -197,7 +203,7 @@ def unused(name: str, taken: set[str]) -> str:
 
 
 def _local_parameters(
-    reaction: Any, subject: str, taken: set[str]
+    reaction: libsbml.Reaction, subject: str, taken: set[str]
 ) -> dict[str, tuple[sp.Symbol, sp.Rational | None]]:
     """The local parameters of a reaction by their ids: their symbols and numbers."""
     law = reaction.getKineticLaw()
@@ -213,7 +219,7 @@ def _local_parameters(
     return local
 
 
-def _law(reaction: Any, formula: Formula) -> sp.Expr:
+def _law(reaction: libsbml.Reaction, formula: Formula) -> sp.Expr:
     law = reaction.getKineticLaw()
     if law is None or law.getMath() is None:
         raise ProblemError(
@@ -225,7 +231,7 @@ def _law(reaction: Any, formula: Formula) -> sp.Expr:
 
 
 def _changes(
-    reaction: Any, vocabulary: Vocabulary, quantities: Mapping[str, Quantity]
+    reaction: libsbml.Reaction, vocabulary: Vocabulary, quantities: Mapping[str, Quantity]
 ) -> list[tuple[str, sp.Expr]]:
     """What a reaction adds to the rates of amounts of species."""
     rate = sp.Symbol(reaction.getId())
@@ -245,7 +251,9 @@ def _changes(
     return changes
 
 
-def _stoichiometry(reaction: Any, reference: Any, vocabulary: Vocabulary) -> sp.Expr:
+def _stoichiometry(
+    reaction: libsbml.Reaction, reference: libsbml.SpeciesReference, vocabulary: Vocabulary
+) -> sp.Expr:
     if reference.isSetId():
         return vocabulary.names[reference.getId()]
     label = reference_label(reaction, reference)
