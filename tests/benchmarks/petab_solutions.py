@@ -37,14 +37,15 @@ def _tried(file: Path, rtol: float) -> str:
     """One line of the table, after the name."""
     import rankone
     from rankone.inference.calibration.boxes import box_around
-    from rankone.inference.calibration.starts import Cube
+    from rankone.inference.calibration.objective_of_files import coordinates_of
 
     problem = rankone.read_petab(file)
-    cube = Cube.of([problem.parameters[name] for name in problem.estimated])
-    active = problem._settings.active
+    estimated = [problem.parameters[name] for name in problem.estimated]
+    free, active = coordinates_of(estimated, problem.point()), problem._settings.active
     began = time.process_time()
     try:
-        names = list(box_around(cube, problem.evaluate(), problem.point(), active))
+        jacobian = problem.evaluate().jacobian * [p.width for p in estimated]
+        names = list(box_around(free, jacobian, problem.point(), active))
         solutions = problem.solve(rtol, box=names, spread=SPREAD)
         solved = time.process_time()
         fit = solutions.fit()

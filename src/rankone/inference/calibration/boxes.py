@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
-from rankone.inference.calibration.calibration_likelihood import Evaluation
 from rankone.inference.calibration.descent import Expansion, bounded_step
 from rankone.inference.calibration.experiment_conditions import Interval
 from rankone.inference.calibration.linearised import Reach, covariance_of
 from rankone.inference.calibration.result import Box
 from rankone.inference.calibration.searched import OfExperiments
-from rankone.inference.calibration.starts import Cube
 from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.fit import Fit
+from rankone.inference.estimation.free_parameters import FreeParameters
 from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
@@ -39,21 +39,25 @@ _AROUND_INSENSITIVE = 1e-3  # Share of the largest sensitivity below which a par
 
 
 def box_around(
-    cube: Cube,
-    at: Evaluation,
+    free: FreeParameters,
+    jacobian: Array,
     values: Mapping[str, float],
     active: Sequence[str],
     names: Sequence[str] | None = None,
 ) -> dict[str, Interval]:
     """Intervals around values, for some of the ``active`` parameters, or those of the names.
 
+    ``jacobian`` (r, n) is that of the residuals by coordinates of the free parameters.
+
     The parameters are chosen by pivoted columns of the Jacobian: each adds most to those before
     (Golub & Van Loan, Matrix Computations, 5.4).
     """
-    listed = [name for name in cube.names if name in active] if names is None else [*names]
+    listed = [name for name in free.names if name in active] if names is None else [*names]
     if not listed:
         raise OptionError("no estimated parameter is in a rate or an initial value")
-    rest = _beside_others(cube, at, active)[:, [cube.names.index(name) for name in listed]]
+    others = [name not in active for name in free.names]
+    columns = [free.names.index(name) for name in listed]
+    rest = _beside_others(jacobian, np.array(others))[:, columns]
     order, count = np.arange(len(listed)), len(listed)
     if names is None:
         _, r, order = scipy.linalg.qr(rest, mode="economic", pivoting=True)
@@ -63,33 +67,29 @@ def box_around(
     spreads = np.sqrt(np.diag(covariance_of(rest[:, chosen])))
     deviations = dict(zip(chosen.tolist(), spreads.tolist(), strict=True))
     return {
-        name: _interval(cube, name, values, deviations[j])
+        name: _interval(free, name, values[name], deviations[j])
         for j, name in enumerate(listed)
         if j in deviations
     }
 
 
-def _beside_others(cube: Cube, at: Evaluation, active: Sequence[str]) -> Array:
+def _beside_others(jacobian: Array, others: NDArray[np.bool_]) -> Array:
     """The Jacobian by z, without what parameters of observables and noise can do as well."""
-    jacobian = at.jacobian * cube.width
-    outer = [j for j, name in enumerate(cube.names) if name not in active]
-    if not outer:
+    if not others.any():
         return jacobian
-    span = scipy.linalg.orth(jacobian[:, outer])
+    span = scipy.linalg.orth(jacobian[:, others])
     return np.asarray(jacobian - span @ (span.T @ jacobian))
 
 
-def _interval(cube: Cube, name: str, values: Mapping[str, float], deviation: float) -> Interval:
+def _interval(free: FreeParameters, name: str, value: float, deviation: float) -> Interval:
     """Some standard deviations (in z) to both sides, within the bounds."""
-    j = cube.names.index(name)
-    parameter, place = cube.parameters[j], cube.places(values)[j]
-    largest = _LARGEST_SHARE
-    if parameter.scale != "lin":
-        largest = parameter.scaled(_LARGEST_FACTOR) / float(cube.width[j])
+    j, largest = free.names.index(name), _LARGEST_SHARE
+    if free.logarithmic[j]:
+        largest = math.log(_LARGEST_FACTOR) / float(free.logarithms[j])
     half = min(max(_STANDARD_DEVIATIONS * deviation, _LEAST_SHARE), largest)
-    ends = np.clip([place - half, place + half], 0.0, 1.0)
-    own = Cube((parameter,), cube.lower[[j]], cube.upper[[j]])
-    lower, upper = (own.named(np.array([end]))[name] for end in ends)
+    middle = np.clip(value, free.lower, free.upper)
+    sides = np.array([[-half], [half]])
+    lower, upper = free.values(np.clip(free.places(middle) + sides, 0.0, 1.0))[:, j].tolist()
     return lower, upper
 
 
@@ -231,7 +231,7 @@ class BoxSearch:
     def _solved(self, intervals: Mapping[str, tuple[float, float]]) -> Solution | None:
         """The solution on a box, if it is a success; the other parameters are held."""
         free = self.likelihood.likelihood.free
-        every = tuple(self.likelihood.integrated.parameters)
+        every = self.likelihood.parameters
         at = {**self.likelihood.named(self.at.z), **free.fixed}
         held = {name: at[name] for name in every if name in at and name not in intervals}
         logarithmic = dict(zip(free.names, free.logarithmic, strict=True))

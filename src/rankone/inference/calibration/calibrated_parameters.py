@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy
@@ -162,6 +162,11 @@ class Prior:
             return scipy.stats.lognorm(second, scale=math.exp(first + second**2))
         return None
 
+    def logpdf(self, values: Array) -> Array:
+        """What the objective subtracts at values (...)."""
+        costs = [self.cost(value)[0] for value in values.ravel().tolist()]
+        return -np.reshape(costs, values.shape)
+
     def cost(self, value: float) -> tuple[float, float]:
         """Minus the logarithm of the density at a value, and its derivative by the value."""
         z = scaled(value, self.scale)
@@ -181,18 +186,6 @@ class Prior:
         if self.of_value and self.scale != "lin":
             cost, gradient = cost - math.log(slope), gradient + 1.0 / value
         return cost, gradient
-
-
-class PriorTerms(NamedTuple):
-    """What a prior adds to the objective at a value.
-
-    The product of ``residual`` and ``slope`` is the derivative of the cost by the coordinate of the
-    parameter; the square of ``slope`` is the curvature of a normal density of the same width.
-    """
-
-    cost: float = 0.0
-    residual: float = 0.0
-    slope: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -235,16 +228,15 @@ class Parameter:
         """The derivative of the value by its coordinate."""
         return slope_of_scale(value, self.scale)
 
-    def prior_terms(self, value: float) -> PriorTerms:
-        """What its prior adds to the objective; nothing unless it is estimated and has one."""
-        if self.prior is None:
-            return PriorTerms()
-        cost, by_value = self.prior.cost(value)
-        if self.prior.shape == "uniform":
-            return PriorTerms(cost)
-        unit = self.slope(value)
-        slope = unit / slope_of_scale(value, self.prior.scale) / self.prior.width
-        return PriorTerms(cost, by_value * unit / slope, slope)
+    @property
+    def width(self) -> float:
+        """Width of the bounds in the coordinate."""
+        return self.scaled(self.upper) - self.scaled(self.lower)
+
+    @property
+    def distribution(self) -> Prior | None:
+        """Its prior, unless that is the same everywhere; see :class:`~.likelihood.Prior`."""
+        return None if self.prior is None or self.prior.shape == "uniform" else self.prior
 
 
 def scaled(value: float, scale: str) -> float:

@@ -10,21 +10,30 @@ from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
 from rankone.inference.calibration.boxes import box_around
 from rankone.inference.calibration.calibrated_parameters import Parameter, Records, parameter_rows
-from rankone.inference.calibration.calibration_likelihood import ACCURACY, Evaluation, Evaluator
 from rankone.inference.calibration.experiment_conditions import Free, Settings
-from rankone.inference.calibration.from_files import calibrated
+from rankone.inference.calibration.linearised import linear_reaches
+from rankone.inference.calibration.objective_of_files import (
+    ACCURACY,
+    Evaluation,
+    Objective,
+    check_bounds,
+    coordinates_of,
+)
 from rankone.inference.calibration.petab_files import open_petab, records_of
 from rankone.inference.calibration.result import Calibration
 from rankone.inference.calibration.searched import OfFiles
 from rankone.inference.calibration.solutions import CalibrationSolutions
 from rankone.inference.calibration.solving import box_of, free_of, problem_of, solved
-from rankone.inference.calibration.starts import Cube
+from rankone.inference.calibration.starts import MOST_STARTS, descents
 from rankone.inference.estimation.posterior import Posterior
 from rankone.problem.problem import Problem
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.options import checked_number
+from rankone.support.tasks import ExecutorLike, checked_executor
 from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
 
 if TYPE_CHECKING:
@@ -32,6 +41,7 @@ if TYPE_CHECKING:
 
 Box: TypeAlias = "Mapping[str, tuple[float | str, ...]] | Sequence[str] | None"
 """Free parameters by their intervals, or names alone."""
+_SCREENED = 10  # Random points, the best of which is a start
 _SPREAD = 1.5  # Factor by which boxes around values go beyond them
 _HEADER = ("parameter", "scale", "lower", "upper", "nominal", "estimated")
 _LABELS = 2  # Columns on the left
@@ -123,7 +133,9 @@ class CalibrationProblem:
         """
         return self._evaluated(values, self.estimated, rtol)
 
-    def fit(self, *, starts: int = 10, seed: int = 0, executor: Any = None) -> Calibration:
+    def fit(
+        self, *, starts: int = 10, seed: int = 0, executor: ExecutorLike | None = None
+    ) -> Calibration:
         """Estimate the parameters from random starts within their bounds.
 
         Nominal values of estimated parameters are not used. Each start of a latin hypercube, on
@@ -153,9 +165,14 @@ class CalibrationProblem:
         ProblemError
             If rates jump with the states, or where an estimated parameter says.
         """
-        others = self.point(dict.fromkeys(self.estimated, 0.0))
-        likelihood = OfFiles.of(self._evaluator, others)
-        return calibrated(self._records, likelihood, starts, seed, executor)
+        starts = checked_number("starts", starts, 1, MOST_STARTS)
+        wanted = None if executor is None else checked_executor("executor", executor)
+        values = self.point(dict.fromkeys(self.estimated, 0.0))
+        likelihood = OfFiles.of_problem(self._objective, values)
+        ways = descents(likelihood, starts, seed, _SCREENED, wanted)
+        at = ways[0].at
+        reaches = linear_reaches(likelihood.names, at, 1.0) if np.isfinite(at.cost) else {}
+        return Calibration.of(likelihood, ways, reaches, comparisons=likelihood.comparisons(at))
 
     def problem(
         self,
@@ -265,11 +282,13 @@ class CalibrationProblem:
             raise OptionError("around is the calibration of another problem", term=around)
         if isinstance(box, Mapping):
             return box, around.x
-        active, cube = self._settings.active, Cube.of([self.parameters[n] for n in self.estimated])
+        active, estimated = self._settings.active, [self.parameters[n] for n in self.estimated]
+        check_bounds(estimated)
         if box is not None:
             box_of(self.parameters, active, around.x, box, _SPREAD)  # raises for what is no name
-        at = self.evaluate(around.x)
-        return box_around(cube, at, self.point(around.x), active, box), around.x
+        jacobian = self.evaluate(around.x).jacobian * [p.width for p in estimated]
+        free, values = coordinates_of(estimated, self.point(around.x)), self.point(around.x)
+        return box_around(free, jacobian, values, active, box), around.x
 
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
         """Values of all parameters: those given, and nominal ones."""
@@ -301,21 +320,20 @@ class CalibrationProblem:
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is compiled, which is made again."""
-        return {name: own for name, own in vars(self).items() if name != "_evaluator"}
+        return {name: own for name, own in vars(self).items() if name != "_objective"}
 
     # -- evaluation -------------------------------------------------------------------------------
 
     @cached_property
-    def _evaluator(self) -> Evaluator:
-        return Evaluator(self._records, self._settings)
+    def _objective(self) -> Objective:
+        return Objective(self._records, self._settings)
 
     def _evaluated(
         self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
     ) -> Evaluation:
         point = self.point(values)
         accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
-        simulated = self._evaluator.simulated(point, by, accuracy)
-        return self._evaluator.evaluated(simulated, point, by)
+        return self._objective.evaluated(point, by, accuracy)
 
     # -- text -------------------------------------------------------------------------------------
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.inference.calibration.calibrated_parameters import Assigned, Records, Series
 from rankone.inference.calibration.experiment_conditions import Free, Settings
@@ -20,7 +21,14 @@ from rankone.support.wording import quote
 _LOG_10 = repr(math.log(10.0))
 
 
-def measured(records: Records, settings: Settings, position: int, free: Free) -> Experiment:
+class Measured(NamedTuple):
+    """What was measured in an experiment, and by label the series and the rows in it."""
+
+    experiment: Experiment
+    rows: dict[str, tuple[Series, NDArray[np.intp]]]
+
+
+def measured(records: Records, settings: Settings, position: int, free: Free) -> Measured:
     """What was measured in one experiment, for solutions with what is free."""
     experiment = records.experiments[position]
     numbers = settings.at[experiment.condition.name]
@@ -29,9 +37,10 @@ def measured(records: Records, settings: Settings, position: int, free: Free) ->
     observe: dict[str, str] = {}
     sigma: dict[str, str] = {}
     noise: dict[str, str] = {}
+    places: dict[str, tuple[Series, NDArray[np.intp]]] = {}
     for series in records.series:
         for label, rows, placeholders in _groups(series, position, free):
-            _check(series, experiment.name, series.times[rows])
+            places[label] = series, rows
             names = {**{n: free.number(a) for n, a in numbers.items() if n not in free.inputs},
                      **placeholders, "time": records.model.time.name}  # fmt: skip
             deviation = _text(series.observable.noise, names, free)
@@ -43,7 +52,7 @@ def measured(records: Records, settings: Settings, position: int, free: Free) ->
             observe[label] = _text(series.observable.formula, names, free)
             sigma[label] = deviation
     fixed = {name: float(numbers[name]) for name in free.inputs}
-    return Experiment(
+    own = Experiment(
         data,
         times,
         fixed=fixed,
@@ -52,11 +61,12 @@ def measured(records: Records, settings: Settings, position: int, free: Free) ->
         noise=noise or None,
         name=experiment.name,
     )
+    return Measured(own, places)
 
 
 def _groups(
     series: Series, position: int, free: Free
-) -> Iterator[tuple[str, Any, dict[str, Assigned]]]:
+) -> Iterator[tuple[str, NDArray[np.intp], dict[str, Assigned]]]:
     """The measurements of an experiment that have the same placeholders, with a label for each."""
     here = np.flatnonzero(series.experiments == position)
     groups: dict[tuple[Assigned, ...], list[int]] = {}
@@ -69,22 +79,28 @@ def _groups(
         yield label, np.array(rows), dict(zip(series.placeholders, key, strict=True))
 
 
-def _check(series: Series, experiment: str, times: Any) -> None:
+def check_solvable(records: Records) -> None:
     """Raise for what solutions over time cannot be fitted to."""
-    name = series.observable.name
-    if series.observable.distribution != "normal":
+    remedy = "use the objective, which is computed from trajectories"
+    for name in (
+        s.observable.name for s in records.series if s.observable.distribution != "normal"
+    ):
         raise ProblemError(
             f"the noise of {quote(name)} is Laplace's, which fits of solutions do not have",
             term=name,
-            remedy="use the objective, which is computed from trajectories",
+            remedy=remedy,
         )
-    if not np.isfinite(times).all():
-        raise ProblemError(
-            f"{quote(name)} is measured at the steady state in {quote(experiment)}, which "
-            "solutions over time do not reach",
-            term=name,
-            remedy="use the objective, which is computed from trajectories",
-        )
+    for series in records.series:
+        name = series.observable.name
+        endless = series.experiments[~np.isfinite(series.times)]
+        if endless.size:
+            experiment = records.experiments[int(endless[0])]
+            raise ProblemError(
+                f"{quote(name)} is measured at the steady state in {quote(experiment.name)}, which "
+                "solutions over time do not reach",
+                term=name,
+                remedy=remedy,
+            )
 
 
 def _text(formula: Formula, names: Mapping[str, Assigned], free: Free) -> str:

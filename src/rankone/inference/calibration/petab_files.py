@@ -33,7 +33,7 @@ from rankone.problem.models.model import Model
 from rankone.problem.models.sbml import read_with_starts
 from rankone.support.errors import OptionError, ProblemError, optional_module
 from rankone.support.files import as_path
-from rankone.support.wording import clip, count, listing, quote
+from rankone.support.wording import clip, count, did_you_mean, listing, quote
 
 _PRIORS = {
     "uniform": ("uniform", "lin"),
@@ -180,13 +180,15 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
     observables = {
         name: _observable(str(name), row, model) for name, row in problem.observable_df.iterrows()
     }
+    series = tuple(_series(problem.measurement_df, observables, [*experiments]))
+    _check_names(model, {parameter.name for parameter in parameters}, series)
     return Records(
         name=Path(path).stem,
         model=model,
         starts=starts,
         parameters=parameters,
         experiments=tuple(experiments.values()),
-        series=tuple(_series(problem.measurement_df, observables, [*experiments])),
+        series=series,
     )
 
 
@@ -221,6 +223,30 @@ def _check_model(
                 term=name,
                 remedy="remove one of them",
             )
+
+
+def _check_names(model: Model, parameters: Collection[str], series: Iterable[Series]) -> None:
+    """Raise a ProblemError for names in formulas or placeholders that have no value."""
+    names = {*(symbol.name for symbol in model.rates), *parameters, *model.parameters, "time"}
+    for each in series:
+        own = each.observable
+        for column, formula in (("observable", own.formula), ("noise", own.noise)):
+            for name in formula.names:
+                if name not in names and name not in each.placeholders:
+                    raise ProblemError(
+                        f"the observable table, row {quote(own.name)}, {column} formula: "
+                        f"{quote(name)} has no value{did_you_mean(name, names)}",
+                        term=name,
+                        remedy="give it in the measurement or the parameter table",
+                    )
+        for name, assigned in each.placeholders.items():
+            for row, entry in zip(each.rows, assigned, strict=True):
+                if isinstance(entry, str) and entry not in parameters:
+                    raise ProblemError(
+                        f"the measurement table, row {row + 1}, gives {quote(name)} the value of "
+                        f"{quote(entry)}, which is no parameter{did_you_mean(entry, parameters)}",
+                        term=entry,
+                    )
 
 
 def _model_file(path: str | PathLike[str]) -> Path:

@@ -6,28 +6,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.calibration.calibration_likelihood import ACCURACY, Evaluation, Evaluator
 from rankone.inference.calibration.descent import Expansion
-from rankone.inference.calibration.dynamics import deciding_jumps, jumps_with_states
+from rankone.inference.calibration.experiment_solutions import deciding_jumps, jumps_with_states
 from rankone.inference.calibration.linearised import covariance_at, spread_of
-from rankone.inference.calibration.nested import Nested
+from rankone.inference.calibration.objective_of_files import Objective
 from rankone.inference.calibration.result import Comparison, compared
-from rankone.inference.calibration.starts import Cube
 from rankone.inference.estimation.experiments import Experiment, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
 from rankone.inference.estimation.free_parameters import Bounds
 from rankone.inference.estimation.intervals import quantile_of
-from rankone.inference.estimation.likelihood import Likelihood
+from rankone.inference.estimation.least_squares import minima
+from rankone.inference.estimation.likelihood import START_ROUNDS, Held, Likelihood, Linearised
 from rankone.inference.estimation.ranges import with_linear_ranges
 from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
 from rankone.support.arrays import Array, spread
-from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.errors import ProblemError, RankoneError
 from rankone.support.wording import quote
 from rankone.tensors.bases.joint_distribution import LEVEL
@@ -38,9 +37,12 @@ _SCREENED = 32  # Points that tell the ranges of parameters that enter observabl
 
 @dataclass(frozen=True)
 class OfExperiments:
-    """-2 log L of experiments on one problem, each value from trajectories."""
+    """-2 log L of experiments on one problem, each value from trajectories.
 
-    integrated: IntegratedSolution
+    The trajectories depend on its ``parameters``.
+    """
+
+    parameters: tuple[str, ...]
     likelihood: Likelihood
 
     @classmethod
@@ -69,7 +71,7 @@ class OfExperiments:
                 "solution.fit(...)",
             )
         points = spread(_SCREENED, len(likelihood.free.names), np.random.default_rng(7))
-        return cls(integrated, with_linear_ranges(likelihood, points))
+        return cls(tuple(integrated.parameters), with_linear_ranges(likelihood, points))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,7 +86,7 @@ class OfExperiments:
     @cached_property
     def dynamic(self) -> tuple[str, ...]:
         """Those that trajectories depend on; the others belong to observables and noise."""
-        return tuple(name for name in self.names if name in self.integrated.parameters)
+        return tuple(name for name in self.names if name in self.parameters)
 
     def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
         """At z (n,); see :class:`~rankone.inference.calibration.descent.Expandable`.
@@ -102,8 +104,7 @@ class OfExperiments:
             factor = math.sqrt(size / squares)
             cost = size * np.log(squares)
             residuals, jacobian = factor * residuals, factor * jacobian
-        finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
-        return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
+        return _finite(z, cost, residuals, jacobian)
 
     def named(self, z: Array) -> dict[str, float]:
         """The parameters at z (n,), by name."""
@@ -145,7 +146,7 @@ class OfExperiments:
                     predicted,
                     sigma * unit,
                     spread_of(at.jacobian[rows], covariance) / math.sqrt(variance),
-                    "log" if noise.distribution == "log-normal" else "lin",
+                    "log" if noise.logarithmic else "lin",
                 )
             )
         return tuple(comparisons)
@@ -167,9 +168,7 @@ class OfExperiments:
         for trial, i, _ in self.likelihood.blocks:
             noise, values = trial.observations.noises[i], trial.observations.values
             here = values[trial.observations.of(i)]
-            scale = (
-                np.ones(here.size) if noise.distribution == "log-normal" else here / noise.spread
-            )
+            scale = np.ones(here.size) if noise.logarithmic else here / noise.spread
             squares += float(scale @ scale)
         return max(_RESOLVED**2 * squares, 1e-300)
 
@@ -191,84 +190,85 @@ class OfExperiments:
         return self.quantile**2 * self.variance(at)
 
 
-# -----------------------------------------------------------------------------
-# The likelihood of a calibration problem, as searches take it.
+@dataclass(frozen=True)
+class OfFiles(OfExperiments):
+    """The likelihood of a problem from files, with priors of the table.
 
-
-_SEARCH_ACCURACY = 1e-3  # Relative tolerance of searches; LSODA has a hundredth of it
-_MOST_WORK = 1e9  # Operations of one evaluation: a second, far more than a good one takes
-
-
-@dataclass(frozen=True, eq=False)
-class OfFiles:
-    """Twice the objective on the unit cube between the bounds of the estimated parameters.
-
-    Parameters that only observables and noise have are ``nested``: they are at their best.
+    Parameters that only observables and noise have are at their best at once. Their closed forms
+    (Loos, Krause & Hasenauer, Bioinformatics 34 (2018) 4266; Schmiester & al., Bioinformatics 36
+    (2020) 594) are the start of a search for given states, which takes no trajectory.
     """
 
-    evaluator: Evaluator
-    cube: Cube
-    best: Nested
-    fixed: Mapping[str, float]
+    objective: Objective
 
     @classmethod
-    def of(cls, evaluator: Evaluator, values: Mapping[str, float]) -> OfFiles:
+    def of_problem(cls, objective: Objective, values: Mapping[str, float]) -> OfFiles:
         """Of all estimated parameters; the others have their ``values``."""
-        cube = Cube.of([p for p in evaluator.records.parameters if p.estimated])
-        evaluator.simulation.check_smooth(cube.names)
-        return cls(evaluator, cube, Nested(evaluator, cube), values)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The estimated parameters; see
-        :class:`~rankone.inference.calibration.descent.Expandable`."""
-        return self.cube.names
+        likelihood = objective.likelihood(values)
+        return cls(objective.settings.active, likelihood, objective)
 
     @property
     def nested(self) -> NDArray[np.bool_]:
         """The coordinates (n,) that are at their best."""
-        return np.array([name in self.best.names for name in self.names])
+        return np.array([name not in self.parameters for name in self.names])
 
-    def named(self, z: Array) -> dict[str, float]:
-        """The values of the estimated parameters at z (n,)."""
-        return self.cube.named(z)
+    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
+        """At z (n,); see :class:`~rankone.inference.calibration.descent.Expandable`."""
+        problem, free = self.likelihood, self.likelihood.free
+        with np.errstate(all="ignore"):
+            values = free.values(z[None])
+            states, slopes = problem.followed(values)
+            if self.nested.any() and all(np.isfinite(each).all() for each in states):
+                settled = problem.settled(values, states, None, START_ROUNDS, problem.linear)
+                z, values = self._best(np.concatenate([z[None], free.places(settled)]), states)
+            every = problem.expanded(z[None], values, states, slopes)
+        return _finite(*(each[0] for each in every))
 
-    def expanded(self, z: Array) -> Expansion:
-        """At z (n,), with the nested parameters at their best.
+    def _best(self, starts: Array, states: Sequence[Array]) -> tuple[Array, Array]:
+        """The best point (n,) for given states, and its values (1, n), from starts (2, n).
 
-        The cost is infinite where there are no trajectories, or too much work to do.
+        At the second one closed forms are at their best.
         """
-        try:
-            with limited(_MOST_WORK), np.errstate(all="ignore"):
-                return self._expanded(z)
-        except (RankoneError, OutOfBudgetError, np.linalg.LinAlgError):
-            return Expansion(z, np.inf, np.zeros(1), np.zeros((1, z.size)))
-
-    def _expanded(self, z: Array) -> Expansion:
-        values = {**self.fixed, **self.named(z)}
-        simulated = self.evaluator.simulated(values, self.names, _SEARCH_ACCURACY, quick=True)
-        values = self.best.best(simulated, values)
-        z = np.where(self.nested, self.cube.places(values), z)
-        at = self.evaluator.evaluated(simulated, values, self.names)
-        _, residuals, rows = self.cube.prior_rows(values)
-        jacobian = np.concatenate([at.jacobian * self.cube.width, rows])
-        finite = np.isfinite(at.objective) and np.isfinite(jacobian).all()
-        cost = 2.0 * at.objective if finite else np.inf
-        return Expansion(z, cost, np.concatenate([at.residuals, residuals]), jacobian)
-
-    def evaluated(self, z: Array) -> Evaluation:
-        """The evaluation at z (n,), at the accuracy of searches."""
-        values = {**self.fixed, **self.named(z)}
-        simulated = self.evaluator.simulated(values, self.names, _SEARCH_ACCURACY, quick=True)
-        return self.evaluator.evaluated(simulated, values, self.names)
+        nested, z = np.flatnonzero(self.nested), starts[1]
+        inside = (z[nested] > 0.0) & (z[nested] < 1.0)
+        if not (inside.all() and np.isin(nested, self.likelihood.closed).all()):
+            held = np.tile(~self.nested, (2, 1))
+            ends = minima(_GivenStates(self.likelihood, states), starts, held)
+            z = ends.z[int(np.argmin(ends.cost))]
+        return z, self.likelihood.free.values(z[None])
 
     def log_likelihood(self, at: Expansion) -> float:
         """Minus the objective, at its full accuracy; minus infinity without trajectories."""
         if not np.isfinite(at.cost):
             return -np.inf
-        values = {**self.fixed, **self.named(at.z)}
+        values = {**self.likelihood.free.fixed, **self.named(at.z)}
         try:
-            simulated = self.evaluator.simulated(values, (), ACCURACY)
-            return -self.evaluator.evaluated(simulated, values, ()).objective
+            return -self.objective.evaluated(values, ()).objective
         except RankoneError:
             return -np.inf
+
+
+class _GivenStates(NamedTuple):
+    """The likelihood for states (1, M) that are known, as :func:`.minima` takes it."""
+
+    problem: Likelihood
+    states: Sequence[Array]
+
+    @property
+    def size(self) -> int:
+        return self.problem.size
+
+    @property
+    def magnitude(self) -> float:
+        return self.problem.magnitude
+
+    def linearised(self, z: Array, held: Held = None) -> Linearised:
+        states = [np.repeat(each, len(z), axis=0) for each in self.states]
+        still = [np.zeros((*each.shape, z.shape[1])) for each in states]
+        return self.problem.expanded(z, self.problem.free.values(z), states, still)
+
+
+def _finite(z: Array, cost: float, residuals: Array, jacobian: Array) -> Expansion:
+    """An expansion, of infinite cost where not all of it is finite."""
+    finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
+    return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)

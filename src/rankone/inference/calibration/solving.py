@@ -17,7 +17,7 @@ from rankone.inference.calibration.experiment_conditions import (
     joined,
     problem_for,
 )
-from rankone.inference.calibration.measured import measured
+from rankone.inference.calibration.measured import check_solvable, measured
 from rankone.inference.calibration.solutions import CalibrationSolutions
 from rankone.inference.estimation.formulas import formula_of
 from rankone.problem.problem import Problem
@@ -132,9 +132,10 @@ def solved(
     records: Records, settings: Settings, free: Free, rtol: float, options: Mapping[str, Any]
 ) -> CalibrationSolutions:
     """Solutions of all experiments."""
+    check_solvable(records)
     together = joined(settings, records.experiments, free)
     experiments = {
-        each.name: measured(records, settings, k, together or free)
+        each.name: measured(records, settings, k, together or free).experiment
         for k, each in enumerate(records.experiments)
     }
     if together is not None:

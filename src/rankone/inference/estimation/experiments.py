@@ -113,6 +113,12 @@ class Trial:
         return states_of(self.solution, self.observations)
 
     @property
+    def size(self) -> int:
+        """Number of states of the model."""
+        pairs = zip(self.rows, self.observations.noises, strict=True)
+        return sum(len(rows) * noise.spread.size for rows, noise in pairs)
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """The parameters of the solution that this experiment does not fix."""
         return tuple(name for name in self.solution.parameters if name not in self.fixed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -23,7 +24,7 @@ from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, Tiling
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 from rankone.trajectories.integrators.integrator import Tolerances
-from rankone.trajectories.integrators.sensitivities import sensitive_to_parameters
+from rankone.trajectories.integrators.sensitivities import Sensitive, sensitive_to_parameters
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import Status
@@ -60,12 +61,26 @@ class IntegratedSolution(SolutionCore):
         """Start and end of the horizon."""
         return self.metadata.horizon
 
-    @cached_property
-    def edges(self) -> tuple[float, ...]:
-        """The start, times at which the system jumps or switches, and the end."""
-        start, end = self.metadata.horizon
-        cuts = [t for t in self.system.features.cuts[0] if start < t < end]
-        return (start, *sorted({*self.system.jumps.inside(start, end), *cuts}), end)
+    failures: tuple[type[BaseException], ...] = (OutOfBudgetError, np.linalg.LinAlgError)
+    """Of a trajectory that has no values then."""
+    most_work = _MOST_WORK
+    """Operations of one trajectory."""
+
+    def edges(self, point: Array, end: float) -> list[float]:
+        """The start, times at which the system jumps or switches at a point (d,), and an end."""
+        start, features = self.metadata.horizon[0], self.system.features
+        times = [*features.cuts[0], *self.system.jumps.inside(*self.metadata.horizon)]
+        for at, period in features.periodic_cuts[0]:
+            first, last = -((at - start) // period), (end - at) // period
+            times += (at + period * np.arange(first, last + 1)).tolist()
+        if features.n_moving_cuts:
+            times += np.ravel(features.moving_cuts(point[:, None])).tolist()
+        return [start, *sorted({time for time in times if start < time < end}), end]
+
+    def sensitive(self, point: Array, times: Array, free: Sequence[int]) -> Sensitive:
+        """The trajectory at a point (d,) and ascending times, with derivatives by parameters."""
+        edges, tolerances = self.edges(point, self.metadata.horizon[1]), self.tolerances(point)
+        return sensitive_to_parameters(self.system, point, edges, tolerances, times, free)
 
     def tolerances(self, point: Array) -> Tolerances:
         """Those at a point (d,); a state that starts at zero has the largest initial value."""
@@ -107,20 +122,10 @@ class TrajectoryModel:
         values = np.full((count, self.rows.size), np.nan)
         slopes = np.full((count, self.rows.size, len(free)), np.nan)
         for j, point in enumerate(points.T):
-            try:
-                with limited(_MOST_WORK):
-                    at = sensitive_to_parameters(
-                        self.solution.system,
-                        point,
-                        self.solution.edges,
-                        self.solution.tolerances(point),
-                        self.times,
-                        free,
-                    )
-            except (OutOfBudgetError, np.linalg.LinAlgError):
-                continue
-            values[j] = at.states[self.places, self.rows]
-            slopes[j] = at.slopes[self.places, self.rows]
+            with suppress(*self.solution.failures), limited(self.solution.most_work):
+                at = self.solution.sensitive(point, self.times, free)
+                values[j] = at.states[self.places, self.rows]
+                slopes[j] = at.slopes[self.places, self.rows]
         return values, slopes
 
 

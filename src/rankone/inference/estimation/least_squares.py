@@ -8,12 +8,13 @@ ch. 10.3; bounds by an active set, Kelley, Iterative Methods for Optimization, c
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.free_parameters import BOUND_TOLERANCE
-from rankone.inference.estimation.likelihood import Held, Likelihood
+from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
 from rankone.support.arrays import Array, bisected
 
 _MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where it does not settle
@@ -39,6 +40,16 @@ _EXACT = 1e-9  # Residuals, in shares of the data, that are rounding: nobody is 
 _HOPS = np.array([0.003, 0.01, 0.03, 0.1, 0.3])
 _HOP_ROUNDS = 3
 _BISECTIONS = 40  # Bisections of the last step before a jump
+
+
+class Squares(Protocol):
+    """-2 log L with ``size`` data, whose squares over their noise are ``magnitude``."""
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def magnitude(self) -> float: ...
+    def linearised(self, z: Array, held: Held = None) -> Linearised: ...
 
 
 @dataclass(frozen=True)
@@ -67,7 +78,7 @@ class Minima:
         return Minima(*(np.concatenate([getattr(s, n) for s in (self, other)]) for n in names))
 
 
-def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
+def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
     """Minima from starts (K, n); held coordinates (K, n) stay at their start.
 
     The cost is infinite at a start at which the solution has ended before some of the data.

@@ -6,17 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import Predicted, Seeds, Trial
 from rankone.inference.estimation.formulas import linear_names, value_of, with_shape
-from rankone.inference.estimation.free_parameters import FreeParameters
+from rankone.inference.estimation.free_parameters import BOUND_TOLERANCE, FreeParameters
 from rankone.inference.estimation.noise import Terms, log_likelihood, terms
 from rankone.support.arrays import Array
-from rankone.tensors.bases.distributions import Measure
 
 # Rounds of linear parameters and levels of noise in turn, where states are known
 START_ROUNDS = 6  # For a start
@@ -26,6 +25,22 @@ _PRIOR_STEP = 1e-4
 _LEAST_CURVATURE = 1e-8  # Least curvature of a prior, in units of 1/width^2: it may be uniform
 Held = NDArray[np.bool_] | None
 """Coordinates (K, n) that keep their values."""
+
+
+class Density(Protocol):
+    """A distribution as a prior takes it."""
+
+    def logpdf(self, values: Array) -> Array:
+        """The logarithm of the density, up to a constant."""
+
+
+class Prior(Protocol):
+    """What was known of a parameter before."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def distribution(self) -> Density | None: ...
 
 
 class Linearised(NamedTuple):
@@ -47,7 +62,7 @@ class Likelihood:
 
     trials: tuple[Trial, ...]
     free: FreeParameters
-    priors: tuple[Measure, ...] = ()
+    priors: tuple[Prior, ...] = ()
 
     @cached_property
     def unit_known(self) -> bool:
@@ -92,6 +107,16 @@ class Likelihood:
                 if noise.distribution != "normal" or names & {name, *moved}:
                     return ()
         return () if self.priors else self.linear
+
+    @cached_property
+    def closed(self) -> tuple[int, ...]:
+        """Parameters whose best values for given states have closed forms, unless bounds stop them.
+
+        Scales and levels of noise depend on each other, and have one in turn alone.
+        """
+        levels = tuple(j for group in self.groups for j in group)
+        exact = all(n.distribution != "student" for t in self.trials for n in t.observations.noises)
+        return () if levels and (self._settled or not exact) else (*levels, *self._settled)
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -143,7 +168,7 @@ class Likelihood:
 
     def costs_of(self, values: Array, states: Sequence[Array]) -> Array:
         """Costs (K,) at values (K, n), for the states there."""
-        return sum_of(self._terms(values, states)) + self._prior_cost(values)
+        return sum_of(self.terms(values, states)) + self._prior_cost(values)
 
     def linearised(self, z: Array, held: Held = None, *, settle: bool = True) -> Linearised:
         """The cost, pseudo-residuals and Jacobian with respect to z, at points (K, n).
@@ -152,17 +177,43 @@ class Likelihood:
         unless they are held.
         """
         values = self.free.values(z)
-        seeds = Seeds({name: j for j, name in enumerate(self.free.names)}, len(self.free.names))
-        at = self.at(values)
-        pairs = [trial.linearised(at, seeds) for trial in self.trials]
-        states = [pair[0] for pair in pairs]
+        states, slopes = self.followed(values)
         if settle and (self._settled or self.groups):
             values = self.settled(values, states, held, _STEP_ROUNDS, self._settled)
             z = self.free.places(values)
-        each = self._terms(values, states, [pair[1] for pair in pairs], seeds)
+        return self.expanded(z, values, states, slopes)
+
+    @property
+    def seeds(self) -> Seeds:
+        """Derivatives by all free parameters."""
+        return Seeds({name: j for j, name in enumerate(self.free.names)}, len(self.free.names))
+
+    def followed(self, values: Array) -> tuple[list[Array], list[Array]]:
+        """States (K, M) of each trial at values (K, n), with derivatives (K, M, n).
+
+        Once no point has states in one trial, those of the others are NaN.
+        """
+        at, seeds, reached = self.at(values), self.seeds, True
+        states, slopes = list[Array](), list[Array]()
+        for trial in self.trials:
+            if reached:
+                own, moved = trial.linearised(at, seeds)
+                reached = bool(np.isfinite(own).all(axis=1).any())
+            else:
+                own = np.full((len(values), trial.size), np.nan)
+                moved = np.zeros((*own.shape, seeds.width))
+            states.append(own)
+            slopes.append(moved)
+        return states, slopes
+
+    def expanded(
+        self, z: Array, values: Array, states: Sequence[Array], slopes: Sequence[Array]
+    ) -> Linearised:
+        """The same for states that are known, with their derivatives."""
+        each = self.terms(values, states, slopes)
         residuals = np.concatenate([one.residuals for one in each], axis=1)
-        slopes = self.free.slopes(z)[:, None, :]
-        jacobian = np.concatenate([one.jacobian for one in each], axis=1) * slopes
+        widths = self.free.slopes(z)[:, None, :]
+        jacobian = np.concatenate([one.jacobian for one in each], axis=1) * widths
         rho, rows = self._prior_terms(z)
         residuals = np.concatenate([residuals, rho], axis=1)
         jacobian = np.concatenate([jacobian, rows], axis=1)
@@ -183,12 +234,13 @@ class Likelihood:
         """Deviations (K, m) of all data at z (K, n), in standard deviations."""
         values = self.free.values(z)
         states = [trial.states(self.at(values)) for trial in self.trials]
-        return np.concatenate([one.standardised for one in self._terms(values, states)], axis=1)
+        return np.concatenate([one.standardised for one in self.terms(values, states)], axis=1)
 
-    def log_likelihood(self, values: Array) -> float:
+    def log_likelihood(self, values: Array, states: Sequence[Array] | None = None) -> float:
         """The logarithm of the density of all data at values (n,), with its constants."""
         whole = 0.0
-        for trial, predicted in zip(self.trials, self.predictions(values[None]), strict=True):
+        every = self.predictions(values[None], states)
+        for trial, predicted in zip(self.trials, every, strict=True):
             for i, one in enumerate(predicted):
                 noise = trial.observations.noises[i]
                 data = trial.observations.values[trial.observations.of(i)]
@@ -206,15 +258,17 @@ class Likelihood:
         unit = self.log_likelihood(values) + 0.5 * cost
         return unit - 0.5 * self.size * (math.log(variance) + 1.0)
 
-    def _terms(
+    def terms(
         self,
         values: Array,
         states: Sequence[Array],
         slopes: Sequence[Array] | None = None,
         seeds: Seeds | None = None,
     ) -> list[Terms]:
-        """What each observable of each trial adds."""
+        """What each observable of each trial adds; derivatives are by all free parameters."""
         at = self.at(values)
+        if slopes is not None and seeds is None:
+            seeds = self.seeds
         every = []
         with np.errstate(all="ignore"):
             for k, trial in enumerate(self.trials):
@@ -243,11 +297,12 @@ class Likelihood:
         kept = np.zeros(values.shape, dtype=bool) if held is None else held
         with np.errstate(all="ignore"):
             for _ in range(rounds):
+                before = values.copy()
                 if linear:
                     self._move_linear(values, states, kept, linear)
                 if self.groups:
                     self._move_levels(values, states, kept)
-                else:
+                if not self.groups or np.allclose(values, before, rtol=BOUND_TOLERANCE, atol=0.0):
                     break
         return values
 
@@ -258,7 +313,7 @@ class Likelihood:
         names = [self.free.names[j] for j in linear]
         seeds = Seeds({name: j for j, name in enumerate(names)}, len(names))
         still = [np.zeros((*rows.shape, len(names))) for rows in states]
-        each = self._terms(values, states, still, seeds)
+        each = self.terms(values, states, still, seeds)
         sizes = [one.standardised.shape[1] for one in each]
         rows = [one.jacobian[:, :m] for one, m in zip(each, sizes, strict=True)]
         jacobian = np.concatenate(rows, axis=1)
@@ -274,15 +329,18 @@ class Likelihood:
 
     def _move_levels(self, values: Array, states: Sequence[Array], kept: NDArray[np.bool_]) -> None:
         """Scale levels of noise such that the squares have the mean one."""
-        each = self._terms(values, states)
-        owners = [set(noise.levels) for trial in self.trials for noise in trial.observations.noises]
+        each = self.terms(values, states)
+        noises = [noise for trial in self.trials for noise in trial.observations.noises]
+        owners = [set(noise.levels) for noise in noises]
         for group in self.groups:
             names = {self.free.names[j] for j in group}
             pairs = zip(each, owners, strict=True)
             here = [one for one, levels in pairs if levels & names]
             squares = sum(np.sum(one.weights * one.standardised**2, axis=1) for one in here)
             count = sum(one.standardised.shape[1] for one in here)
-            factor = np.sqrt(squares / count)
+            factor = squares / count
+            if not all(noise.of_laplace for noise in noises if set(noise.levels) & names):
+                factor = np.sqrt(factor)
             usable = np.isfinite(factor) & (factor > 0.0) & ~kept[:, list(group)].any(axis=1)
             for j in group:
                 moved = values[usable, j] * factor[usable]

@@ -59,7 +59,7 @@ class Noise:
     ``spread`` (m,) is the standard deviation of each datum, whatever the distribution, or a factor
     of it where a ``formula`` has the rest: then levels, parameters or the prediction change it.
     ``levels`` are the parameters that the formula alone has. ``distribution`` is "normal",
-    "log-normal" or "student".
+    "log-normal", "student", or "laplace" and "log-laplace", which problems from files may have.
     """
 
     distribution: str
@@ -67,6 +67,16 @@ class Noise:
     formula: Formula | None = None
     levels: tuple[str, ...] = ()
     relative: tuple[str, ...] = ()
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the distribution is one of logarithms of the data."""
+        return self.distribution.startswith("log-")
+
+    @property
+    def of_laplace(self) -> bool:
+        """Whether costs are absolute deviations."""
+        return self.distribution.endswith("laplace")
 
     @property
     def estimated(self) -> bool:
@@ -84,6 +94,8 @@ class Noise:
     def scale_root(self) -> float:
         """Root of the Fisher information of a datum about the logarithm of its deviation."""
         nu = STUDENT_FREEDOM
+        if self.of_laplace:
+            return 1.0
         student = self.distribution == "student"
         return math.sqrt(2.0 * nu / (nu + 3.0)) if student else math.sqrt(2.0)
 
@@ -180,7 +192,7 @@ def terms(
     ``prediction`` and ``sigma`` have w = ``width`` derivatives; without any, the Jacobian is empty.
     Data that are not ``present`` (m,) add nothing.
     """
-    if noise.distribution == "log-normal":
+    if noise.logarithmic:
         prediction, data = FUNCTIONS["log"](prediction), np.log(data)
     p, s = value_of(prediction), value_of(sigma)
     r = (p - data) / s
@@ -192,6 +204,10 @@ def terms(
         shares = (nu + 1.0) / (nu + squares) / _STUDENT_SCALE**2
         location = np.sqrt((nu + 1.0) / (nu + 3.0)) / _STUDENT_SCALE
         each = (nu + 1.0) * np.log1p(squares / nu)
+    if noise.of_laplace:
+        location = math.sqrt(2.0)
+        shares = np.divide(location, np.abs(r), out=np.zeros(r.shape), where=r != 0.0)
+        each = 2.0 * location * np.abs(r)
     if noise.estimated:
         each = each + 2.0 * np.log(s)
     counted: Array | float = 1.0
@@ -217,10 +233,12 @@ def log_likelihood(noise: Noise, data: Array, standardised: Array, sigma: Array)
     if noise.distribution == "student":
         scaled = standardised / _STUDENT_SCALE
         each = scipy.stats.t.logpdf(scaled, STUDENT_FREEDOM) - np.log(_STUDENT_SCALE)
+    elif noise.of_laplace:
+        each = -math.sqrt(2.0) * np.abs(standardised) - 0.5 * math.log(2.0)
     else:
         each = -0.5 * (standardised**2 + np.log(2.0 * np.pi))
     each = each - np.log(sigma)
-    if noise.distribution == "log-normal":
+    if noise.logarithmic:
         each = each - np.log(data)
     return float(np.sum(each))
 
