@@ -27,7 +27,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class SimulatedExperiment:
     """A condition that is simulated, and the one whose steady state it starts at, if there is one.
 
     What was measured is in :class:`Series`.
@@ -86,7 +86,7 @@ class Records:
     model: Model
     starts: Mapping[str, str]
     parameters: tuple[Parameter, ...]
-    experiments: tuple[Experiment, ...]
+    experiments: tuple[SimulatedExperiment, ...]
     series: tuple[Series, ...]
 
     @property

@@ -14,8 +14,8 @@ import sympy as sp
 from rankone.inference.calibration.calibrated_parameters import (
     Assigned,
     Condition,
-    Experiment,
     Records,
+    SimulatedExperiment,
 )
 from rankone.problem.models.model import Model
 from rankone.problem.problem import Problem
@@ -165,7 +165,7 @@ class Free:
 
 
 def problem_for(
-    records: Records, settings: Settings, experiment: Experiment, free: Free, end: float
+    records: Records, settings: Settings, experiment: SimulatedExperiment, free: Free, end: float
 ) -> Problem:
     """The problem of an experiment, up to a time."""
     acting = _acting(records, settings, experiment, free)
@@ -187,7 +187,7 @@ def problem_for(
 
 
 def _acting(
-    records: Records, settings: Settings, experiment: Experiment, free: Free
+    records: Records, settings: Settings, experiment: SimulatedExperiment, free: Free
 ) -> frozenset[str]:
     """Parameters of the model that rates or initial values depend on in an experiment.
 
@@ -223,7 +223,7 @@ def _renamed(model: Model, names: Mapping[str, str]) -> Model:
 
 def _rested(
     problem: Problem,
-    experiment: Experiment,
+    experiment: SimulatedExperiment,
     settings: Settings,
     free: Free,
     names: Mapping[str, str],
@@ -255,7 +255,9 @@ def _rested(
     return Problem(**written)
 
 
-def joined(settings: Settings, experiments: Sequence[Experiment], free: Free) -> Free | None:
+def joined(
+    settings: Settings, experiments: Sequence[SimulatedExperiment], free: Free
+) -> Free | None:
     """What is free in one problem for all experiments; None where separate ones are cheaper.
 
     A further parameter makes a solution about as expensive as four without it. Experiments that

@@ -18,9 +18,9 @@ from sympy.core.function import AppliedUndef
 
 from rankone.inference.calibration.calibrated_parameters import (
     Condition,
-    Experiment,
     Parameter,
     Records,
+    SimulatedExperiment,
 )
 from rankone.inference.calibration.experiment_conditions import Settings
 from rankone.inference.estimation.fitted_models import IntegratedSolution
@@ -113,7 +113,11 @@ class ExperimentSolution(IntegratedSolution):
     """
 
     def __init__(
-        self, model: CompiledModel, experiment: Experiment, rtol: float, exact: bool = False
+        self,
+        model: CompiledModel,
+        experiment: SimulatedExperiment,
+        rtol: float,
+        exact: bool = False,
     ) -> None:
         self.model, self.experiment, self.exact = model, experiment, exact
         conditions = filter(None, (experiment.condition, experiment.before))

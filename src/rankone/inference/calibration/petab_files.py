@@ -21,12 +21,12 @@ from rankone.inference.calibration.calibrated_parameters import (
     SCALES,
     Assigned,
     Condition,
-    Experiment,
     Observable,
     Parameter,
     Prior,
     Records,
     Series,
+    SimulatedExperiment,
 )
 from rankone.inference.estimation.formulas import Formula, formula_of
 from rankone.problem.models.model import Model
@@ -341,14 +341,16 @@ def _experiment_keys(table: Any) -> list[tuple[str, str]]:
     return [*zip(before, map(str, table["simulationConditionId"]), strict=True)]
 
 
-def _experiments(table: Any, conditions: dict[str, Condition]) -> dict[tuple[str, str], Experiment]:
+def _experiments(
+    table: Any, conditions: dict[str, Condition]
+) -> dict[tuple[str, str], SimulatedExperiment]:
     return {
-        key: Experiment(conditions[key[1]], conditions[key[0]] if key[0] else None)
+        key: SimulatedExperiment(conditions[key[1]], conditions[key[0]] if key[0] else None)
         for key in dict.fromkeys(_experiment_keys(table))
     }
 
 
-def _check_sizes(model: Any, experiments: Iterable[Experiment]) -> None:
+def _check_sizes(model: Any, experiments: Iterable[SimulatedExperiment]) -> None:
     """Raise where a compartment changes after a steady state: what becomes of its contents?"""
     for compartment in model.getListOfCompartments():
         name = compartment.getId()

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from rankone.inference.calibration.calibrated_parameters import Experiment, Parameter, Records
+from rankone.inference.calibration.calibrated_parameters import (
+    Parameter,
+    Records,
+    SimulatedExperiment,
+)
 from rankone.inference.calibration.experiment_conditions import (
     Free,
     Interval,
@@ -102,7 +106,7 @@ def _interval(name: str, given: object) -> Interval:
     return tuple(given)
 
 
-def experiment_of(records: Records, name: object) -> Experiment:
+def experiment_of(records: Records, name: object) -> SimulatedExperiment:
     """The experiment of a name, or the only one."""
     by_name = {each.name: each for each in records.experiments}
     if name is None and len(by_name) == 1:
@@ -115,7 +119,7 @@ def experiment_of(records: Records, name: object) -> Experiment:
     return by_name[str(name)]
 
 
-def end_of(records: Records, experiment: Experiment) -> float:
+def end_of(records: Records, experiment: SimulatedExperiment) -> float:
     """The last finite time of a measurement in an experiment, or else in all of them."""
     position = records.experiments.index(experiment)
     times = np.concatenate([s.times[s.experiments == position] for s in records.series])
