@@ -36,8 +36,8 @@ def main() -> None:
 def _tried(file: Path, rtol: float) -> str:
     """One line of the table, after the name."""
     import rankone
-    from rankone.inference.calibration.boxes import box_around
-    from rankone.inference.calibration.objective_of_files import coordinates_of
+    from rankone.inference.calibration.calibrate import box_around
+    from rankone.inference.calibration.experiment_objective import coordinates_of
 
     problem = rankone.read_petab(file)
     estimated = [problem.parameters[name] for name in problem.estimated]

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import rankone as ro
-from rankone.inference.calibration import boxes
+from rankone.inference.calibration import calibrate as boxes
 from tests.reference.designs import WIDE
 
 TRUTH = {"k1": 0.04, "k2": 1e4, "k3": 3e7}

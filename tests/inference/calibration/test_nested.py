@@ -5,7 +5,7 @@ import pytest
 import scipy.optimize
 
 import rankone as ro
-from rankone.inference.calibration.searched import OfFiles
+from rankone.inference.calibration.trajectory_likelihood import OfFiles
 from tests.inference.calibration.conversion import (
     PARAMETERS,
     rows,

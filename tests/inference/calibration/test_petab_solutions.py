@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.inference.calibration.calibrated_parameters import Prior
+from rankone.inference.calibration.records import Prior
 from tests.inference.calibration.conversion import (
     MODEL,
     OBSERVABLES,

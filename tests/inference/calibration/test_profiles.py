@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rankone.inference.calibration.descent import Expansion
-from rankone.inference.calibration.profiles import _end
+from rankone.inference.calibration.trajectory_likelihood import _end
+from rankone.inference.estimation.least_squares import Expansion
 
 
 class Quadratic:

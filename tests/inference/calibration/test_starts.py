@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.inference.calibration.descent import Expansion
-from rankone.inference.calibration.starts import descents
+from rankone.inference.estimation.least_squares import Expansion, descents
 
 
 class Landscape:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rankone.inference.calibration.linearised import covariance_of, unidentified
+from rankone.inference.calibration.result import covariance_of, unidentified
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 
 

@@ -12,11 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from rankone.inference.calibration.boxes import box_around
-from rankone.inference.calibration.calibrated_parameters import Parameter, Records, parameter_rows
-from rankone.inference.calibration.experiment_conditions import Free, Settings
-from rankone.inference.calibration.linearised import linear_reaches
-from rankone.inference.calibration.objective_of_files import (
+from rankone.inference.calibration.calibrate import box_around
+from rankone.inference.calibration.experiment_objective import (
     ACCURACY,
     Evaluation,
     Objective,
@@ -24,11 +21,17 @@ from rankone.inference.calibration.objective_of_files import (
     coordinates_of,
 )
 from rankone.inference.calibration.petab_files import open_petab, records_of
-from rankone.inference.calibration.result import Calibration
-from rankone.inference.calibration.searched import OfFiles
-from rankone.inference.calibration.solutions import CalibrationSolutions
-from rankone.inference.calibration.solving import box_of, free_of, problem_of, solved
-from rankone.inference.calibration.starts import MOST_STARTS, descents
+from rankone.inference.calibration.records import Free, Parameter, Records, Settings, parameter_rows
+from rankone.inference.calibration.result import Calibration, linear_reaches
+from rankone.inference.calibration.solutions import (
+    CalibrationSolutions,
+    box_of,
+    free_of,
+    problem_of,
+    solved,
+)
+from rankone.inference.calibration.trajectory_likelihood import OfFiles
+from rankone.inference.estimation.least_squares import MOST_STARTS, descents
 from rankone.inference.estimation.posterior import Posterior
 from rankone.problem.problem import Problem
 from rankone.support.errors import OptionError, check_kind

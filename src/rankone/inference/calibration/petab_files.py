@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rankone.inference.calibration.calibrated_parameters import (
+from rankone.inference.calibration.records import (
     SCALES,
     Assigned,
     Condition,

@@ -1,36 +1,28 @@
 """Parameters from data, posterior distributions, designs and best values: methods of a solution.
 
-- ``candidates``: the information of measurements at candidate times, for designs
 - ``cube_distributions``: distributions in a unit cube: on cells that are halved, or as points of
   a Markov chain
 - ``design``: where to measure next: sampling times that tell the most about the parameters
-- ``doses``: doses of subjects at times of their own, from tables and as curves
 - ``estimates``: best values of a fit, its residuals, and how well the model describes the data
 - ``experiments``: what was measured under which conditions, checked against a solution
-- ``findings``: reasons not to trust a fit, and what is odd about its residuals
 - ``fit``: best values, intervals, what the data identify, and reasons not to trust it
 - ``fitted_models``: solutions, or integrated problems, at the times of data, with derivatives
 - ``formulas``: arithmetic of named quantities with derivatives, from text or symbols
 - ``free_parameters``: the free parameters, their bounds and scales, and the start of a search
 - ``identification``: which parameters, and which combinations of them, the data identify, by
-  profile likelihoods
+  profile likelihoods; where predictions jump inside intervals
 - ``intervals``: how sure the estimates of a fit are: covariance, intervals, profiles, fitted
   curves
-- ``least_squares``: minima of -2 log L in a unit cube, for many starts at once
-- ``likelihood``: the likelihood of all measurements as a function of the free parameters
+- ``least_squares``: minima of -2 log L in a unit cube, from many starts at once or one by one
+- ``likelihood``: the likelihood of all measurements as a function of the free parameters, and the
+  ranges of those that belong to no solution
 - ``minimize``: the best parameters of a box: least or largest values of unknowns, with
   constraints
-- ``minimum``: the minimum that a fit reports, and what is said of it
 - ``noise``: noise of measurements: its distribution, its standard deviation, and what a datum
   adds to a fit
-- ``objective``: objectives and constraints of a minimisation, as functions on a unit cube with
-  derivatives
 - ``observations``: measured data at times, checked and put in a row, and what was measured
 - ``posterior``: posterior distributions of parameters: by quadrature, or by a Markov chain beyond
   three
-- ``prediction_jumps``: where predictions jump inside the intervals of a fit: an event passes a
-  time of the data
-- ``ranges``: intervals of parameters that belong to no solution, and what levels of noise add
 - ``search``: parameters of solutions from data, by least squares or maximum likelihood
-- ``tables``: tables of measurements: columns by name, cut into the experiments that they hold
+- ``tables``: tables of measurements and doses: columns by name, cut into their experiments
 """

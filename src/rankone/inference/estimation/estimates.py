@@ -13,12 +13,10 @@ import scipy
 
 from rankone.inference.estimation.experiments import Trial
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.identification import Best, Identification
-from rankone.inference.estimation.likelihood import Likelihood
+from rankone.inference.estimation.identification import Best, Identification, Jump
+from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
 from rankone.inference.estimation.noise import normal_scores, terms
 from rankone.inference.estimation.observations import Observations
-from rankone.inference.estimation.prediction_jumps import Jump
-from rankone.inference.estimation.ranges import LevelUncertainty
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.doses import AFTER_ALL, Doses, Response, doses_in
 from rankone.inference.estimation.fitted_models import Model, model_of
 from rankone.inference.estimation.formulas import Dual, Operand, coordinate
 from rankone.inference.estimation.free_parameters import ParameterValues
@@ -20,7 +19,16 @@ from rankone.inference.estimation.observations import (
     label,
     observed,
 )
-from rankone.inference.estimation.tables import Block, blocks_of, columns_of, is_table
+from rankone.inference.estimation.tables import (
+    AFTER_ALL,
+    Block,
+    Doses,
+    Response,
+    blocks_of,
+    columns_of,
+    doses_in,
+    is_table,
+)
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from rankone.inference.estimation.doses import Response
+from rankone.inference.estimation.tables import Response
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Outcome, SolutionMetadata

@@ -1,15 +1,12 @@
 """Populations: parameters that differ between subjects, from data of all of them.
 
 - ``individuals``: empirical Bayes: the most probable random effects of each subject
-- ``marginal``: the marginal likelihood by Laplace's method, and its derivatives
+- ``marginal``: the marginal likelihood by Laplace's method, its derivatives and its optimum
 - ``population``: ``fit_population``: nonlinear mixed effects on a solution
 - ``population_estimates``: estimates of a population: means, spreads, subjects, and how sure they
   are
 - ``population_fit``: a fit of a population: estimates, and whether to believe them
 - ``population_layout``: what users say of a population, and the population parameters in a row
-- ``population_search``: the population parameters of largest likelihood
-- ``population_uncertainty``: how sure population parameters are: standard errors, degrees of
-  freedom, intervals
 - ``predictive_check``: visual predictive checks: quantiles of data beside those of data simulated
   from a fit
 - ``subjects``: subjects of a table, and the states of all of them at the times of their data

@@ -9,26 +9,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.doses import doses_in
 from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.free_parameters import ParameterValues
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.observations import Sigma
-from rankone.inference.estimation.tables import columns_of, is_empty, is_table
+from rankone.inference.estimation.tables import columns_of, doses_in, is_empty, is_table
 from rankone.inference.populations.individuals import EmpiricalBayes, Start
-from rankone.inference.populations.marginal import Marginal
+from rankone.inference.populations.marginal import (
+    Marginal,
+    Optimum,
+    expectation_steps,
+    minimum,
+    start_of,
+)
 from rankone.inference.populations.population_fit import PopulationFit
 from rankone.inference.populations.population_layout import (
     Correlated,
     Layout,
     covariate_columns,
     layout_of,
-)
-from rankone.inference.populations.population_search import (
-    Optimum,
-    expectation_steps,
-    minimum,
-    start_of,
 )
 from rankone.inference.populations.subjects import SUBJECT, Subjects, subjects_of
 from rankone.solution.evaluation.core import SolutionCore

@@ -10,12 +10,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.doses import Doses, DosesBySubject, Response
 from rankone.inference.estimation.experiments import Experiment, fixed_by_label, observed_in
 from rankone.inference.estimation.formulas import Dual, Formula, Operand
 from rankone.inference.estimation.noise import Noise, log_likelihood
 from rankone.inference.estimation.observations import Observations, check_levels
-from rankone.inference.estimation.tables import GROUPS, Block, blocks_of
+from rankone.inference.estimation.tables import (
+    GROUPS,
+    Block,
+    Doses,
+    DosesBySubject,
+    Response,
+    blocks_of,
+)
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.support.arrays import Array
