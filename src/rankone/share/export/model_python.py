@@ -83,7 +83,7 @@ def _imports(model: PackedModel, further: str) -> str:
     several = model.choice is not None
     imports = [
         f"from collections.abc import {'Callable, ' if several else ''}Mapping, Sequence",
-        f"from typing import Any{', NamedTuple' if several else ''}",
+        f"from typing import Any{', NamedTuple, Protocol' if several else ''}",
         further,
     ]
     # plain imports first, then by the module

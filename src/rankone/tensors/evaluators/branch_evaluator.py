@@ -15,7 +15,14 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, warn
 from rankone.support.precision import AT_ONCE, COINCIDENT
 from rankone.support.wording import quote
-from rankone.tensors.evaluators.decisions import LOOKS, Decider, Decision, Grazing, clearance, looks
+from rankone.tensors.evaluators.decisions import (
+    LOOKS,
+    Decider,
+    Decision,
+    GrazedEvent,
+    clearance,
+    looks,
+)
 from rankone.tensors.evaluators.evaluator import Rows, TrainEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import ClockEvaluator, TimelineEvaluator
 
@@ -81,7 +88,7 @@ class BranchEvaluator(ClockEvaluator):
         guards, clearances = np.split(others, [len(others) - len(self.decider.grazings)])
         return self.decider.decision(borders, guards, clearances)
 
-    def _clearance(self, grazing: Grazing, points: Array) -> Array:
+    def _clearance(self, grazing: GrazedEvent, points: Array) -> Array:
         """How far a guard stays from a fall through zero on its stretch, at points (d, N)."""
         evaluator = self.branches[grazing.branch]
         row = self._row(grazing.branch, grazing.guard)

@@ -41,9 +41,9 @@ class Decider:
 
     def __init__(
         self,
-        forks: Sequence[Fork],
+        forks: Sequence[DecidingFork],
         highest: Sequence[float],
-        grazings: Sequence[Grazing],
+        grazings: Sequence[GrazedEvent],
         width: float,
         horizon: tuple[float, float],
     ) -> None:
@@ -135,12 +135,12 @@ class Decider:
         return merged, doubtful
 
 
-def looks(grazing: Grazing) -> Array:
+def looks(grazing: GrazedEvent) -> Array:
     """The times (T,) of a branch at which its guard is looked at, in stretches."""
     return grazing.stretch + np.linspace(0.0, np.nextafter(1.0, 0.0), LOOKS)
 
 
-def clearance(grazing: Grazing, heights: Array) -> Array:
+def clearance(grazing: GrazedEvent, heights: Array) -> Array:
     """How far a guard stays from a fall through zero, (N,), by ``heights`` (T, N) at its looks.
 
     So far are the turns, by parabolas, before which it is on the same side as after them, and the
@@ -184,7 +184,7 @@ def _earlier(one: Array, other: Array, may_be_past: tuple[bool, bool]) -> Array:
 # What tells branches apart, as those who decide see it: forks, and events that are grazed.
 
 
-class Fork(Protocol):
+class DecidingFork(Protocol):
     """A fork of two branches; see :class:`rankone.trajectories.system.timeline.Fork`."""
 
     @property
@@ -205,7 +205,7 @@ class Fork(Protocol):
     def at_turn(self) -> bool: ...
 
 
-class Grazing(Protocol):
+class GrazedEvent(Protocol):
     """An event that is only grazed; see :class:`rankone.trajectories.system.timeline.Grazing`."""
 
     @property
