@@ -26,9 +26,10 @@ import sympy as sp
 
 import rankone as ro
 from rankone import plotting
+from tests.share.conformance.cases import PROBLEMS, RTOL
+from tests.share.conformance.cases import solution_of as solved
 from tests.share.export import node
 from tests.share.export.node import needs_node
-from tests.share.export.test_event_models import PROBLEMS, RTOL, solved
 from tests.share.export.test_fmu import fmpy, runs
 from tests.share.export.test_models import compiled_driver, imported, needs_compiler, run_driver
 

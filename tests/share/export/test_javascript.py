@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 import shutil
 import subprocess
@@ -16,10 +15,8 @@ import sympy as sp
 import rankone as ro
 import rankone.share.export
 from tests.problems import EXAMPLES
-from tests.share.export.node import close, needs_node, run_driver, script
+from tests.share.export.node import needs_node, script
 from tests.share.export.solutions import (
-    border_points,
-    points,
     solved,
     synthetic,
     synthetic_with_breaks,
@@ -36,75 +33,6 @@ SOLUTIONS = {
     "unequal": synthetic_with_breaks,
     "scaled": synthetic_with_scales,
 }
-
-
-@needs_node
-@pytest.mark.parametrize("name", SOLUTIONS)
-def test_agrees(name, tmp_path):
-    """Values and derivatives at random points, the ends of all slabs among them."""
-    solution = SOLUTIONS[name]()
-    solution.export(tmp_path / "model.mjs")
-    where = points(solution, COUNT)
-    values, batch, slopes, rates = run_driver(tmp_path, solution, where)
-    wanted = solution(where)
-    assert close(values, wanted, 1e-12)
-    np.testing.assert_array_equal(batch, values)
-    assert close(rates, solution.diff(solution.metadata.time)(where), 1e-12)
-    # where an unknown hardly depends on a parameter, its derivative is rounding
-    widths = np.diff([*solution.parameters.values()])
-    size = np.abs(wanted).max(axis=1)[:, None, None] / widths
-    gradient = solution.gradient(where)
-    size = np.maximum(np.abs(gradient).max(axis=2, keepdims=True), size)
-    assert np.all(np.abs(slopes - gradient) <= 1e-12 * size)
-
-
-@needs_node
-@pytest.mark.parametrize("name", ["decay", "kirchhoff", "unequal"])
-def test_the_same_bits_without_webassembly(name, tmp_path):
-    solution = SOLUTIONS[name]()
-    solution.export(tmp_path / "model.mjs")
-    where = points(solution, 200)
-    fast = run_driver(tmp_path, solution, where)
-    for ours, theirs in zip(fast, run_driver(tmp_path, solution, where, "plain")):
-        np.testing.assert_array_equal(ours, theirs)
-
-
-@needs_node
-def test_on_breaks(tmp_path):
-    """A break belongs to the later element."""
-    solution = synthetic_with_breaks()
-    solution.export(tmp_path / "model.mjs")
-    where = border_points(solution)
-    values, *_ = run_driver(tmp_path, solution, where)
-    np.testing.assert_allclose(values, solution(where), rtol=1e-11, atol=1e-11)
-
-
-CURVE = """
-const p = {example};
-const times = {times};
-const out = new Float64Array({size});
-const same = m.curve(p, times, out) === out;
-const one = m.curve(p, Float64Array.from(times));
-console.log(JSON.stringify([same, Array.from(out), Array.from(one)]));
-"""
-
-
-@needs_node
-@pytest.mark.parametrize("name", ["lotka_volterra", "kirchhoff", "unequal", "scaled"])
-def test_curve(name, tmp_path):
-    """Times in any order, over slabs that share the cores of their parameters and others."""
-    solution = SOLUTIONS[name]()
-    solution.export(tmp_path / "model.mjs")
-    start, end = solution.time
-    times = np.random.default_rng(1).permutation(np.linspace(start, end, 60))
-    p = {key: lower + 0.3 * (upper - lower) for key, (lower, upper) in solution.parameters.items()}
-    size = times.size * len(solution.unknowns)
-    text = CURVE.replace("{example}", json.dumps(p)).replace("{size}", str(size))
-    same, first, second = script(tmp_path, text.replace("{times}", json.dumps(times.tolist())))
-    wanted = solution(times, p)
-    assert same
-    assert first == second
-    assert close(np.reshape(first, wanted.shape), wanted, 1e-12)
 
 
 @needs_assembler

@@ -335,16 +335,6 @@ def test_paths(tmp_path):
 # --- types -------------------------------------------------------------------------------------
 
 
-@needs_node
-def test_declarations_name_all_exports(tmp_path):
-    solved("decay").export(tmp_path / "model.mjs")
-    exports = script(tmp_path, "console.log(JSON.stringify(Object.keys(m)));")
-    declared = re.findall(
-        r"^export (?:const|class|function) (\w+)", (tmp_path / "model.d.mts").read_text(), re.M
-    )
-    assert set(declared) == set(exports)
-
-
 USE = """
 declare const console: { log(...values: unknown[]): void };
 import * as m from "./model.mjs";

@@ -1,4 +1,4 @@
-"""Pages of solutions with events: sliders move the events, and curves break where values jump."""
+"""Pages of solutions with events: sliders move the events and change their order, curves break."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ import pytest
 
 import rankone as ro
 from rankone.tensors.bases.coordinates import round_off
+from tests.share.conformance.cases import solution_of
+from tests.share.conformance.test_conformance import assert_close
 from tests.share.export.browser import NoBrowserError, browser, settle
 from tests.share.export.node import needs_node, script
-from tests.share.export.test_event_models import assert_close, solved
 from tests.share.export.test_explorer import ACCENT, STROKES
 
 VALUES = Path(ro.__file__).parent / "share" / "export" / "explorer" / "values.js"
 FIXED = {"ball": {"c": 0.05, "e": 0.8}, "dose": {"k": 0.3, "span": 2.0}, "rocket": {"d": 100.0}}
+BRANCHED = {"washed": {"a": 2.0, "k": 0.4}, "kicked": {"c": 1.0}}
 
 
 @cache
 def shown(name):
     """A solution with one parameter, which has no Sobol indices: they take long."""
-    return solved(name).fix(FIXED[name])
+    return solution_of(name).fix((FIXED | BRANCHED)[name])
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
-    return {name: shown(name).explore(folder / f"{name}.html") for name in FIXED}
+    return cache(lambda name: shown(name).explore(folder / f"{name}.html"))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,7 @@ def data_of(page):
     "name", [pytest.param(n, marks=pytest.mark.slow if n == "ball" else ()) for n in FIXED]
 )
 def test_what_is_written(name, pages):
-    solution, data = shown(name), data_of(pages[name])
+    solution, data = shown(name), data_of(pages(name))
     (stretches,) = data["stretches"]
     assert len(stretches) == solution.timeline.stretches
     assert all(shares[0] == 0.0 for shares in stretches)
@@ -75,7 +77,7 @@ def test_what_is_written(name, pages):
         )
         room = 1e-2 * (upper - lower)
         assert lower - room <= np.nanmin(curves) <= np.nanmax(curves) <= upper + room
-    text = pages[name].read_text()
+    text = pages(name).read_text()
     assert "Times of events are met to" in text
     assert "Sobol indices are from points" not in text
     assert ("bands are those of the others" in text) == solution.timeline.terminal
@@ -83,7 +85,7 @@ def test_what_is_written(name, pages):
 
 
 def test_bands_end_when_nothing_runs(pages):
-    data = data_of(pages["rocket"])
+    data = data_of(pages("rocket"))
     solution = shown("rocket")
     last = solution.end(f=np.linspace(*solution.parameters["f"], 101)).max()
     for unknown in data["unknowns"]:
@@ -108,7 +110,7 @@ def test_events_at_one_time_have_both_sides_in_the_bands(tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error", "ignore:statistics have settled")
 def test_sobol_indices_are_there_while_all_run(tmp_path):
-    solution = solved("rocket")
+    solution = solution_of("rocket")
     page = solution.explore(tmp_path / "page.html")
     assert "Sobol indices are from points" in page.read_text()
     sobol = data_of(page)["sobol"]
@@ -146,7 +148,7 @@ def test_times_of_curves(tmp_path):
 def test_sliders_move_the_events(name, pages, chromium):
     """Curves, values, times of events and the end are those of the solution."""
     solution, at = shown(name), moved(name)
-    with chromium.open(pages[name]) as page:
+    with chromium.open(pages(name)) as page:
         first = page.evaluate("rankone.values()")
         page.evaluate("(at) => rankone.set(at)", {**at, "t": 0.4 * solution.time[1]})
         settle(page)
@@ -212,7 +214,7 @@ LINES = """async () => {
 )
 def test_lines_break_where_values_jump_and_end_where_time_does(name, pieces, pages, chromium):
     unknowns = shown(name).unknowns
-    with chromium.open(pages[name]) as page:
+    with chromium.open(pages(name)) as page:
         page.locator("[data-together=false]").click()
         settle(page)
         lines = page.evaluate(LINES)
@@ -229,7 +231,7 @@ def test_lines_break_where_values_jump_and_end_where_time_does(name, pieces, pag
 
 def test_ticks_and_times_of_events(pages, chromium):
     solution = shown("ball")
-    with chromium.open(pages["ball"]) as page:
+    with chromium.open(pages("ball")) as page:
         for at in ({"h": 0.8}, {"h": 1.2}):
             page.evaluate("(at) => rankone.set(at)", at)
             settle(page)
@@ -258,7 +260,7 @@ def test_ticks_and_times_of_events(pages, chromium):
 def test_after_the_end_there_is_nothing(pages, chromium):
     solution = shown("rocket")
     end = float(solution.end(f=3200.0))
-    with chromium.open(pages["rocket"]) as page:
+    with chromium.open(pages("rocket")) as page:
         page.evaluate("(t) => rankone.set({ f: 3200, t })", end + 0.1)
         settle(page)
         found = page.evaluate("rankone.values()")
@@ -273,7 +275,7 @@ def test_after_the_end_there_is_nothing(pages, chromium):
 
 
 def test_jumps_are_dashed_in_the_phase_plot(pages, chromium):
-    with chromium.open(pages["ball"]) as page:
+    with chromium.open(pages("ball")) as page:
         page.evaluate("rankone.set({ t: 1.4 })")
         settle(page)
         strokes = page.evaluate(STROKES)
@@ -281,3 +283,81 @@ def test_jumps_are_dashed_in_the_phase_plot(pages, chromium):
     solid = [stroke for stroke in strokes if not stroke["dashed"]]
     assert max(stroke["longest"] for stroke in solid) < 40
     assert sum(stroke["dashed"] for stroke in strokes) == 4  # two bounces, drawn weak and strong
+
+
+# --- orders that change ------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_written_of_branches(pages):
+    for name in BRANCHED:
+        data, timeline = data_of(pages(name)), shown(name).timeline
+        assert [len(each) for each in data["stretches"]] == [b.stretches for b in timeline.branches]
+        assert all(np.isfinite(np.array(u["low"], dtype=float)).all() for u in data["unknowns"])
+        assert "curves that depend on it have a gap" in " ".join(pages(name).read_text().split())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error", "ignore:statistics have settled")
+def test_sobol_indices_go_across_orders(tmp_path):
+    data = data_of(solution_of("kicked").explore(tmp_path / "page.html", rtol=1e-2))
+    shares = np.array(data["sobol"]["first"], dtype=float)
+    assert np.nanmax(np.abs(shares)) <= 1.05
+
+
+def test_curves_on_both_sides_of_a_change(pages, chromium):
+    """Curves, values and times of events are those of the solution."""
+    solution = shown("washed")
+    rounding = round_off(*solution.time)
+    with chromium.open(pages("washed")) as page:
+        for b in (1.7, 2.4):
+            page.evaluate("(b) => rankone.set({ b, t: 5 })", b)
+            settle(page)
+            said = page.evaluate("rankone.values()")
+            wanted = {name: float(solution.event_times(name, b=b)[0]) for name in ("dose", "wash")}
+            order = sorted(wanted, key=wanted.get)
+            assert [event["names"] for event in said["events"]] == [[name] for name in order]
+            times = [event["time"] for event in said["events"]]
+            np.testing.assert_allclose(times, sorted(wanted.values()), rtol=1e-12)
+            assert said["values"]["x"] == pytest.approx(float(solution["x"](5.0, b=b)), rel=1e-12)
+            at = np.array(said["times"])
+            apart = np.abs(at[:, None] - times).min(axis=1) > 1e-9
+            curve = np.array(said["curves"]["x"], dtype=float)[apart]
+            assert_close(curve, solution["x"](at[apart], b=b))
+            for time in times:  # both sides of a jump are drawn
+                before = time - at[at < time].max()
+                assert time in at
+                assert rounding < before < 5.0 * rounding
+
+
+def test_a_curve_has_a_gap_where_the_order_is_undecided(pages, chromium):
+    solution = shown("washed")
+    with chromium.open(pages("washed")) as page:
+        page.evaluate("rankone.set({ b: 2, t: 5 })")
+        settle(page)
+        said = page.evaluate("rankone.values()")
+        assert page.locator("#legend .value").all_inner_texts() == ["–"]
+        table = list(csv.DictReader(io.StringIO(page.evaluate("rankone.table()"))))
+    times, curve = np.array(said["times"]), np.array(said["curves"]["x"], dtype=float)
+    with pytest.warns(ro.RankoneWarning):
+        wanted = solution({"t": times, "b": 2.0})[0]
+    inside = np.abs(times - 2.0) > 1e-9
+    assert_close(curve[inside], wanted[inside])
+    assert np.isnan(curve[times > 2.01]).all()
+    assert np.isfinite(curve[times < 1.99]).all()
+    assert len(table) == np.isfinite(curve).sum()
+    assert all(np.isfinite(float(row["x"])) for row in table)
+
+
+def test_an_event_that_is_just_missed_has_no_time(pages, chromium):
+    with chromium.open(pages("kicked")) as page:
+        texts = []
+        for a in (0.9, 1.0001, 1.2):
+            page.evaluate("(a) => rankone.set({ a, t: 1 })", a)
+            settle(page)
+            texts += page.locator("#events .when").all_inner_texts()
+            said = page.evaluate("rankone.values()")
+            assert np.isfinite(said["curves"]["x"][1])  # before the event it is known
+    missed, unknown, met = texts
+    assert (missed, unknown) == ("does not happen", "not known here")
+    assert float(met) == pytest.approx(np.arcsin(1.0 / 1.2), abs=1e-3)

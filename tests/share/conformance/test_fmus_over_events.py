@@ -1,45 +1,26 @@
-"""FMUs of solutions with events: steps over them, and the end at a terminal one."""
+"""FMUs of solutions with events: steps over them, the end at a terminal one, unknown orders."""
 
 from __future__ import annotations
 
 import re
 import zipfile
-from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from tests.share.export.test_event_models import solved
+from tests.share.conformance.cases import solution_of
 from tests.share.export.test_fmu import both, compile_strictly, fmpy, runs
 
 if fmpy is not None:
     from fmpy.fmi1 import FMICallException
     from fmpy.model_description import CoSimulation
-    from fmpy.validation import validate_fmu
 
     from tests.share.export.fmu_slaves import slave
 
 BALL = {"h": 1.0, "c": 0.05, "e": 0.8}
 ROCKET = {"f": 3000.0, "d": 105.0}  # is back before the horizon ends
-
-
-def archives(solved, tmp_path_factory):
-    """Makes the file of a solution for a version of FMI, and the folder that it is extracted to."""
-
-    @cache
-    def made(name, fmi):
-        folder = tmp_path_factory.mktemp("fmu")
-        path = solved(name).export(folder / "model.fmu", fmi=fmi)
-        zipfile.ZipFile(path).extractall(folder / "inside")
-        return path, folder / "inside"
-
-    return made
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory):
-    return archives(solved, tmp_path_factory)
+UNKNOWN = "it is not known which order of events holds"
 
 
 def _knows_early_returns():
@@ -48,11 +29,11 @@ def _knows_early_returns():
 
 
 @runs
-@both
-def test_steps_over_events(fmi, archive):
-    path, folder = archive("ball", fmi)
-    assert validate_fmu(str(path)) == []
-    solution = solved("ball")
+@pytest.mark.parametrize("fmi", ["2.0", pytest.param("3.0", marks=pytest.mark.slow)])
+def test_steps_over_events(fmi, models):
+    folder = models.fmu("ball", fmi)
+    path = folder.parent / "model.fmu"
+    solution = solution_of("ball")
     found = fmpy.simulate_fmu(str(path), start_values=BALL, output_interval=0.05)
     np.testing.assert_allclose(found["time"][-1], 1.6)
     for name in ("y", "v"):
@@ -67,11 +48,11 @@ def test_steps_over_events(fmi, archive):
 
 @runs
 @both
-def test_the_end_at_a_terminal_event(fmi, archive):
+def test_the_end_at_a_terminal_event(fmi, models):
     """Steps beyond it stop there: FMI 2.0 discards them, FMI 3.0 takes them as they are."""
-    path, folder = archive("rocket", fmi)
-    assert validate_fmu(str(path)) == []
-    solution = solved("rocket")
+    folder = models.fmu("rocket", fmi)
+    path = folder.parent / "model.fmu"
+    solution = solution_of("rocket")
     (end,) = solution.event_times("ground", ROCKET)
     landed = solution(end - 1e-9, ROCKET)
     with slave(folder, **ROCKET) as one:
@@ -117,12 +98,13 @@ def _may_return_early(path):
 
 
 @runs
-def test_early_return_at_the_end(archive):
+def test_early_return_at_the_end(models):
     """Allowed or not, a step beyond the end stops there, and the next may begin at either time."""
-    path, folder = archive("rocket", "3.0")
+    folder = models.fmu("rocket", "3.0")
+    path = folder.parent / "model.fmu"
     assert _may_return_early(path)
-    assert not _may_return_early(archive("ball", "3.0")[0])
-    (end,) = solved("rocket").event_times("ground", ROCKET)
+    assert not _may_return_early(models.exported("washed", ".fmu", fmi="3.0"))
+    (end,) = solution_of("rocket").event_times("ground", ROCKET)
     for early in (False, True):
         with slave(folder, early=early, **ROCKET) as one:
             one.step(0.0, end - 0.1)
@@ -148,7 +130,49 @@ def test_early_return_at_the_end(archive):
 
 
 @runs
+@pytest.mark.parametrize("fmi", [pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
+def test_steps_on_both_sides_of_a_change(fmi, models):
+    path = models.fmu("washed", fmi).parent / "model.fmu"
+    solution = solution_of("washed")
+    for b in (1.7, 2.43):
+        at = {"a": 2.02, "b": b, "k": 0.4}
+        found = fmpy.simulate_fmu(str(path), start_values=at, output_interval=0.05)
+        np.testing.assert_allclose(found["time"][-1], 6.0)
+        apart = np.abs(found["time"][:, None] - [2.02, b]).min(axis=1) > 1e-9
+        wanted = solution["x"](found["time"][apart], at)
+        np.testing.assert_allclose(found["x"][apart], wanted, atol=1e-9)
+
+
+@runs
+@pytest.mark.parametrize("fmi", [pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
+def test_a_step_to_where_the_order_is_unknown_is_discarded(fmi, models):
+    folder = models.fmu("washed", fmi)
+    with slave(folder, a=2.0, b=2.0, k=0.4) as one:
+        one.step(0.0, 1.5)
+        before = one.get("x")
+        np.testing.assert_allclose(before, np.exp(-0.6), rtol=1e-3)
+        with pytest.raises(FMICallException) as caught:
+            one.step(1.5, 1.0)
+        assert caught.value.status == 2
+        assert UNKNOWN in one.messages[-1]
+        assert one.get("x", "t") == [*before, 1.5]
+        one.step(1.5, 0.25)  # a shorter one is possible
+        one.set(b=2.3)
+        one.step(1.75, 1.0)
+        wanted = solution_of("washed")["x"](2.75, a=2.0, b=2.3, k=0.4)
+        np.testing.assert_allclose(one.get("x"), wanted, rtol=1e-9)
+        one.set(b=2.0)
+        with pytest.raises(FMICallException):
+            one.get("x")
+        assert UNKNOWN in one.messages[-1]
+
+
+@runs
 @both
-def test_strict_c(fmi, archive, tmp_path):
-    _, folder = archive("rocket", fmi)
-    compile_strictly(folder / "sources", "-O2", "-o", str(tmp_path / "library"))
+@pytest.mark.parametrize(
+    "name",
+    ["rocket", *(pytest.param(n, marks=pytest.mark.slow) for n in ("washed", "kicked", "sliver"))],
+)
+def test_strict_c(name, fmi, models, tmp_path):
+    folder = models.fmu(name, fmi)
+    compile_strictly(folder / "sources", "-O1", "-o", str(tmp_path / "library"))
