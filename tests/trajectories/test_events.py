@@ -7,7 +7,7 @@ import sympy as sp
 import rankone as ro
 from rankone.support.budget import OutOfWorkError, limited
 from rankone.trajectories.events.event_integration import integrate_to_events
-from rankone.trajectories.events.instants import MOST_ROUNDS
+from rankone.trajectories.events.event_trajectory import MOST_ROUNDS
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import span_integrator_for
 from rankone.trajectories.system.events import SystemEvent

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.trajectories.integrators.roots import roots, roots_or_jumps
+from rankone.trajectories.integrators.defects import roots, roots_or_jumps
 
 
 def test_roots_are_found_in_few_evaluations():

@@ -38,8 +38,8 @@ from rankone.support.errors import EvaluationError, OptionError, ProblemError, S
 from rankone.support.wording import listing, quote
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.events.stretches import fixed_times, in_stretches
-from rankone.trajectories.integrators.coarse import coarse_states
-from rankone.trajectories.steady.resting_start import RestingStart
+from rankone.trajectories.integrators.diagnosis import coarse_states
+from rankone.trajectories.steady.bifurcations import RestingStart
 from rankone.trajectories.system.events import Ending
 from rankone.trajectories.system.system import Box, Clock, System
 

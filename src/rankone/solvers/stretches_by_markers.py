@@ -19,11 +19,11 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, looking, memory_left, work_left
 from rankone.trajectories.events.event_order import OrderError, event_order
 from rankone.trajectories.events.event_trajectory import EventTrajectory
-from rankone.trajectories.events.late_fronts import late_front
 from rankone.trajectories.events.markers import (
     SCOUTS,
     ForeseenMarks,
     chosen_markers,
+    late_front,
     may_pay,
     swings_of,
     with_order,

@@ -31,7 +31,7 @@ from rankone.support.errors import OptionError, ProblemError
 from rankone.support.precision import EPSILON, SEED
 from rankone.support.wording import quote
 from rankone.tensors.bases.coordinates import name_of
-from rankone.trajectories.steady.resting_start import before_start
+from rankone.trajectories.steady.bifurcations import before_start
 from rankone.trajectories.system.system import System, pattern_of
 
 POINTS = 20

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import quote
-from rankone.trajectories.steady.resting_start import started
+from rankone.trajectories.steady.bifurcations import started
 from rankone.trajectories.system.system import System, UserFunction, system_of
 
 Answer = TypeVar("Answer")

@@ -36,7 +36,7 @@ from rankone.solvers.ways import Engine
 from rankone.support import __version__, errors
 from rankone.support.errors import ExportError
 
-_RESTING = "rankone.trajectories.steady.resting_start"
+_RESTING = "rankone.trajectories.steady.bifurcations"
 _HELD = "rankone.held"  # The module of the system with the sides of its switches as states
 
 

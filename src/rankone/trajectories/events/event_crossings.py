@@ -13,9 +13,14 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
-from rankone.trajectories.events.instants import LOOK_COST, SAME_INSTANT, heights_of, roundings_of
+from rankone.trajectories.events.event_trajectory import (
+    LOOK_COST,
+    SAME_INSTANT,
+    heights_of,
+    roundings_of,
+)
+from rankone.trajectories.integrators.defects import roots_or_jumps
 from rankone.trajectories.integrators.integrator import NODES, Path, step_coefficients
-from rankone.trajectories.integrators.roots import roots_or_jumps
 from rankone.trajectories.system.events import BOTH, SystemEvent
 from rankone.trajectories.system.system import System
 

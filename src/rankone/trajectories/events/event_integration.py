@@ -19,8 +19,7 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.trajectories.events.event_crossings import Crossings
-from rankone.trajectories.events.event_trajectory import EventTrajectory
-from rankone.trajectories.events.instants import SAME_INSTANT, Instants
+from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory, Instants
 from rankone.trajectories.integrators.integrator import (
     NODES,
     Path,

@@ -22,11 +22,12 @@ from rankone.trajectories.events.stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
     Paths,
+    SeparateRun,
     SpanIntegrator,
     Spans,
     Tolerances,
+    share_paths,
 )
-from rankone.trajectories.integrators.shares import SeparateRun, share_paths
 from rankone.trajectories.system.events import Clearance, Ending, ForcedOrder, Guard, Turn
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES

@@ -21,8 +21,9 @@ from rankone.trajectories.integrators.integrator import (
     SpanIntegrator,
     Spans,
     Tolerances,
+    part_by_part,
+    paths_over_shares,
 )
-from rankone.trajectories.integrators.shares import part_by_part, paths_over_shares
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.integrators.workers import GroupedStacks, SinglesOnWorkers, Workers
 from rankone.trajectories.stacks.newton import sparse_pattern

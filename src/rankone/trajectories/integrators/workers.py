@@ -39,9 +39,8 @@ from rankone.support.tasks import (
     packed,
     unpacked,
 )
-from rankone.trajectories.integrators.dense_paths import SingleTrajectories
 from rankone.trajectories.integrators.integrator import Path, SampledTrajectories, Spans, Tolerances
-from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.integrators.single import SingleIntegrator, SingleTrajectories
 from rankone.trajectories.stacks.explicit import Piece
 from rankone.trajectories.stacks.stack import StackedIntegrator, StackedTrajectories
 from rankone.trajectories.system.system import ModuleSpecification, System

@@ -30,8 +30,8 @@ from rankone.trajectories.integrators.integrator import (
     SampledTrajectories,
     Spans,
     Tolerances,
+    paths_over_shares,
 )
-from rankone.trajectories.integrators.shares import paths_over_shares
 from rankone.trajectories.stacks.explicit import Piece, Rates, StackedDOP853, Stepper
 from rankone.trajectories.stacks.implicit import StackedRadau
 from rankone.trajectories.stacks.kinks import Kinks

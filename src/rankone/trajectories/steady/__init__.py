@@ -1,7 +1,6 @@
 """Steady states that trajectories reach, and starts at them.
 
-- ``bifurcations``: branches of steady states, and where they end or turn unstable
+- ``bifurcations``: branches of steady states, where they end or turn unstable, and starts that
+  are steady states
 - ``rest``: steady states made exact by Newton's method, and the sums that no rate changes
-- ``resting_start``: starts at the steady state of other conditions: the initial values of a
-  system that has one
 """

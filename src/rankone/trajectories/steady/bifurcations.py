@@ -1,4 +1,4 @@
-"""Branches of steady states, and where they end or turn unstable.
+"""Branches of steady states and where they change, and starts that are steady states.
 
 It is continued from the centre along straight lines by Newton's method. Where that fails, or meets
 a state that is hardly stable, the line is followed with care and its bifurcation named. Where the
@@ -11,15 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
-from rankone.support.errors import ConvergenceError
+from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.trajectories.steady.rest import SteadyStates
+from rankone.trajectories.system.constraints import Constraints
+from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.system import Rest, System
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
 _MOST_NEWTON_STEPS = 15  # For each of them
@@ -433,3 +436,71 @@ def _cubic(a: _At, b: _At, length: float, share: float) -> tuple[Array, Array]:
     slope = 6.0 * s * (1.0 - s) * rise / h
     slope += (1.0 - s) * (1.0 - 3.0 * s) * a.tangent + s * (3.0 * s - 2.0) * b.tangent
     return value, slope / np.linalg.norm(slope)
+
+
+# -----------------------------------------------------------------------------
+# Starts at the steady state of other conditions: the initial values of a system that has one.
+#
+# They are found by trajectories under these conditions at every parameter point, and kept.
+
+
+_SUBJECT = "the start is a steady state"
+_OTHERWISE = "; or change `conditions` or `start` of SteadyState"
+
+
+class RestingStart:
+    """The states at which trajectories start, as a function of the parameters."""
+
+    def __init__(self, system: System, rest: Rest) -> None:
+        self.time, self.after = system.horizon[0], rest.after
+        before = before_start(system, rest)
+        self.steady = SteadyStates(before, *rest.settle, stable_only=True)
+
+    def __call__(self, p: VectorLike) -> Array:
+        """The states (n, m) at parameters p (d, m); a ConvergenceError if there are none."""
+        try:
+            states = self.steady(p)
+        except (ConvergenceError, BlowUpError) as error:
+            message = f"{_SUBJECT}: under its conditions {error.message}"
+            raise ConvergenceError(message, remedy=f"{error.remedy}{_OTHERWISE}") from None
+        return states if self.after is None else self.after(self.time, states, np.asarray(p))
+
+    def check(self, points: Array) -> None:
+        """Raise a ConvergenceError unless the starts at points (m, d) are on one branch."""
+        try:
+            check_one_branch(self.steady, points)
+        except (ConvergenceError, BlowUpError) as error:
+            message, remedy = f"{_SUBJECT}: {error.message}", f"{error.remedy}{_OTHERWISE}"
+            raise ConvergenceError(message, remedy=remedy, bifurcation=error.bifurcation) from None
+
+
+def before_start(system: System, rest: Rest) -> System:
+    """The system before the start of a system, over the longest time that it may take."""
+    n = system.n_differential - system.n_lifted - system.n_sides
+    start = system.horizon[0]
+    return replace(
+        system.starting_at(rest.initial),
+        separated=False,
+        states=system.states[:n],
+        n_differential=n,
+        n_lifted=0,
+        n_sides=0,
+        products=(),
+        horizon=(start, start + rest.settle[1]),
+        terms=(),
+        rhs=rest.rhs,
+        jacobian=rest.jacobian,
+        features=Features(((),) * (1 + len(system.box)), ((),) * (1 + len(system.box))),
+        jumps=Jumps(),
+        events=(),
+        constraints=Constraints(),
+        held=None,
+        specification=None,
+    )
+
+
+def started(system: System) -> System:
+    """The system with its start, where that is a steady state."""
+    if system.rest is None:
+        return system
+    return replace(system, at_rest=RestingStart(system, system.rest))

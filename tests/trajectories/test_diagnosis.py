@@ -4,7 +4,7 @@ import numpy as np
 import sympy as sp
 
 import rankone as ro
-from rankone.trajectories.integrators.coarse import coarse_states
+from rankone.trajectories.integrators.diagnosis import coarse_states
 
 t, k = sp.symbols("t k")
 x, y = sp.Function("x")(t), sp.Function("y")(t)

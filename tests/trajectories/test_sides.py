@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.trajectories.events.sides import on_sides
-from rankone.trajectories.integrators.known_states import of_known_states
+from rankone.trajectories.events.sides import of_known_states, on_sides
 
 POINTS = 20
 

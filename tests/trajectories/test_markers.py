@@ -6,7 +6,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.request import Domain
 from rankone.solvers.stretches_by_markers import pilots
-from rankone.trajectories.events.late_fronts import late_front
+from rankone.trajectories.events.markers import late_front
 from rankone.trajectories.integrators.integrator import Spans
 from rankone.trajectories.integrators.integrator_choice import span_integrator_for
 from rankone.trajectories.system.events import Ending
