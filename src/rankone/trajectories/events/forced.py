@@ -7,7 +7,7 @@ integrated backwards. So the trajectories depend smoothly on the parameters over
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -19,6 +19,7 @@ from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.events.sides import on_sides
 from rankone.trajectories.events.stretches import PseudoTimeTrajectories
+from rankone.trajectories.integrators.defects import roots
 from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
     Paths,
@@ -35,8 +36,6 @@ from rankone.trajectories.system.timeline import CLOCK_STATES
 _LOOKS = 65  # Places at which a root is looked for
 _WIDER = (1.0, 4.0)  # Factors on the distance up to which it is looked for
 _FINER = 3  # Looks at a turn, each between the neighbours of the highest place before
-_REFINEMENTS = 60  # Most steps towards a root
-_EXACT = 4e-16  # Width of the interval of a root, over its ends, that rounding makes
 _AT_ROOT = 1e-7  # Height at the beginning, over the largest one, where a stretch begins at a root
 _MOST_FADED = 20.0  # Logarithm of the factor by which a surface that was moved comes back
 _NOT_FINITE = "runs to where its rates are not finite"
@@ -449,11 +448,11 @@ class _Follower:
             low = np.minimum(low, np.minimum(at_turn - factor * turn.margin, 0.0))
             never = np.zeros(times.shape, dtype=bool)
             between = low, at_turn
-            roots = _nearest_roots(flow, turn.event, between, at_turn, never, _Move(by))
-            if np.isfinite(roots).all():
+            elapsed = _nearest_roots(flow, turn.event, between, at_turn, never, _Move(by))
+            if np.isfinite(elapsed).all():
                 moved.update({(k, sides): _Move(scale * by) for k, sides, scale in turn.surface})
-                return flow, roots
-        self._raise(~np.isfinite(roots), f"does not come to event {quote(event.name)}", i)
+                return flow, elapsed
+        self._raise(~np.isfinite(elapsed), f"does not come to event {quote(event.name)}", i)
         raise AssertionError
 
     def _paths(
@@ -494,13 +493,13 @@ class _Follower:
             to = np.maximum(high, 0.0), np.minimum(low, 0.0)
             flow = self._flow(i, times, states, *to, whole=False)
             between = np.maximum(low, flow.first), np.minimum(high, flow.last)
-            roots = _nearest_roots(flow, event, between, expected, at_root, moved)
-            if np.isfinite(roots).all():
-                return flow, roots
+            elapsed = _nearest_roots(flow, event, between, expected, at_root, moved)
+            if np.isfinite(elapsed).all():
+                return flow, elapsed
         ended = (low < flow.first) | (flow.last < high)
-        self._raise(~np.isfinite(roots) & ended, _NOT_FINITE, i)
+        self._raise(~np.isfinite(elapsed) & ended, _NOT_FINITE, i)
         name = quote(self.clock.system.events[event].name)
-        self._raise(~np.isfinite(roots), f"does not come to event {name}", i)
+        self._raise(~np.isfinite(elapsed), f"does not come to event {name}", i)
         raise AssertionError
 
     def _raise(self, fails: NDArray[np.bool_], what: str, missed: int | None = None) -> None:
@@ -566,9 +565,11 @@ def _nearest_roots(
         heights = flow.heights(event, at[:, None], moved)
         return _deflated(heights, at[:, None], deflated)[:, 0]
 
-    a, b = elapsed[rows, chosen], elapsed[rows, chosen + 1]
-    roots = _refined(height, a, b, heights[rows, chosen], heights[rows, chosen + 1], flow.starts)
-    return np.where(exists, roots, np.nan)
+    begin = elapsed[rows, chosen]
+    length = elapsed[rows, chosen + 1] - begin
+    ends = (np.where(exists, heights[rows, chosen + k], 0.0) for k in (0, 1))
+    shares = roots(lambda share: height(begin + share * length), *ends)
+    return np.where(exists, begin + shares * length, np.nan)
 
 
 def _nearest_turns(
@@ -609,24 +610,3 @@ def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Ar
     with np.errstate(over="ignore"):  # where it is not deflated
         divided = heights / np.where(elapsed == 0.0, 1e-300, elapsed)
     return np.where(deflated[:, None], divided, heights)
-
-
-def _refined(
-    height: Callable[[Array], Array], a: Array, b: Array, at_a: Array, at_b: Array, starts: Array
-) -> Array:
-    """Roots between a and b (m,), where heights have opposite signs.
-
-    By the Illinois method (Dowell & Jarratt, BIT 11 (1971), 168).
-    """
-    for _ in range(_REFINEMENTS):
-        width = np.abs(b - a)
-        done = (width <= _EXACT * (np.abs(starts) + np.abs(a))) | (at_b == 0.0)
-        if done.all():
-            break
-        step = np.where(at_b == at_a, 0.5, at_b / np.where(at_b == at_a, 1.0, at_b - at_a))
-        at = np.where(done, b, b - step * (b - a))
-        now = np.where(done, at_b, height(at))
-        turned = np.sign(now) != np.sign(at_b)
-        a, at_a = np.where(turned, b, a), np.where(turned, at_b, 0.5 * at_a)
-        b, at_b = at, now
-    return b

@@ -15,15 +15,8 @@ from scipy.spatial.distance import cdist
 
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
+from rankone.trajectories.events import event_order
 from rankone.trajectories.events.event_integration import integrate_to_events
-from rankone.trajectories.events.event_order import (
-    REMEDY,
-    SAME_INSTANT,
-    OrderError,
-    end_error,
-    instants_of,
-    sides_of,
-)
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.forced import (
     ContinuationError,
@@ -78,11 +71,11 @@ class Order:
     @classmethod
     def of(cls, system: System, trajectory: EventTrajectory, length: float) -> Order:
         """The order of a trajectory over a horizon of some length."""
-        instants = instants_of(trajectory, length)
+        instants = event_order.instants_of(trajectory, length)
         met = tuple(tuple(each.event for each in instant) for instant in instants)
         terminal = bool(met) and any(system.events[k].terminal for k in met[-1])
         stretches = len(met) + (not terminal)
-        sides = sides_of(system, trajectory, stretches, length)
+        sides = event_order.sides_of(system, trajectory, stretches, length)
         return cls(met, sides, terminal, (0,) * len(met))
 
     @property
@@ -310,11 +303,11 @@ class OrderSearch:
         """Raise an OrderError for a trajectory that ends although nothing ends it."""
         events, occurrences = self.system.events, trajectory.occurrences
         terminal = bool(occurrences) and events[occurrences[-1].event].terminal
-        early = trajectory.end < self.horizon[1] - SAME_INSTANT * self.length
+        early = trajectory.end < self.horizon[1] - event_order.SAME_INSTANT * self.length
         if terminal or not (early or trajectory.stuck):
             return
         clock = Clock(self.system, EventOrder((), Ending.HORIZON), self.horizon)
-        raise end_error(clock, point, trajectory.end, trajectory.stuck)
+        raise event_order.end_error(clock, point, trajectory.end, trajectory.stuck)
 
     def followed(self, points: Array) -> list[EventTrajectory]:
         """Trajectories at points (m, d); an OrderError where one ends although nothing ends it."""
@@ -370,7 +363,7 @@ class OrderSearch:
 
     def _lengths(self, k: int) -> Array:
         """Those of the trajectory at a position, (instants,)."""
-        instants = instants_of(self.trajectories[k], self.length)
+        instants = event_order.instants_of(self.trajectories[k], self.length)
         times = [instant[0].time for instant in instants]
         return np.diff(times, prepend=self.horizon[0])
 
@@ -409,7 +402,7 @@ class OrderSearch:
         error = ContinuationError(
             "an order of events that holds in a part of the box cannot be continued: the time "
             f"of event {event} jumps as a function of the parameters",
-            remedy=REMEDY,
+            remedy=event_order.REMEDY,
         )
         error.fails, error.missed = np.ones(count, dtype=bool), stretch
         return error
@@ -454,12 +447,12 @@ class OrderSearch:
         heights = guard_heights(self.system, k, None, times, states, self.points)
         return Clearance(k, -float(event.direction)), float(np.abs(heights).max()) or 1.0
 
-    def unforeseen(self, order: Order) -> OrderError:
+    def unforeseen(self, order: Order) -> event_order.OrderError:
         """The error for an order that holds in a part of the box and cannot be continued."""
-        return OrderError(
+        return event_order.OrderError(
             f"{self.named(order)} holds in a small part of the box and cannot "
             "be continued from there",
-            remedy=REMEDY,
+            remedy=event_order.REMEDY,
         )
 
     def guard(
@@ -484,10 +477,10 @@ class OrderSearch:
                     size = max(np.abs(one).max(), np.abs(other).max())
                     return guard, sign, float(size)
         orders = dict.fromkeys(self.named(self.orders[places[0]]) for places in (first, second))
-        raise OrderError(
+        raise event_order.OrderError(
             f"trajectories part at one instant of {' and '.join(orders)}, and nothing tells which "
             "goes on how",
-            remedy=REMEDY,
+            remedy=event_order.REMEDY,
         )
 
     def _guards(self, instant: int) -> list[Guard]:
@@ -511,7 +504,7 @@ class OrderSearch:
                 times.append(self.horizon[0])
                 states.append(trajectory.paths[0].state)
                 continue
-            instants = instants_of(trajectory, self.length)
+            instants = event_order.instants_of(trajectory, self.length)
             if guard.instant >= len(instants):
                 return None
             instant = instants[guard.instant]

@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.events.event_order import (
-    SAME_INSTANT,
-    end_error,
-    follow,
-    instants_of,
-    stretch_borders,
-)
+from rankone.trajectories.events import event_order
 from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
@@ -196,7 +190,7 @@ def _paths(
     """
     resets = [
         [o for o in instant if events[o.event].interrupts]
-        for instant in instants_of(trajectory, length)
+        for instant in event_order.instants_of(trajectory, length)
     ]
     first, last = (np.array([each[place].time for each in resets if each]) for place in (0, -1))
     pieces: dict[int, list[Path]] = {}
@@ -210,7 +204,7 @@ def _paths(
         whole.setdefault(piece, Path.resting(each[-1].time, each[-1].after))
     start = trajectory.paths[0]  # an event at its very start ends a stretch of no length
     whole.setdefault(0, Path.resting(float(start.breaks[0]), start.state))
-    instant = SAME_INSTANT * length
+    instant = event_order.SAME_INSTANT * length
     return [whole[0], *(whole[int(k)] for k in np.searchsorted(first - instant, borders[1:-1]))]
 
 
@@ -291,8 +285,10 @@ class StretchIntegrator:
         self, clock: Clock, points: Array, tolerances: Tolerances
     ) -> tuple[list[EventTrajectory], Array]:
         """Trajectories from event to event, and the times at which their stretches end."""
-        trajectories = follow(clock, self.integrator, points, tolerances, len(clock.order.instants))
-        borders = stretch_borders(clock, trajectories, points)
+        trajectories = event_order.follow(
+            clock, self.integrator, points, tolerances, len(clock.order.instants)
+        )
+        borders = event_order.stretch_borders(clock, trajectories, points)
         if clock.order.ending is Ending.LENGTH:
             self._finish(clock, trajectories, points, borders[:, -1], tolerances)
         return trajectories, borders
@@ -314,8 +310,8 @@ class StretchIntegrator:
         spans = Spans(starts, states, ends[short])
         paths = self.integrator.paths(clock.system, points[short], spans, tolerances)
         for k, path in zip(short, paths, strict=True):
-            if path.end < ends[k] - SAME_INSTANT * clock.length:
-                raise end_error(clock, points[k], path.end)
+            if path.end < ends[k] - event_order.SAME_INSTANT * clock.length:
+                raise event_order.end_error(clock, points[k], path.end)
             trajectories[k].paths.append(path)
 
 

@@ -256,7 +256,7 @@ _JUMP = 1e-3  # Value at a root, over those at the ends, from which the function
 
 
 def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
-    """Roots in [0, 1] of functions that change sign from ``start`` to ``end``."""
+    """Roots in [0, 1] of functions that change sign from ``start`` to ``end``, or vanish there."""
     return _around(function, start, end).nearest
 
 
@@ -294,7 +294,7 @@ def _around(function: Callable[[Array], Array], start: Array, end: Array) -> _In
     (T. R. Chandrupatla, Adv. Eng. Software 28 (1997), 145).
     """
     around = _Interval(np.zeros_like(start), np.ones_like(end), start, end)
-    share = end / (end - start)
+    share = np.where(end == start, 0.5, end / np.where(end == start, 1.0, end - start))
     for _ in range(_MOST_ITERATIONS):
         a, b, at_a, at_b = around.a, around.b, around.at_a, around.at_b
         width = np.abs(a - b)

@@ -27,6 +27,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost, inverse
 from rankone.tensors.bases.time_grid import inset
+from rankone.trajectories.integrators import lsoda
 from rankone.trajectories.integrators.defects import SHORTENING, DefectControl, Interpolant
 from rankone.trajectories.integrators.diagnosis import switching_state
 from rankone.trajectories.integrators.integrator import (
@@ -38,14 +39,6 @@ from rankone.trajectories.integrators.integrator import (
     Tolerances,
     jacobians,
     joined,
-)
-from rankone.trajectories.integrators.lsoda import (
-    Border,
-    Crawl,
-    Jacobian,
-    Rates,
-    called_by_lsoda,
-    recording,
 )
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.features import Jumps
@@ -211,7 +204,7 @@ class _Single:
             passed = np.concatenate([[a], times[first:last], [b]])
             try:
                 path = self._integrated((a, b), begun, passed, _Lengths())
-            except Border:
+            except lsoda.Border:
                 return None
             states[first:last] = path[1:-1]
             state, first = path[-1], last
@@ -274,16 +267,16 @@ class _Single:
         called: list[float] = []
         try:
             self._integrated(segment, state, np.array([start, end]), _Lengths(longest), called)
-        except Border as border:
+        except lsoda.Border as border:
             safe = max((t for t in called if t < border.time), default=start)
             end = safe if border.safe is None else max(border.safe, start)
-            if not isinstance(border, Crawl):
+            if not isinstance(border, lsoda.Crawl):
                 again = _NEARER * (border.time - end) if border.safe is None else 0.0
         try:
             first = next((t - start for t in called if t > start), 0.0)
             breaks = _steps_of(called, start, end)
             path = self._read(segment, state, breaks, _Lengths(longest, first, second=True))
-        except Border as border:
+        except lsoda.Border as border:
             return self._nothing(start, state), _NEARER * (border.time - start)
         missed = self._missed(path, end)
         if missed is None:
@@ -338,7 +331,7 @@ class _Single:
         """
         rates, jacobian = self._called(*segment, restarts=not lengths.second)
         if called is not None:
-            rates = recording(rates, called)
+            rates = lsoda.recording(rates, called)
         longest = min(lengths.longest, self.tighter.longest_step)
         with _ONE_AT_A_TIME, np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("error", scipy.integrate.ODEintWarning)
@@ -357,16 +350,18 @@ class _Single:
                     mxstep=_NO_LIMIT,
                 )
             except scipy.integrate.ODEintWarning:
-                raise Border(times[-1], times[0]) from None
+                raise lsoda.Border(times[-1], times[0]) from None
         if not np.isfinite(states).all():
-            raise Border(times[-1], times[0])
+            raise lsoda.Border(times[-1], times[0])
         return np.asarray(states)
 
-    def _called(self, a: float, b: float, *, restarts: bool) -> tuple[Rates, Jacobian | None]:
+    def _called(
+        self, a: float, b: float, *, restarts: bool
+    ) -> tuple[lsoda.Rates, lsoda.Jacobian | None]:
         """What LSODA calls on a segment; factors of time are never taken at its very ends."""
         near = inset(a, b) if len(self.edges) > 2 else self.near
         span = a + near, b - near
-        return called_by_lsoda(self.system, self.point, span, self.horizon, restarts=restarts)
+        return lsoda.called_by_lsoda(self.system, self.point, span, self.horizon, restarts=restarts)
 
 
 def _steps_of(called: Sequence[float], start: float, end: float) -> Array:

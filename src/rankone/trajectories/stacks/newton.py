@@ -20,17 +20,9 @@ from scipy.linalg import lapack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import SuperLU, splu
 
+from rankone.support import costs
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
-from rankone.support.costs import (
-    CALL,
-    SPARSE_FACTORS,
-    SPARSE_SOLUTION,
-    Cost,
-    function_cost,
-    in_pieces,
-    inverse,
-)
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.system import PatternJacobian, System, pattern_of
 
@@ -191,11 +183,11 @@ class SparseElimination:
 
     @property
     def factor_cost(self) -> float:
-        return SPARSE_FACTORS(self.filled)
+        return costs.SPARSE_FACTORS(self.filled)
 
     @property
     def solution_cost(self) -> float:
-        return SPARSE_SOLUTION(self.filled)
+        return costs.SPARSE_SOLUTION(self.filled)
 
     def factored(self, numbers: Array) -> Solver:
         n = self.columns.size
@@ -242,7 +234,8 @@ _STEP_MATRICES = 4.0  # Matrices of a step that are held at once, for each traje
 _ITERATIONS = 4  # Of Newton, in a step
 # What new matrices cost, in Newton's iterations: made of cofactors, and by LAPACK or sparse factors
 _CHEAP_ITERATIONS, _COSTLY_ITERATIONS = 2.0, 10.0
-_PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
+# Operations of a matrix times a vector: once, and for each entry
+_PRODUCT_COST = costs.Cost(40.0, 0.5)
 
 
 class NewtonMatrices(Protocol):
@@ -327,7 +320,7 @@ def entries_at(
 ) -> Array:
     """Entries (k, m) of the Jacobians at points (m, d) and states (n, m) or (n m,)."""
     m, n = len(points), system.n_differential
-    charge(function_cost(pattern.entries, system.user_functions)(m))
+    charge(costs.function_cost(pattern.entries, system.user_functions)(m))
     entries = pattern.entries(t, y.reshape(n, m), points.T)
     entries = np.broadcast_to(entries, (pattern.rows.size, m))
     finite = np.isfinite(entries).all(axis=0)
@@ -343,11 +336,11 @@ class DenseJacobians:
 
     def newton(self, shift: complex) -> NewtonMatrices:
         size = self.blocks.shape[-1]
-        cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
+        cost, diagonal = costs.inverse(size, isinstance(shift, float)), shift * np.eye(size)
         reserve(_STEP_MATRICES * self.blocks.size * np.dtype(type(shift)).itemsize)
         inverses = np.empty(self.blocks.shape, dtype=type(shift))
         first = 0
-        for some in in_pieces(self.blocks, cost):
+        for some in costs.in_pieces(self.blocks, cost):
             charge(cost * len(some))
             inverses[first : first + len(some)] = np.linalg.inv(diagonal - some)
             first += len(some)
@@ -379,7 +372,7 @@ class SmallJacobians:
     def _inverses(self, shifts: Sequence[complex]) -> Array:
         """Inverses (n, n, k, m) for k shifts."""
         m, n, _ = self.blocks.shape
-        charge(inverse(n, isinstance(shifts[0], float)) * m * len(shifts))
+        charge(costs.inverse(n, isinstance(shifts[0], float)) * m * len(shifts))
         matrices = np.empty((n, n, len(shifts), m), dtype=type(shifts[0]))
         np.negative(self.blocks.transpose(1, 2, 0)[:, :, None], out=matrices)
         matrices.reshape(n * n, len(shifts), m)[:: n + 1] += np.array(shifts)[:, None]
@@ -394,7 +387,7 @@ class Inverses:
 
     def solve(self, right: Array) -> Array:
         m, n, _ = self.inverses.shape
-        charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
+        charge(5.0 * costs.CALL + m * _PRODUCT_COST(n * n))
         vectors = np.ascontiguousarray(right.reshape(n, m).T)  # BLAS takes no strided ones
         return np.asarray(np.matmul(self.inverses, vectors[:, :, None])[:, :, 0].T.ravel())
 
@@ -410,7 +403,7 @@ class SmallInverses:
 
     def solve(self, right: Array) -> Array:
         n, _, m = self.inverses.shape
-        charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
+        charge(5.0 * costs.CALL + m * _PRODUCT_COST(n * n))
         return np.asarray(np.einsum("ijm,jm->im", self.inverses, right.reshape(n, m)).ravel())
 
     def solve_some(self, columns: NDArray[np.intp], right: Array) -> Array:
@@ -425,7 +418,7 @@ class SmallPairs:
 
     def solve(self, right: Array) -> Array:
         count, n, _, m = self.inverses.shape
-        charge(5.0 * CALL + count * m * _PRODUCT_COST(n * n))
+        charge(5.0 * costs.CALL + count * m * _PRODUCT_COST(n * n))
         parts = np.einsum("kijm,kjm->kim", self.inverses, right.reshape(count, n, m))
         return np.asarray(parts.reshape(right.shape))
 
