@@ -23,3 +23,5 @@ AT_ONCE = 1 << 19
 """Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
 SEED = 20140
 """Of points that only have to be spread: the same call always has the same ones."""
+DIFFERENCE = EPSILON ** (1.0 / 3.0)
+"""Step of central differences, in sizes of what is changed: rounding and curvature err alike."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.trajectories.events.event_trajectory import (
     LOOK_COST,
     SAME_INSTANT,
@@ -20,14 +21,13 @@ from rankone.trajectories.events.event_trajectory import (
     roundings_of,
 )
 from rankone.trajectories.integrators.defects import roots_or_jumps
-from rankone.trajectories.integrators.integrator import NODES, Path, step_coefficients
+from rankone.trajectories.integrators.integrator import BLOCK, NODES, Path, step_coefficients
 from rankone.trajectories.system.events import BOTH, SystemEvent
 from rankone.trajectories.system.system import System
 
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
 _ON_SURFACE = 0.1  # Height where a path begins, over its change to the next node: rounding
-_ROUNDING = 1e-9  # Height, over the largest one on a path, that is rounding where it just crossed
 _MOST_DIVISIONS = 12  # Most divisions of a step in which an event may hide
 _NEWTON_STEPS = 4  # Iterations to where a polynomial is nearest to zero
 _AT_END = 1e-4  # Distance from an end of a step, as a share, that is the end
@@ -36,10 +36,8 @@ _NEAR = 4.0  # Distance from zero, in such errors, within which there may be one
 _GRAZING = 0.05  # Least distance from zero inside of a step, over its size, that may hide two
 _LOW = 0.5  # Least value on a step, over its size, above which it comes nowhere near zero
 _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
-_BLOCK = 8192  # Steps of the paths of a block, about
 _FINE = np.linspace(0.0, 1.0, 25)
 _STAYS = 1e-3  # Part of the horizon for which heights are rounding, from which paths stay there
-_BESIDE = 1e-100  # Height on the side from which a path came to a surface on which it stays
 
 
 # From values at the nodes of a step to the coefficients of the powers of shares
@@ -285,7 +283,7 @@ class Crossings:
     def _blocks(self) -> list[Crossings]:
         """Paths that are looked at together: few, since much of what is read is read once."""
         steps = np.cumsum([path.steps for path in self.paths])
-        borders = np.searchsorted(steps, np.arange(0, steps[-1], _BLOCK)).tolist()
+        borders = np.searchsorted(steps, np.arange(0, steps[-1], BLOCK)).tolist()
         return [
             replace(
                 self,
@@ -320,7 +318,7 @@ class Crossings:
                 continue
             was_here[path] = False
             # rates switch where they do not let it stay on the positive side
-            heights[start, 0] = _BESIDE * (1.0 if event.switch else side)
+            heights[start, 0] = TINY * (1.0 if event.switch else side)
         began = firsts[was_here]
         if event.then is None:  # nothing but rounding moved it away
             since = steps.end - steps.begin[firsts][steps.owner]
@@ -415,7 +413,7 @@ def _keep_sides(steps: _Steps, heights: Array) -> None:
     last = np.maximum.accumulate(np.where(on_surface.ravel(), -1, np.arange(owners.size)))
     came = (last >= 0) & (owners[last] == owners)
     sides = np.where(came, np.sign(heights.ravel()[last]), 0.0).reshape(heights.shape)
-    heights[on_surface] = _BESIDE * sides[on_surface]
+    heights[on_surface] = TINY * sides[on_surface]
 
 
 def _arrives(steps: _Steps, heights: Array) -> NDArray[np.bool_]:
@@ -426,12 +424,12 @@ def _arrives(steps: _Steps, heights: Array) -> NDArray[np.bool_]:
     """
     firsts = np.flatnonzero(np.diff(steps.owner, prepend=-1))
     largest = np.maximum.reduceat(np.abs(heights).max(axis=1), firsts)
-    rows, nodes = np.nonzero(np.abs(heights) > _ROUNDING * largest[steps.owner][:, None])
+    rows, nodes = np.nonzero(np.abs(heights) > NEGLIGIBLE * largest[steps.owner][:, None])
     owners, places = np.unique(steps.owner[rows], return_index=True)
     beyond = np.zeros(firsts.size)
     beyond[owners] = heights[rows[places], nodes[places]]
     first, second = heights[firsts, :2].T
-    rises = (np.abs(first) <= _ROUNDING * largest) & (second >= first)
+    rises = (np.abs(first) <= NEGLIGIBLE * largest) & (second >= first)
     return np.asarray(rises | (beyond >= 0.0))
 
 
@@ -457,5 +455,5 @@ def _roots(
 
     before = heights[rows, nodes]
     shares = roots_or_jumps(height, before, heights[rows, nodes + 1])
-    shares[np.abs(before) == _BESIDE] = 0.0
+    shares[np.abs(before) == TINY] = 0.0
     return np.asarray(begin + length * (a + width * shares))

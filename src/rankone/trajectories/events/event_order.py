@@ -12,7 +12,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_integration import integrate_to_events
-from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
+from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory, Occurrence
 from rankone.trajectories.events.periods import FAR, begin_in_step
 from rankone.trajectories.integrators.diagnosis import first_to_end
 from rankone.trajectories.integrators.integrator import SpanIntegrator, Tolerances
@@ -22,8 +22,6 @@ from rankone.trajectories.system.verdict import Status
 
 SPARE = 0.05
 """Length of a last stretch beyond what all known trajectories need, over that."""
-SAME_INSTANT = 1e-11
-"""Part of the horizon within which events are at one instant."""
 REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
 """What to do where they do not."""
 

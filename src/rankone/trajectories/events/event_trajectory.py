@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
@@ -15,8 +15,9 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
 from rankone.support.errors import ProblemError
+from rankone.support.precision import COINCIDENT, ROUNDING
 from rankone.support.wording import quote
-from rankone.trajectories.integrators.integrator import NODES, Path, joined
+from rankone.trajectories.integrators.integrator import HELD_NUMBERS, NODES, Path, joined
 from rankone.trajectories.system.events import BOTH, CROSSINGS, SystemEvent, overlap
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
@@ -203,7 +204,6 @@ def folded(times: Array, ends: float | Array, periods: float | Array) -> Array:
 
 LOOK_COST = 10.0
 """Operations of an event function for each number that it reads."""
-_ROUNDINGS = 64.0 * np.finfo(float).eps  # Of numbers that a height is made of, relative to them
 _CHANGES = 3  # Random changes by as much, which tell what becomes of them
 
 
@@ -232,7 +232,7 @@ def roundings_of(
     for _ in range(_CHANGES):
         factors = [random.uniform(0.5, 1.0, k) for k in (1, len(sizes), len(parameters))]
         time, state, parameter = (
-            (_ROUNDINGS * factor * random.choice([-1.0, 1.0], factor.size))[:, None]
+            (ROUNDING * factor * random.choice([-1.0, 1.0], factor.size))[:, None]
             for factor in factors
         )
         changed = heights_of(
@@ -258,7 +258,7 @@ def sides_of_surface(
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
-SAME_INSTANT = 1e-12
+SAME_INSTANT = COINCIDENT
 """Part of the horizon within which times along a trajectory are the same."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.events.sides import on_sides
@@ -465,7 +466,7 @@ class _Follower:
         tolerances = replace(self.tolerances, absolute=absolute[: len(states)])
         paths = share_paths(run, system, self._parameters, spans, tolerances)
         ends = np.array([path.end if path.steps else 0.0 for path in paths])
-        self._raise(ends < 1.0 - 1e-9 if whole else ends == 0.0, _NOT_FINITE)
+        self._raise(ends < 1.0 - NEGLIGIBLE if whole else ends == 0.0, _NOT_FINITE)
         return Paths.of(paths), ends * elapsed
 
     def _to_root(
@@ -608,5 +609,5 @@ def _nearest_turns(
 def _deflated(heights: Array, elapsed: Array, deflated: NDArray[np.bool_]) -> Array:
     """Heights (m, K) without the root at the beginning of some stretches (m,)."""
     with np.errstate(over="ignore"):  # where it is not deflated
-        divided = heights / np.where(elapsed == 0.0, 1e-300, elapsed)
+        divided = heights / np.where(elapsed == 0.0, TINY, elapsed)
     return np.where(deflated[:, None], divided, heights)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
+from rankone.support.precision import TINY
 from rankone.trajectories.events.event_crossings import Crossings
 from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_order import SPARE, follow
@@ -233,7 +234,8 @@ def _rough_crossings(paths: Sequence[Path], state: int, level: float) -> list[tu
         heights = path.nodal[:, :, state].ravel() - level
         below = np.signbit(heights)
         k = np.flatnonzero(below[1:] != below[:-1])
-        rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], 1e-300)
+        with np.errstate(over="ignore"):  # where it jumps
+            rates = (heights[k + 1] - heights[k]) / np.maximum(times[k + 1] - times[k], TINY)
         crossings.append((times[k] - heights[k] / rates, np.abs(rates)))
     return crossings
 
@@ -447,10 +449,7 @@ class _Replay:
 # they are followed for long enough, that is a marker, and the stretch behind it is as long for all.
 
 
-_SOME = 24  # Trajectories that are followed beyond the horizon
-_FRONT_LEVELS = 0.5, 0.1, 0.9  # Levels that are tried, as shares of the range of a state
 _FULL = 0.75  # Rank over clock time, over their number, from which it is looked for
-_LOWER_FRONT_RANK = 0.7  # Largest rank over the stretches, over that over clock time
 
 
 def late_front(
@@ -467,7 +466,7 @@ def late_front(
     the rank of the trajectories is hardly lower over the stretches before and behind it.
     """
     start, end = horizon
-    some = np.unique(np.linspace(0, len(paths) - 1, _SOME).astype(int))
+    some = np.unique(np.linspace(0, len(paths) - 1, _RANKED).astype(int))
     points, paths = points[some], [paths[k] for k in some.tolist()]
     candidates = _candidates(paths)
     over_clock = rank_of(paths, np.full((some.size, 1), end))
@@ -496,7 +495,7 @@ def late_front(
         order = EventOrder(((0,),), Ending.LENGTH, (1.0 + SPARE) * rests[k])
         ranks.append((rank_of(further, np.hstack([each, each + rests[k]])), candidates[k], order))
     lowest = min(ranks, key=lambda each: each[0])
-    if lowest[0] > _LOWER_FRONT_RANK * over_clock:
+    if lowest[0] > _LOWER_RANK * over_clock:
         return None
     return lowest[1:]
 
@@ -508,7 +507,7 @@ def _candidates(paths: Sequence[Path]) -> list[Marker]:
     lower = np.min([each.min(axis=0) for each in nodal], axis=0)
     upper = np.max([each.max(axis=0) for each in nodal], axis=0)
     for state in np.flatnonzero(lower < upper).tolist():
-        for share in _FRONT_LEVELS:
+        for share in _LEVELS:
             level = float(lower[state] + share * (upper[state] - lower[state]))
             above = [each[:, state] > level for each in nodal]
             crossings = {int(np.count_nonzero(np.diff(each))) for each in above}

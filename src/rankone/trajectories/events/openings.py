@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, spread
+from rankone.support.precision import NEGLIGIBLE
 from rankone.trajectories.events.forced import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 from rankone.trajectories.system.events import FALLING, Beginning, ForcedOrder, Guard, Turn
@@ -29,7 +30,6 @@ _SAMPLES = 257  # Places behind an event at which its turn is looked for
 _LOWEST = 3  # One of so many of the turns, the lowest ones, begins the continuation
 _FEWEST = 6  # Turns that it may begin with
 _FURTHER = 256  # Points, evenly spread over parameters and roots, to which orders are continued
-_ALIKE = 1e-9  # Largest difference of heights over the same surface, relative to them
 _NEAR = 0.1  # Share of the points that tell how many are next to the border
 _SLIVER = 0.003  # Share of the box, about, in which a height is as good as zero
 _ABOVE = 1.1  # Largest root of a relative height over that at the points
@@ -201,7 +201,7 @@ def _surface(
             if each.at is not None or not np.isfinite(other).all():
                 continue
             factor = float(other @ own) / float(own @ own)
-            if factor and np.abs(other - factor * own).max() <= _ALIKE * np.abs(other).max():
+            if factor and np.abs(other - factor * own).max() <= NEGLIGIBLE * np.abs(other).max():
                 surface.append((k, on, factor))
     return tuple(surface)
 

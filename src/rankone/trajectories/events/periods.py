@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from rankone.support.arrays import Array
+from rankone.support.precision import ROUNDING, TINY
 from rankone.trajectories.events.event_integration import Ahead, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.integrators.integrator import (
@@ -40,7 +41,6 @@ _MORE = 1.5  # Factor from the crossings before they are compared first to those
 # by relative changes of the states and at a relative tolerance
 _CHANGED, _FEWEST = 64, 2
 _CHANGE, _CHANGE_RTOL = 1e-4, 1e-9
-_ROUNDING = 1e-14  # Change of a state that rests, over its size
 _MOST_GROWTH = 30.0  # Factor by which changes may grow over the periods that are left out
 
 
@@ -85,7 +85,7 @@ def _growth(
     last = np.array([each[-1].time for each in marks])
     periods = last - np.array([each[-1 - clock.marks_per_period].time for each in marks])
     states = np.stack([each[-1].before for each in marks])  # (m, n)
-    sizes = np.maximum(np.abs(states), np.finfo(float).tiny)
+    sizes = np.maximum(np.abs(states), TINY)
     m, n = states.shape
     changes = np.concatenate([np.zeros((1, n)), _CHANGE * np.eye(n)])
     changed = (states[:, None] + changes * sizes[:, None]).reshape(-1, n).T
@@ -283,7 +283,7 @@ def _agree(
     changes = np.abs(states[period:] - states[:-period]).max(axis=0)
     nodal = _over(trajectory.paths, *times[[-1 - period, -1]].tolist())
     swings = np.ptp(nodal, axis=0)
-    return bool((changes <= accuracy * swings + _ROUNDING * np.abs(nodal).max(axis=0)).all())
+    return bool((changes <= accuracy * swings + ROUNDING * np.abs(nodal).max(axis=0)).all())
 
 
 def _over(paths: Sequence[Path], start: float, end: float) -> Array:

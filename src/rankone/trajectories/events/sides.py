@@ -15,14 +15,14 @@ from scipy import special
 
 from rankone.support.arrays import Array
 from rankone.support.costs import Cost, function_cost
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE
 from rankone.trajectories.events.event_order import OrderError, at_point, at_time
 from rankone.trajectories.system.events import OfTrajectory, Row, SystemEvent
 from rankone.trajectories.system.features import OfStates, VectorLike
 from rankone.trajectories.system.system import Clock, System
 
 # Of a stretch, where its sides are checked, also next to its ends: something narrow may be there
-_SHARES = np.array([1e-9, 0.02, 0.2, 0.5, 0.8, 0.98, 1.0 - 1e-9])
-_ROUNDING = 1e-12  # Distance from it, over the way that it holds trajectories back from
+_SHARES = np.array([NEGLIGIBLE, 0.02, 0.2, 0.5, 0.8, 0.98, 1.0 - NEGLIGIBLE])
 _BESIDE = 1e-5  # Distance beyond a surface, over the largest one, that is rounding and tolerance
 
 
@@ -58,7 +58,7 @@ def check_sides(clock: Clock, states: Array, times: Array, points: Array) -> Non
         slides = sides == 0.0
         beyond = np.where(slides, np.abs(heights), -sides * heights)
         held_back = np.sqrt(np.abs(stays[slides]).max(initial=0.0)) * clock.length
-        wrong = beyond > _BESIDE * np.abs(heights).max() + _ROUNDING * held_back
+        wrong = beyond > _BESIDE * np.abs(heights).max() + COINCIDENT * held_back
         wrong |= slides & (stays < -_BESIDE * np.abs(stays).max())
         wrong &= long
         if wrong.any():

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
+from rankone.support.precision import EPSILON, ROUNDING
 from rankone.trajectories.system.system import System
 
 SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
@@ -236,7 +237,7 @@ def _beyond_rounding(defect: Array, rates: Array, times: float | Array, states: 
 
     Nodes of polynomials are at rounded times, where rates are (n, ...), and in rounded states.
     """
-    rounding = np.spacing(np.abs(times)) * np.abs(rates) + np.finfo(float).eps * np.abs(states)
+    rounding = np.spacing(np.abs(times)) * np.abs(rates) + EPSILON * np.abs(states)
     return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - _ROUNDINGS * rounding, 0.0))
 
 
@@ -251,7 +252,6 @@ def _tolerated(solver: Steps, states: Array) -> Array:
 
 
 _MOST_ITERATIONS = 120  # About ten suffice, and about sixty where a function jumps
-_ACCURACY = 1e-14  # Of a root: a few roundings
 _JUMP = 1e-3  # Value at a root, over those at the ends, from which the function jumps there
 
 
@@ -298,10 +298,10 @@ def _around(function: Callable[[Array], Array], start: Array, end: Array) -> _In
     for _ in range(_MOST_ITERATIONS):
         a, b, at_a, at_b = around.a, around.b, around.at_a, around.at_b
         width = np.abs(a - b)
-        done = (width <= _ACCURACY) | (around.height == 0.0)
+        done = (width <= ROUNDING) | (around.height == 0.0)
         if done.all():
             break
-        least = 0.5 * _ACCURACY / np.where(done, 1.0, width)
+        least = 0.5 * ROUNDING / np.where(done, 1.0, width)
         x = np.where(done, b, b + np.clip(share, least, 1.0 - least) * (a - b))
         height = np.where(done, at_b, function(x))
         same = np.sign(height) == np.sign(at_b)

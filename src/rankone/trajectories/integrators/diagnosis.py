@@ -22,10 +22,11 @@ from scipy.sparse.linalg import ArpackError, eigs
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import eigenvalues, in_pieces
+from rankone.support.precision import COINCIDENT, EPSILON, ROUNDING
 from rankone.trajectories.integrators.integrator import JACOBIAN_ENTRY, finite_blocks, jacobians
 from rankone.trajectories.stacks.newton import entries_at, sparse_pattern
 from rankone.trajectories.system.events import FALLING, RISING
-from rankone.trajectories.system.system import PatternJacobian, System
+from rankone.trajectories.system.system import AHEAD, PatternJacobian, System
 
 Matrix: TypeAlias = Array | scipy.sparse.csr_array
 _TOLERANCE = 0.03  # Relative error of an eigenvalue of a sparse matrix
@@ -176,12 +177,8 @@ def _dense_decays_faster(blocks: Array, rate: float) -> bool:
 # end.
 
 
-_STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)  # Relative, until rates are not finite
-_JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)  # In horizons; rates may jump over one
-_TINY_STEPS = (1e-15, 1e-14, 1e-12)  # In horizons; beside a pole rates differ after them
 _LITTLE_CHANGE = 0.3  # Of a rate over such a step, over its size
 _RUNAWAY_GROWTH = 1e6  # Growth over a horizon, at the last rate, from which a state blows up
-_LATER_STATE = 1.0001  # Factor on a state for a later one: beside a pole the rate differs there
 _SEVERAL_ROUNDINGS = 16.0  # Relative error of states after many steps, in last places
 _TINY_STATE = 1e-6  # Size of a state, over the largest one, up to which it may be numerically zero
 _RESOLVED = 1e-7  # Part of its size below which a change of a state does not count
@@ -204,7 +201,7 @@ def switching_state(
     with np.errstate(all="ignore"):
         rates = system.rhs(time, states, parameters)
         before = surfaces(time, states, parameters)
-        for step in _JUMP_STEPS:
+        for step in AHEAD[1:]:
             ahead = states + step * horizon * rates
             across = surfaces(time, ahead, parameters)
             back = system.rhs(time, ahead, parameters)
@@ -226,7 +223,7 @@ def first_to_end(system: System, time: float, state: Array, points: Array, floor
     """
     with np.errstate(all="ignore"):
         rates = system.rhs(time, state, points.T)
-        for change in _STATE_CHANGES:
+        for change in AHEAD:
             later = system.rhs(time, state + change * np.abs(state) * np.sign(rates), points.T)
             lost = ~np.isfinite(later).all(axis=0)
             if lost.any():
@@ -240,7 +237,7 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
     with np.errstate(all="ignore"):
         now, later = (
             system.rhs(time, factor * state[:, None], point[:, None])
-            for factor in (1.0, _LATER_STATE)
+            for factor in (1.0, 1.0 + AHEAD[-1])
         )
         fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY_GROWTH * np.abs(state)
         return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
@@ -256,12 +253,12 @@ def is_regular(
     surfaces, parameters, states = system.features.state_surfaces, point[:, None], state[:, None]
     with np.errstate(all="ignore"):
         rates = system.rhs(time, states, parameters)
-        for change in _STATE_CHANGES:
+        for change in AHEAD:
             near = states + change * size * np.sign(rates)
             if not np.isfinite(system.rhs(time, near, parameters)).all():
                 return False
         before = surfaces(time, states, parameters)
-        for step in _TINY_STEPS:
+        for step in (8.0 * EPSILON, ROUNDING, COINCIDENT):
             later, ahead = time + step * horizon, states + step * horizon * rates
             there = system.rhs(later, ahead, parameters)
             across = surfaces(later, ahead, parameters)
@@ -360,7 +357,7 @@ class _Probe:
 
         A state that does not change has no rounding errors.
         """
-        rounded = _SEVERAL_ROUNDINGS * np.finfo(float).eps * np.abs(self.states)
+        rounded = _SEVERAL_ROUNDINGS * EPSILON * np.abs(self.states)
         sizes = np.maximum(rounded * (self.rates != 0.0), zero_errors)
         generator = np.random.default_rng(20143)
         worst = np.zeros_like(self.states)

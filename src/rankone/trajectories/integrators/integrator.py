@@ -27,7 +27,10 @@ TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
 _READ_COST = Cost(60e3, 40.0)  # Operations of evaluating steps: once, and for each state
 _MANY_TIMES = 64  # Times of each path from which on their steps are looked up path by path
 _FEW_STATES = 8  # States up to which coefficients of all of them are one product of matrices
-_BLOCK = 8192  # Times that are read together: what is in work fits the cache
+BLOCK = 8192
+"""Times, or steps, that are read together: what is in work fits the cache."""
+HELD_NUMBERS = 4_000_000
+"""Numbers, of states at nodes or of matrices, that are held at once."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +169,8 @@ class Paths:
     def _of_many(self, steps: NDArray[np.intp], shares: Array) -> Array:
         """The same by Horner's scheme, from coefficients that are kept."""
         states = np.empty((self.nodal.shape[2], shares.size))
-        for first in range(0, shares.size, _BLOCK):
-            here = slice(first, first + _BLOCK)
+        for first in range(0, shares.size, BLOCK):
+            here = slice(first, first + BLOCK)
             block = states[:, here]
             block[:] = self.coefficients[-1].take(steps[here], axis=1)
             for coefficient in self.coefficients[-2::-1]:

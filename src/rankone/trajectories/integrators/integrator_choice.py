@@ -28,7 +28,7 @@ from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.integrators.workers import GroupedStacks, SinglesOnWorkers, Workers
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.stacks.stack import StackedIntegrator, sampling_cost
-from rankone.trajectories.stacks.taylor import TaylorTerms, steps_ratio
+from rankone.trajectories.stacks.taylor import DOP853_POWER, TaylorTerms, steps_ratio
 from rankone.trajectories.system.system import Clock, System
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
@@ -37,7 +37,6 @@ _TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall 
 _PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
 # States of a system with sparse factors up to which stacks are watched: LSODA has dense matrices
 _MOST_SINGLE_STATES = 200
-_DOP853_POWER = 0.125  # Steps of DOP853 grow with this power of one over the tolerance
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
 # Factors on the work of a stack from one look at it to the next, and to one at which pilots that
 # came to no end begin anew
@@ -122,7 +121,7 @@ def stacked_work(
     DOP853 takes so many ``steps`` at the first of two relative tolerances; the stack has the other.
     """
     known, asked = tolerances
-    steps *= (known / asked) ** _DOP853_POWER
+    steps *= (known / asked) ** DOP853_POWER
     return sampling_cost(system, asked, steps, m, times)
 
 

@@ -21,8 +21,9 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import COINCIDENT, DIFFERENCE
 from rankone.tensors.bases.time_grid import RadauCollocation, insets
-from rankone.trajectories.integrators.integrator import Path, Spans, Tolerances
+from rankone.trajectories.integrators.integrator import HELD_NUMBERS, Path, Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System
 
@@ -31,7 +32,6 @@ _MOST_ROUNDS = 12  # Rounds in which steps are halved
 _MOST_STEPS = 20_000
 _UNRESOLVED = 1e-5  # Last coefficient of S in a step, over its size, above which it is halved
 _SMALL = 1e-2  # Share of a state's size that sensitivities are resolved beside, at least
-_MOST_NUMBERS = 4_000_000  # Of the matrices that are solved at once
 
 Slopes: TypeAlias = Callable[[Array, Array, NDArray[np.intp]], Array]
 """Derivatives (n, w, N) of rates, at times (N,), states (n, N) and the trajectories (N,)."""
@@ -102,7 +102,7 @@ def _collocated(
     n, w, m = forcing.start.shape
     steps = ends.size - 1
     values = np.empty((steps, m, 1 + stages, n, w))
-    many = max(1, _MOST_NUMBERS // (m * stages * n * (stages * n + n + w)))
+    many = max(1, HELD_NUMBERS // (m * stages * n * (stages * n + n + w)))
     current = np.moveaxis(forcing.start, 2, 0)  # (m, n, w)
     for first in range(0, steps, many):
         some = slice(first, min(first + many, steps))
@@ -186,10 +186,7 @@ def _at(collocated: Array, ends: Array, times: Array) -> Array:
 # Radau nodes of a step of the sensitivities: order five, and three where tolerances are loose
 _STAGES, _FEW_STAGES = 3, 2
 _LOOSE = 1e-3  # Relative tolerance from which on fewer nodes are enough
-# Steps of central differences with respect to parameters, relative: the cube root of rounding
-_STEP = 6e-6
 _COLUMNS_AT_ONCE = 20_000  # Columns of rates that are evaluated together, to bound memory
-_COINCIDENT = 1e-13  # Times that are closer, relative to the horizon, are the same
 
 RateSlopes = Callable[[Array, Array], Array]
 """Derivatives (n, w, N) of rates along w directions, at times (N,) and states (n, N)."""
@@ -277,7 +274,7 @@ class _Variation:
 
 def _with_times(breaks: Array, times: Array) -> Array:
     """Breaks (S + 1,), and those of the times that are not among them."""
-    near = _COINCIDENT * (breaks[-1] - breaks[0])
+    near = COINCIDENT * (breaks[-1] - breaks[0])
     place = np.clip(np.searchsorted(breaks, times), 1, breaks.size - 1)
     distance = np.minimum(np.abs(times - breaks[place - 1]), np.abs(breaks[place] - times))
     return np.union1d(breaks, times[distance > near])
@@ -291,7 +288,7 @@ class ByParameters:
 
     def __init__(self, system: System, point: Array, free: Sequence[int]) -> None:
         self.system, self.point, self.free = system, point, list(free)
-        steps: Array = _STEP * np.where(point == 0.0, 1.0, np.abs(point))[self.free]
+        steps: Array = DIFFERENCE * np.where(point == 0.0, 1.0, np.abs(point))[self.free]
         moved = np.repeat(point[:, None], 2 * len(free), axis=1)
         moved[self.free, np.arange(len(free))] += steps
         moved[self.free, len(free) + np.arange(len(free))] -= steps

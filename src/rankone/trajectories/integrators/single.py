@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost, inverse
+from rankone.support.precision import COINCIDENT, ROUNDING
 from rankone.tensors.bases.time_grid import inset
 from rankone.trajectories.integrators import lsoda
 from rankone.trajectories.integrators.defects import SHORTENING, DefectControl, Interpolant
@@ -45,13 +46,11 @@ from rankone.trajectories.system.features import Jumps
 from rankone.trajectories.system.system import System
 
 _TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
-_LEAST_RELATIVE = 3e-14  # Tightest relative tolerance that LSODA takes
+_LEAST_RELATIVE = 2.0 * ROUNDING  # Tightest relative tolerance that LSODA takes
 _CHECKED_STEPS = 256  # Steps whose defects are looked at together
-_SHORTEST = 1e-12  # Step, in horizons, that is not made shorter any more
 _SHORT_STEPS = 10  # Short steps at least after one that had to be made again
 _NEARER = 0.25  # Length of a step that missed something, over the distance of a border
 _LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
-_COINCIDENT = 1e-13  # Times that are closer, relative to their size, belong to the same step
 _NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
 _ONE_AT_A_TIME = threading.RLock()  # LSODA in Fortran keeps its state in common blocks
 _NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
@@ -243,7 +242,7 @@ class _Single:
         """
         time, length, longest = a, b - a, math.inf
         while time < b:
-            end = b if b - time <= length * (1.0 + _COINCIDENT) else time + length
+            end = b if b - time <= length * (1.0 + COINCIDENT) else time + length
             good, again = self._stretch((a, b), (time, end), state, longest)
             if good.steps:
                 yield good
@@ -252,7 +251,7 @@ class _Single:
                 length, longest = _LONGER * length, math.inf
                 continue
             longest = SHORTENING * (again if good.steps else min(again, longest))
-            if longest < _SHORTEST * self.horizon:
+            if longest < COINCIDENT * self.horizon:
                 return
             length = _SHORT_STEPS * longest
 
@@ -368,7 +367,7 @@ def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
     """The times at which steps begin and end, by those at which rates were called."""
     times = np.minimum.accumulate(np.array([*called, end])[::-1])[::-1]  # no refused attempts
     times = np.unique(times)
-    least = _COINCIDENT * max(abs(start), abs(end))
+    least = COINCIDENT * max(abs(start), abs(end))
     times = times[(times > start + least) & (times < end - least)]
     times = times[np.diff(times, prepend=start) > least]
     return np.concatenate([[start], times, [end]]) if end > start else np.array([start])

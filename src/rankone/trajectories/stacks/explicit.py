@@ -35,6 +35,12 @@ _RADAU_STATE = ("h_abs_old", "error_norm_old", "sol")
 _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
 
 
+LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
+"""Change of the step from one to the next."""
+LEAST_STEP = 10.0
+"""Shortest step, in floating-point numbers."""
+
+
 class Rates(Protocol):
     """The rates of m stacked trajectories."""
 
@@ -203,11 +209,9 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
 _NESTED_ROWS = 7  # Rows of a step
 _SAFETY = 0.9  # Part of the step that the estimate of the error allows
-_LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
 _FIRST_FACTOR = 3.5  # The first step, at most, over SciPy's, whose error is far below the tolerance
 # Error, in tolerances, from which a step is divided at a kink: below, kinks are not its reason
 _DIVIDED_ERROR = 0.2
-_LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 
 
 class NestedPiece(Piece):
@@ -270,7 +274,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step whose error is within the tolerance, shorter than the last one if it must be."""
-        t, y, shortest = self.t, self.y, _LEAST_STEP * float(np.spacing(abs(self.t)))
+        t, y, shortest = self.t, self.y, LEAST_STEP * float(np.spacing(abs(self.t)))
         h, refused = min(max(self.h_abs, shortest), self.max_step), False
         while h >= shortest:
             end = min(t + h, self.t_bound)
@@ -283,14 +287,14 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
                 y_new, f_new = divided.into(y_new, f_new)
                 errors[divided.columns] = divided.errors
             error = float(errors.max())
-            factor = _SAFETY * error**self.error_exponent if error else _MOST_FACTOR
+            factor = _SAFETY * error**self.error_exponent if error else MOST_FACTOR
             if error < 1.0:
-                self.h_abs = h * min(factor, 1.0 if refused else _MOST_FACTOR)
+                self.h_abs = h * min(factor, 1.0 if refused else MOST_FACTOR)
                 self.h_previous, self.y_old = h, y
                 self.t, self.y, self.f = end, y_new, f_new
                 self._divided = divided
                 return True, None
-            h *= max(_LEAST_FACTOR, factor)  # the least one where the error is not a number
+            h *= max(LEAST_FACTOR, factor)  # the least one where the error is not a number
             refused = True
         return False, self.TOO_SMALL_STEP
 

@@ -21,16 +21,14 @@ from rankone.support.arrays import Array
 from rankone.tensors.bases.time_grid import RadauCollocation
 from rankone.trajectories.integrators.defects import DefectControl, Interpolant
 from rankone.trajectories.integrators.integrator import Tolerances
-from rankone.trajectories.stacks.explicit import Piece, Rates, Stepper, powers_of
+from rankone.trajectories.stacks import explicit
 from rankone.trajectories.stacks.newton import Jacobians, NewtonMatrices, PairedMatrices
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
 _MOST_ITERATIONS = 6  # Newton's iterations of a step of three stages before it is halved
 _LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
-_LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
 _KEPT_FACTOR = 3.0  # Growth of the step below which its length stays while its matrices serve
-_LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 
 
 @dataclass(frozen=True)
@@ -100,13 +98,13 @@ def _exponents(stages: int) -> NDArray[np.intp]:
     return np.arange(1, stages + 1)
 
 
-class PowerPiece(Piece):
+class PowerPiece(explicit.Piece):
     """A step of Radau: powers of the share."""
 
     method = "Radau"
 
     def weights(self, shares: Array) -> Array:
-        return powers_of(shares, len(self.rows))
+        return explicit.powers_of(shares, len(self.rows))
 
     @property
     def exponents(self) -> NDArray[np.intp]:
@@ -166,7 +164,7 @@ def _mean(scaled: Array) -> float:
     return math.sqrt(float(np.dot(flat, flat)) / flat.size)
 
 
-class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
+class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory.
 
     If h is far above a stiff time scale, the error estimate sees the nodes only. The defect of the
@@ -183,7 +181,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def __init__(
         self,
-        rates: Rates,
+        rates: explicit.Rates,
         start: float,
         states: Array,
         end: float,
@@ -205,7 +203,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step whose error is within the tolerance, shorter than the last one if it must be."""
-        t, y, shortest = self.t, self.y, _LEAST_STEP * float(np.spacing(abs(self.t)))
+        t, y, shortest = self.t, self.y, explicit.LEAST_STEP * float(np.spacing(abs(self.t)))
         h, before = self.h_abs, (self.h_abs_old, self.error_norm_old)
         if not shortest <= h <= self.max_step:
             h, before = min(max(h, shortest), self.max_step), (None, None)
@@ -221,7 +219,8 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             most = self._scheme.most_iterations
             safety = 0.9 * (2 * most + 1) / (2 * most + iterations)
             factor = safety * _predicted_factor(self._scheme.power, h, error, *before)
-            factor = min(_MOST_FACTOR, max(_LEAST_FACTOR, factor))  # the least if not a number
+            factor = max(explicit.LEAST_FACTOR, factor)  # the least if not a number
+            factor = min(factor, explicit.MOST_FACTOR)
             if not error <= 1.0:
                 h *= factor
                 refused = again = True

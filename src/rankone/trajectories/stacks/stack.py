@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
 from rankone.support.costs import Cost, function_cost
+from rankone.support.precision import NEGLIGIBLE
 from rankone.tensors.bases.time_grid import inset
 from rankone.trajectories.integrators.defects import DefectControl
 from rankone.trajectories.integrators.diagnosis import decays_faster, switching_state
@@ -48,7 +49,6 @@ _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and i
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
 _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
-_TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
 _TELLING_STEPS = 100  # Steps that tell how many are left: those of a transient are fewer
 _TELLING_SHARE = 0.01  # Part of the horizon after which fewer do
@@ -463,7 +463,7 @@ class _Stack:
         state = self.system.initial(self.parameters)
         record.begin(self.edges[0])
         count = tiny = 0
-        tiny_step = _TINY_STEP * (self.edges[-1] - self.edges[0])
+        tiny_step = NEGLIGIBLE * (self.edges[-1] - self.edges[0])
         for a, b in itertools.pairwise(self.edges):
             kind = self.system.jumps.kind_at(a)
             if kind is not None:

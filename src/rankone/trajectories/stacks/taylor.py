@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import NODES, Tolerances
-from rankone.trajectories.stacks.explicit import Piece, Rates, Stepper, powers_of
+from rankone.trajectories.stacks import explicit
 from rankone.trajectories.stacks.newton import SPARSE_STATES
 from rankone.trajectories.system.system import System
 
@@ -34,23 +35,19 @@ _STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides
 _LAST_COEFFICIENTS = 2  # Coefficients that choose a step: one may vanish by symmetry
 # Size of the last coefficient, and the largest error of a step, over the tolerance
 _AIMED_ERROR, _MOST_ERROR = 0.1, 0.2
-_LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
 _FIRST_SHARE = 1e-3  # First trial of the first step, over the way
-_FIRST_FACTOR = 1e3  # Largest factor from there to the first step
 _FIRST_TRIALS = 12  # Trials of a first step whose coefficients are not finite
-# Steps over those of DOP853 at a tolerance of one, and the power of the tolerance that they fall by
-_STEPS_RATIO, _DOP853_POWER = 4.2, 0.125
+_STEPS_RATIO = 4.2  # Steps over those of DOP853 at a tolerance of one
+DOP853_POWER = 1.0 / 8.0
+"""Steps of DOP853 grow with this power of one over the tolerance."""
 # Parts of a step, and the largest product of the distances of a share from all nodes of a path
 _LEAST_PARTS, _MOST_PARTS = 4, 64
-_NO_ERROR = 1e-300  # Smaller than any error that is allowed, but not zero
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
-_LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 # Step times decay rate from which stability limits a step, over the one at which the last
 # coefficient is as large as the state
 _STIFF_SHARE = 0.7
 _STEPS_KEPT = 20  # Steps to the end that cost less than implicit ones from the start
-_SAME_RATES = 1e-9  # Difference between the series and the rates, over the terms: rounding
 _ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
 _TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
 _PRODUCT_COST = 0.5  # Operations of a product of two coefficients
@@ -59,7 +56,7 @@ _STEP_COST = 80e3  # Operations of a step besides
 
 def steps_ratio(tolerance: float, affine: bool = False) -> float:
     """Steps of a series over those of DOP853, where the tolerance limits both."""
-    ratio = _STEPS_RATIO * math.pow(tolerance, _DOP853_POWER)
+    ratio = _STEPS_RATIO * math.pow(tolerance, DOP853_POWER)
     if not affine:
         return ratio
     usual, order = taylor_order(tolerance), taylor_order(tolerance, affine=True)
@@ -126,7 +123,7 @@ class TaylorSeries:
         flows = self._flows(states)
         missed = np.abs(self.sums @ flows + self.constant - rates)
         terms = abs(self.sums) @ np.abs(flows) + np.abs(self.constant)
-        return bool((missed <= _SAME_RATES * terms).all())
+        return bool((missed <= NEGLIGIBLE * terms).all())
 
     def _flows(self, states: Array) -> Array:
         """What the sums are of, at states (n, m): (flows, m) or (variables, m)."""
@@ -342,7 +339,7 @@ def _halved(monomial: tuple[int, ...]) -> list[tuple[int, ...]]:
     return [monomial, *(part for part in (monomial[:half], monomial[half:]) if len(part) > 1)]
 
 
-class TaylorPiece(Piece):
+class TaylorPiece(explicit.Piece):
     """A step of a Taylor series: powers of the time since its start, in units of a trial step.
 
     On each of its parts the polynomials of paths are within the ``tolerances`` of it.
@@ -370,12 +367,13 @@ class TaylorPiece(Piece):
         share, (relative, absolute) = (self.t - self.t_old) / self.h, self.tolerances
         sizes = np.maximum(np.abs(self.y_old), np.abs(self.y))
         allowed = absolute + relative * np.maximum(sizes, share * np.abs(self.rows[0]))
-        missed = interpolation_errors(share, self.rows) / np.maximum(allowed, _NO_ERROR)
+        with np.errstate(over="ignore"):
+            missed = interpolation_errors(share, self.rows) / np.maximum(allowed, TINY)
         enough = min(_MOST_PARTS, float(missed.max(initial=0.0)) ** (1.0 / NODES.size))
         return int(max(_LEAST_PARTS, math.ceil(enough)))
 
     def weights(self, shares: Array) -> Array:
-        return powers_of(shares, self.order)
+        return explicit.powers_of(shares, self.order)
 
 
 def interpolation_errors(share: float, rows: Array) -> Array:
@@ -402,7 +400,7 @@ class _TaylorSolver(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
     def __init__(
         self,
-        rates: Rates,
+        rates: explicit.Rates,
         start: float,
         states: Array,
         end: float,
@@ -415,7 +413,7 @@ class _TaylorSolver(scipy.integrate.OdeSolver):  # type: ignore[misc]
         self.rtol, self.atol, self.max_step = rtol, atol, max_step
 
 
-class StackedTaylor(Stepper, _TaylorSolver):
+class StackedTaylor(explicit.Stepper, _TaylorSolver):
     """Steps that suit every trajectory, of the order that suits the tolerance.
 
     The last coefficients choose the step. The defect at its end, where the series has to have the
@@ -431,7 +429,7 @@ class StackedTaylor(Stepper, _TaylorSolver):
 
     def __init__(
         self,
-        rates: Rates,
+        rates: explicit.Rates,
         start: float,
         states: Array,
         end: float,
@@ -444,13 +442,13 @@ class StackedTaylor(Stepper, _TaylorSolver):
         self.stiff_product = _STIFF_SHARE * math.exp(math.lgamma(self.order + 1.0) / self.order)
         self.cost = series.cost(self.order)
         self.recursion = Recursion(series, self.order)
-        self.h_abs, self.unit, self.most = _FIRST_SHARE * (end - start), 0.0, _FIRST_FACTOR
+        self.h_abs, self.unit, self.most = _FIRST_SHARE * (end - start), 0.0, 1.0 / _FIRST_SHARE
         self.powers = np.empty((0, 0))
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step whose error is within the tolerance."""
         t, y = self.t, self.y
-        shortest = _LEAST_STEP * float(np.spacing(abs(t)))
+        shortest = explicit.LEAST_STEP * float(np.spacing(abs(t)))
         self.unit = min(self.h_abs, self.max_step)
         self.powers = powers = self._powers(shortest)
         h = min(max(self._longest(powers), shortest), self.max_step)
@@ -462,11 +460,11 @@ class StackedTaylor(Stepper, _TaylorSolver):
             missed = np.abs(slope / self.unit - self.fun(end, y_new)) / scale
             error = float(missed.max(initial=0.0)) * h / (self.order + 1)
             if error <= _MOST_ERROR:
-                self.h_abs, self.most = h, _MOST_FACTOR
+                self.h_abs, self.most = h, explicit.MOST_FACTOR
                 self.t, self.y, self.y_old = end, y_new, y
                 return True, None
             reduced = (_AIMED_ERROR / error) ** (1.0 / (self.order + 1))
-            h *= max(_LEAST_FACTOR, reduced) if math.isfinite(error) else _LEAST_FACTOR
+            h *= max(explicit.LEAST_FACTOR, reduced)  # the least if not a number
         return False, self.TOO_SMALL_STEP
 
     def _powers(self, shortest: float) -> Array:

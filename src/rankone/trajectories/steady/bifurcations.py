@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
 from rankone.support.errors import BlowUpError, ConvergenceError
-from rankone.trajectories.steady.rest import SteadyStates
+from rankone.support.precision import DIFFERENCE, EPSILON, NEGLIGIBLE, ROUNDING
+from rankone.trajectories.steady.rest import EXACT, MOST_NEWTON_STEPS, SteadyStates
 from rankone.trajectories.system.constraints import Constraints
 from rankone.trajectories.system.features import Features, Jumps, VectorLike
 from rankone.trajectories.system.system import Rest, System
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
-_MOST_NEWTON_STEPS = 15  # For each of them
 _NEAR = 0.3  # Growth rate over that at the centre, from which on Newton's method may change branch
 _SAME = 1e-6  # Relative distance of steady states that are the same
 _HALVINGS = 24  # Of a line on which a branch ends
@@ -146,7 +146,7 @@ def _on_way(
             0.0,
             states[:, there],
             np.ascontiguousarray(at[there].T),
-            _MOST_NEWTON_STEPS,
+            MOST_NEWTON_STEPS,
             sizes[:, there],
         )
         yield states, at
@@ -205,22 +205,16 @@ def _listed(steady: SteadyStates, point: Array) -> str:
 
 
 _FIRST_STEP = 0.02  # Of arc length; the whole line and the size of each state have length one
-_LONGEST_STEP = 0.1
-_SHORTEST_STEP = 1e-7
 _MOST_STEPS = 1000
-_CORRECTIONS = 8  # Newton steps back to the branch
-_CLOSE = 1e-11  # Of the last of them
-_CLOSE_TO_IT = 1e-8  # Length of the branch within which a bifurcation is located
 _STRAIGHT = 0.95  # Cosine of the angle between tangents of one step and the next
-_DIFFERENCE = 1e-6  # Of derivatives along the line, as a share of it
-_BENT = 1e-3  # Of second and third derivatives along the null vector, in sizes of the states
+# Step of second and third derivatives along the null vector, in sizes of the states
+_BENT = EPSILON**0.2
 _NAMES = {
     "fold": "a fold",
     "Hopf": "a Hopf point",
     "transcritical": "a transcritical point",
     "pitchfork": "a pitchfork",
 }
-_ROUNDINGS = 10.0  # Of a matrix, in units of the last place of its norm
 _ZERO = 1e-4  # Coefficients of normal forms below this share of what they are made of vanish
 
 
@@ -296,7 +290,7 @@ class BranchLine:
             there = self._moved(here, length)
             if there is None or there.tangent @ here.tangent < _STRAIGHT:
                 length *= 0.5
-                if length < _SHORTEST_STEP:
+                if length < NEGLIGIBLE:
                     raise ArithmeticError
                 continue
             if (there.leading.real < 0.0) != (here.leading.real < 0.0):
@@ -305,7 +299,7 @@ class BranchLine:
                 return self._named(here, self._located(here, there, lambda at: at.tangent[-1]))
             if there.z[-1] >= 1.0:
                 return None
-            here, length = there, min(1.5 * length, _LONGEST_STEP)
+            here, length = there, min(1.5 * length, 5.0 * _FIRST_STEP)
         raise ArithmeticError
 
     def _values(self, z: Array) -> tuple[Array, Array]:
@@ -321,8 +315,8 @@ class BranchLine:
         states, p = self._values(z)
         by_states = self.constraints.slopes(0.0, states, p)[:, :, 0] * self.sizes
         shift = np.zeros(len(z))
-        shift[-1] = _DIFFERENCE
-        by_share = (self._residuals(z + shift) - self._residuals(z - shift)) / (2.0 * _DIFFERENCE)
+        shift[-1] = DIFFERENCE
+        by_share = (self._residuals(z + shift) - self._residuals(z - shift)) / (2.0 * DIFFERENCE)
         self.units = np.maximum(self.units, np.abs(by_states).max(axis=1))
         units = np.where(self.units > 0.0, self.units, 1.0)
         return np.column_stack([by_states, by_share]) / units[:, None], units
@@ -343,7 +337,7 @@ class BranchLine:
     def _corrected(self, guess: Array, tangent: Array) -> _At | None:
         """The point of the branch next to a guess, across the tangent; None if there is none."""
         z, change = guess.copy(), np.inf
-        for _ in range(_CORRECTIONS):
+        for _ in range(MOST_NEWTON_STEPS):
             slopes, units = self._slopes(z)
             matrix = np.vstack([slopes, tangent])
             off = np.append(self._residuals(z) / units, tangent @ (z - guess))
@@ -351,10 +345,10 @@ class BranchLine:
                 return None
             step = np.linalg.lstsq(matrix, -off, rcond=None)[0]
             z, change = z + step, float(np.abs(step).max())
-            if change <= _CLOSE:
+            if change <= EXACT:
                 break
         # next to a branch point rounding leaves more
-        return self._described(z, tangent) if change <= math.sqrt(_CLOSE) else None
+        return self._described(z, tangent) if change <= math.sqrt(EXACT) else None
 
     def _located(self, first: _At, last: _At, sign: Callable[[_At], float]) -> _At:
         """The point between two of the branch at which something changes its sign.
@@ -367,7 +361,7 @@ class BranchLine:
             length, share = float(np.linalg.norm(b.z - a.z)), low / (low - high)
             guess, tangent = _cubic(a, b, length, share)
             near = length * min(share, 1.0 - share)
-            there = self._corrected(guess, tangent) if near > _CLOSE_TO_IT else None
+            there = self._corrected(guess, tangent) if near > NEGLIGIBLE else None
             if there is None or np.abs(there.z - guess).max() > near:
                 here = self._described(guess, tangent)
                 if here is None:
@@ -383,7 +377,7 @@ class BranchLine:
     def _named(self, before: _At, at: _At) -> Bifurcation:
         """The bifurcation at a point, with its kind."""
         states, p = self._values(at.z)
-        rounding = _CLOSE * (np.abs(self.start) + np.abs(self.direction))
+        rounding = EXACT * (np.abs(self.start) + np.abs(self.direction))
         values = np.where(np.abs(p[:, 0]) > rounding, p[:, 0], 0.0)
         frequency = frequency_of(self.steady.perturbations(states, p.T)[0][0])
         kind = "Hopf" if frequency else self._of_zero_eigenvalue(before, at)
@@ -422,7 +416,7 @@ def frequency_of(matrix: Array) -> float:
     """
     values, left, right = scipy.linalg.eig(matrix, left=True)
     first = int(np.argmax(values.real))
-    rounding = _ROUNDINGS * np.finfo(float).eps * np.linalg.norm(matrix)
+    rounding = ROUNDING * np.linalg.norm(matrix)
     cosine = abs(left[:, first].conj() @ right[:, first])
     size = abs(float(values[first].imag))
     return size if size * cosine > rounding else 0.0

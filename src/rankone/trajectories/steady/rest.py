@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import integrator_for
 from rankone.trajectories.system.constraints import Constraints
@@ -24,11 +25,9 @@ from rankone.trajectories.system.features import Features, Jumps, VectorLike
 from rankone.trajectories.system.system import System
 
 _SAMPLES = 8  # Random states for each state
-_ZERO = 1e-11  # Singular values of the rates, over the largest, that vanish
-_SEED = 1864  # Of the states: the same system always has the same conserved sums
+EXACT = 1e-11
+"""Relative error that Newton's method and singular values leave."""
 _LARGEST_DENOMINATOR = 120  # Of coefficients that are taken for fractions
-_ROUNDING = 1e-9  # Their distance from such a fraction
-_UNCHANGED = 1e-12  # Change of a sum by rates, over the sum of their sizes, that is rounding
 
 
 class ConservedSums:
@@ -40,7 +39,7 @@ class ConservedSums:
     def __init__(self, system: System) -> None:
         self.system = system
         n, samples = system.n_differential, _SAMPLES * (system.n_differential + 1)
-        rng = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(1864)  # the same sums each time
         box = np.asarray(system.box, dtype=float).reshape(-1, 2)
         p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), samples))
         size = np.abs(system.initial(p)).max(axis=1, keepdims=True)
@@ -83,11 +82,11 @@ class ConservedSums:
         scaled = rates / rows
         scaled = scaled / _without_zeros(np.abs(scaled).max(axis=0))
         left, singular, _ = np.linalg.svd(scaled)
-        rank = int((singular > _ZERO * max(singular[0], 1e-300)).sum())
+        rank = int((singular > EXACT * max(singular[0], TINY)).sum())
         kernel = _reduced(left[:, rank:].T / rows.T)
         fractions = _as_fractions(kernel)
         change, sizes = np.abs(fractions @ rates), np.abs(fractions) @ np.abs(rates)
-        return fractions if (change <= _UNCHANGED * sizes).all() else kernel
+        return fractions if (change <= COINCIDENT * sizes).all() else kernel
 
 
 def _without_zeros(sizes: Array) -> Array:
@@ -105,7 +104,7 @@ def _reduced(rows: Array) -> Array:
         columns[column] = False
         others = np.arange(len(reduced)) != i
         reduced[others] -= np.outer(reduced[others, column], reduced[i])
-    return np.where(np.abs(reduced) > _ROUNDING * np.abs(reduced).max(initial=0.0), reduced, 0.0)
+    return np.where(np.abs(reduced) > NEGLIGIBLE * np.abs(reduced).max(initial=0.0), reduced, 0.0)
 
 
 def _as_fractions(rows: Array) -> Array:
@@ -116,7 +115,7 @@ def _as_fractions(rows: Array) -> Array:
     integers = np.array(rows)
     for i, row in enumerate(rows):
         fractions = [Fraction(x).limit_denominator(_LARGEST_DENOMINATOR) for x in row.tolist()]
-        if any(abs(f - x) > _ROUNDING for f, x in zip(fractions, row.tolist(), strict=True)):
+        if any(abs(f - x) > NEGLIGIBLE for f, x in zip(fractions, row.tolist(), strict=True)):
             return rows
         common = np.lcm.reduce([fraction.denominator for fraction in fractions])
         integers[i] = [float(fraction * int(common)) for fraction in fractions]
@@ -134,14 +133,13 @@ def _as_fractions(rows: Array) -> Array:
 _ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come close
 _LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolerance
 _CLOSE = 1e-3  # Distance from a steady state, in sizes of the states, that counts as having settled
-_AT_REST = 1e-11  # The same at which a trajectory has not moved from its start
-_RESTING = 1e-4  # The same next to a steady state that is not stable: ten times the accuracy
-_MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
+MOST_NEWTON_STEPS = 15
+"""Steps of Newton's method from where a steady state is close."""
 _NOISE = 1e-18  # A state below this share of the largest one on the way is zero
 _LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
-_STEP = 2e-3  # Of differences, over the width of the box or the parameter itself
+# Of differences of fourth order, over the width of the box or the parameter itself
+_STEP = COINCIDENT**0.2
 _CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
-_NEUTRAL = 1e-9  # Growth rates above minus this, in units of the horizon, do not decay
 
 Follow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 """States (n, m) at the end of trajectories, and their largest absolute values.
@@ -295,12 +293,12 @@ class SteadyStates:
     def decays(self, states: Array, points: Array) -> NDArray[np.bool_]:
         """At which points (m, d) perturbations of states (n, m) decay; not where these are NaN."""
         growth = self.growth(np.nan_to_num(states), points)
-        return np.asarray(np.isfinite(states).all(axis=0) & (growth < -_NEUTRAL / self.first))
+        return np.asarray(np.isfinite(states).all(axis=0) & (growth < -NEGLIGIBLE / self.first))
 
     def grows(self, states: Array, points: Array) -> NDArray[np.bool_]:
         """At which points (m, d) some perturbation of states (n, m) grows."""
         growth = self.growth(np.nan_to_num(states), points)
-        return np.asarray(np.isfinite(states).all(axis=0) & (growth > _NEUTRAL / self.first))
+        return np.asarray(np.isfinite(states).all(axis=0) & (growth > NEGLIGIBLE / self.first))
 
     def slopes(self, points: Array) -> tuple[Array, Array]:
         """Derivatives (n, d, m) by the parameters at points (m, d), and the points.
@@ -332,7 +330,7 @@ class SteadyStates:
         """The steady states (n, m) that trajectories at points (m, d) reach, or NaN."""
         states = np.array(self.system.initial(np.ascontiguousarray(points.T)))  # not part of points
         largest, before = np.abs(states), np.full(states.shape, np.nan)
-        settled, _ = self._nearby(states, points, largest, _AT_REST)
+        settled, _ = self._nearby(states, points, largest, EXACT)
         if self.stable_only:
             settled = np.where(self.decays(settled, points), settled, np.nan)
         time, later = 0.0, self.first
@@ -362,7 +360,7 @@ class SteadyStates:
         larger on its way may still pass by.
         """
         columns = np.ascontiguousarray(points.T)
-        consistent = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS, largest)
+        consistent = self._constraints.consistent(0.0, states, columns, MOST_NEWTON_STEPS, largest)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
         away = np.abs(consistent - states)
         consistent = np.where(np.abs(consistent) > _NOISE * units.max(axis=0), consistent, 0.0)
@@ -381,7 +379,7 @@ class SteadyStates:
         least = _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
         chosen = integrator_for(system, "auto")
         dense = chosen.run(system, moved, [start, end], Tolerances.down_to(_ACCURACY, least))
-        if dense.end < end * (1.0 - 1e-9):
+        if dense.end < end * (1.0 - NEGLIGIBLE):
             worst = int(np.argmax(np.nan_to_num(np.abs(dense.state).max(axis=0), nan=np.inf)))
             raise BlowUpError(
                 f"a trajectory blows up at t = {dense.end:.6g}{self._at(points[worst])}",
@@ -412,10 +410,10 @@ class SteadyStates:
         states = self.beside(points)
         leading = self.leading(np.nan_to_num(states), points)
         growth = np.where(np.isfinite(states).all(axis=0), leading.real, np.nan)
-        neutral = _NEUTRAL / self.first
+        neutral = NEGLIGIBLE / self.first
         which = int(np.nanargmax(growth)) if np.isfinite(growth).any() else 0
         away = np.abs(states[:, which] - self._last[points[which].tobytes()])
-        if growth[which] > neutral and (away <= _RESTING * self.sizes.max()).all():
+        if growth[which] > neutral and (away <= 10.0 * _ACCURACY * self.sizes.max()).all():
             place = self._at(points[which])
             return ConvergenceError(
                 f"trajectories come to rest at a steady state that is not stable{place}",

@@ -14,19 +14,15 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, pseudo_inverse
+from rankone.support.precision import COINCIDENT, EPSILON, NEGLIGIBLE, TINY
 from rankone.trajectories.system.features import OfStates, no_rows
 
 _CALLS = 30  # Of NumPy in a step of Newton's method
 _MOST_STEPS = 100  # Steps of Newton's method; damped ones from far away are many
 _MOST_HALVINGS = 30  # Of a step that does not lower the residual
 _LEAST_FALL = 0.1  # Part of the residual by which a step lowers it, at least, for its length
-_SHORT = 1e-8  # Relative length of steps from which rounding decides on the residual
-_CONVERGED = 1e-12  # Relative change by the last step
-_STALLED = 0.9  # Of a short step by the next one, which is then rounding
-_LEAST_SIZE = 1e-9  # Of a state beside the largest one: smaller changes are relative to it
-_SATISFIED = 1e-9  # Relative residual left by it, of equations that have a solution
+_SHORT = EPSILON**0.5  # Relative length of steps from which rounding decides on the residual
 _MOST_PROJECTIONS = 20  # Steps of Newton's method towards all constraints, from close by
-_DEPENDENT = 1e-12  # Singular values of scaled Jacobians below this share of the largest are zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +50,7 @@ class Constraints:
         states, rows = np.array(u, dtype=float), list(self.guessed)
         if not rows:
             return states
-        least = _LEAST_SIZE * (np.zeros(states.shape) if sizes is None else sizes)
+        least = NEGLIGIBLE * (np.zeros(states.shape) if sizes is None else sizes)
         with np.errstate(all="ignore"):
             converged = np.zeros(states.shape[1], dtype=bool)
             before = np.full(states.shape[1], np.inf)
@@ -66,8 +62,8 @@ class Constraints:
                 states[:, open_], changes = self._stepped(
                     t, states[:, open_], p[:, open_], least[:, open_]
                 )
-                rounding = (changes <= _SHORT) & (changes >= _STALLED * before[open_])
-                converged[open_] = (changes <= _CONVERGED) | rounding
+                rounding = (changes <= _SHORT) & (changes >= (1.0 - _LEAST_FALL) * before[open_])
+                converged[open_] = (changes <= COINCIDENT) | rounding
                 before[open_] = changes
             states[rows] = np.where(
                 converged & self._hold(t, states, p, least), states[rows], np.nan
@@ -82,13 +78,13 @@ class Constraints:
         rows = list(self.guessed)
         residuals, slopes = self._at(t, u, p)
         sizes = np.abs(u[rows])
-        sizes = np.maximum(np.maximum(sizes, least[rows]), _LEAST_SIZE * sizes.max(axis=0))
+        sizes = np.maximum(np.maximum(sizes, least[rows]), NEGLIGIBLE * sizes.max(axis=0))
         sizes = np.where(sizes > 0.0, sizes, 1.0)
         scaled = slopes[:, rows] * sizes
         scale = np.abs(scaled).max(axis=1)
         scale = np.where(scale > 0.0, scale, np.inf)  # rows without guessed states do not count
         matrices = np.nan_to_num(np.moveaxis(scaled / scale[:, None], 2, 0))
-        inverse = np.linalg.pinv(matrices, rcond=_DEPENDENT)
+        inverse = np.linalg.pinv(matrices, rcond=COINCIDENT)
         steps = -np.einsum("mgk,km->gm", inverse, residuals / scale)
         before, shares = np.linalg.norm(residuals / scale, axis=0), np.ones(u.shape[1])
         short = np.abs(steps).max(axis=0) <= _SHORT  # rounding decides on the residual
@@ -107,9 +103,9 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """At which points (m,) all constraints hold, up to rounding of sizes from ``least`` on."""
         residuals, slopes = self._at(t, u, p)
-        sizes = np.maximum(np.maximum(np.abs(u), least), _LEAST_SIZE * np.abs(u).max(axis=0))
+        sizes = np.maximum(np.maximum(np.abs(u), least), NEGLIGIBLE * np.abs(u).max(axis=0))
         terms = np.einsum("knm,nm->km", np.abs(slopes), sizes)
-        return np.asarray((np.abs(residuals) <= _SATISFIED * terms + 1e-300).all(axis=0))
+        return np.asarray((np.abs(residuals) <= NEGLIGIBLE * terms + TINY).all(axis=0))
 
     def _at(self, t: float | Array, u: Array, p: Array) -> tuple[Array, Array]:
         """Residuals (k, m) and slopes (k, n, m)."""
@@ -159,6 +155,6 @@ class Constraints:
             scale = np.where(scale > 0.0, scale, 1.0)
             finite = np.isfinite(scaled.sum(axis=(1, 2)) + residuals.sum(axis=0))
             matrices = np.where(finite[:, None, None], scaled / scale, 0.0)
-            inverse = np.linalg.pinv(matrices, rcond=_DEPENDENT)
+            inverse = np.linalg.pinv(matrices, rcond=COINCIDENT)
             changes = np.einsum("mnk,mk->nm", inverse, residuals.T / scale[:, :, 0])
         return np.where(finite, changes * sizes[:, None], np.inf)

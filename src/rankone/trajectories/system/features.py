@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, warn
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import quote
 
 VectorLike: TypeAlias = "Array | Sequence[float] | Sequence[Array]"
@@ -27,8 +28,6 @@ OfStates: TypeAlias = "Callable[[float | Array, VectorLike, VectorLike], Array]"
 """A function of t, u (n, ...) and p (d, ...)."""
 Jumped: TypeAlias = Callable[[int, VectorLike, VectorLike], Array]
 """States after a jump, from its kind, the states before and the parameters."""
-# In horizons: a jump closer to the end than this is at the end except for rounding
-_DISTANCE_FROM_END = 1e-9
 
 GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"
 """What to do about a gap, wherever it shows."""
@@ -112,7 +111,7 @@ class Jumps:
 
     def inside(self, start: float, end: float) -> tuple[float, ...]:
         """The times inside of a horizon, ascending."""
-        last = end - _DISTANCE_FROM_END * (end - start)
+        last = end - NEGLIGIBLE * (end - start)
         return tuple(time for time in self.times if start < time < last)
 
     def kind_at(self, time: float) -> int | None:
@@ -140,7 +139,7 @@ class Jumps:
 PREFIX, POINTS, VALUES = "f_", "POINTS_", "VALUES_"
 """First letters of names in generated source: of a function, so that no local name hides it, and of
 the data of a table."""
-AT_THE_ENDS = 1e-9
+AT_THE_ENDS = NEGLIGIBLE
 """Distance outside a table, over its length, that is taken for rounding."""
 
 

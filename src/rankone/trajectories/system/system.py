@@ -518,8 +518,8 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     return tuple(event(k, *each) for k, each in enumerate(listed))
 
 
-# Relative changes of states and time over which a gap ahead of a trajectory is looked for
-_GAP_DISTANCES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+"""Relative changes of states and time over which it is looked what rates are ahead."""
 
 
 def refuse_gap(system: System, time: float, state: Array, point: Array) -> None:
@@ -535,7 +535,7 @@ def refuse_gap(system: System, time: float, state: Array, point: Array) -> None:
         if not system.gaps.texts:
             return
         rates = np.nan_to_num(system.rhs(time, state[:, None], p)[:, 0])
-        for distance in _GAP_DISTANCES:
+        for distance in AHEAD:
             later = state + distance * np.abs(state) * np.sign(rates)
             ahead = time + distance * abs(system.horizon[1] - system.horizon[0])
             if (text := system.gaps.entered(ahead, later[:, None], p)) is not None:
