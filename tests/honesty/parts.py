@@ -262,7 +262,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
             defects.DefectControl,
             "_at_random",
             lambda control, _: np.zeros(control.parameters.shape[1]),
-            lambda errors, *_: bool((errors > defects._MOST_RANDOM_DEFECT).any()),
+            lambda errors, *_: bool((errors > defects._DEFECTS.most_at_random).any()),
         ),
     ),
     "steps made again at crossings": (
@@ -270,7 +270,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
             defects.DefectControl,
             "_at_crossings",
             lambda control, *_: np.zeros(control.parameters.shape[1]),
-            lambda errors, *_: bool((errors > defects._MOST_CROSSING_DEFECT).any()),
+            lambda errors, *_: bool((errors > defects._DEFECTS.most_at_crossings).any()),
         ),
     ),
     "kinks of stacks": (Place(stack.Kinks, "of", _none),),

@@ -80,8 +80,8 @@ def test_affine_rates_take_few_steps_of_a_higher_order(monkeypatch):
     """The steps of an exponential grow with the order, which saves more than each step costs."""
     system = system_of({"x": "5*y", "y": "a - 5*x - 0.1*b*y"}, {"x": "1", "y": "0"}, 12.0)
     costs = []
-    for ratio in (taylor._AFFINE_ORDERS, 1.0):
-        monkeypatch.setattr(taylor, "_AFFINE_ORDERS", ratio)
+    for ratio in (taylor._SERIES.affine_orders, 1.0):
+        monkeypatch.setattr(taylor, "_SERIES", replace(taylor._SERIES, affine_orders=ratio))
         dense = trajectories(system, points_of(4), 1e-6)
         assert dense.method == "Taylor"
         costs.append(dense.steps * (dense.pieces[0].order + 8))

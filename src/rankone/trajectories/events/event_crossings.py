@@ -25,19 +25,39 @@ from rankone.trajectories.integrators.integrator import BLOCK, NODES, Path, step
 from rankone.trajectories.system.events import BOTH, SystemEvent
 from rankone.trajectories.system.system import System
 
-_SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
-_CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
-_ON_SURFACE = 0.1  # Height where a path begins, over its change to the next node: rounding
-_MOST_DIVISIONS = 12  # Most divisions of a step in which an event may hide
-_NEWTON_STEPS = 4  # Iterations to where a polynomial is nearest to zero
-_AT_END = 1e-4  # Distance from an end of a step, as a share, that is the end
-_UNRESOLVED = 1e-3  # Error of a polynomial between the nodes, over its size, that may hide a root
-_NEAR = 4.0  # Distance from zero, in such errors, within which there may be one
-_GRAZING = 0.05  # Least distance from zero inside of a step, over its size, that may hide two
-_LOW = 0.5  # Least value on a step, over its size, above which it comes nowhere near zero
+
+@dataclass(frozen=True)
+class _Look:
+    """Where on a step an event may hide, and what counts as rounding."""
+
+    slope_step: float
+    crossing: float
+    on_surface: float
+    most_divisions: int
+    newton_steps: int
+    at_end: float
+    unresolved: float
+    near: float
+    grazing: float
+    low: float
+    stays: float
+
+
+_LOOK = _Look(
+    slope_step=1e-7,  # Step of a difference in time, relative to times and steps
+    crossing=1e-3,  # Slope where a path begins, over the mean one, from which it crosses a surface
+    on_surface=0.1,  # Height where a path begins, over its change to the next node: rounding
+    most_divisions=12,  # Most divisions of a step in which an event may hide
+    newton_steps=4,  # Iterations to where a polynomial is nearest to zero
+    at_end=1e-4,  # Distance from an end of a step, as a share, that is the end
+    unresolved=1e-3,  # Error of a polynomial between the nodes, over its size, that may hide a root
+    near=4.0,  # Distance from zero, in such errors, within which there may be one
+    grazing=0.05,  # Least distance from zero inside of a step, over its size, that may hide two
+    low=0.5,  # Least value on a step, over its size, above which it comes nowhere near zero
+    stays=1e-3,  # Part of the horizon for which heights are rounding, from which paths stay there
+)
 _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
 _FINE = np.linspace(0.0, 1.0, 25)
-_STAYS = 1e-3  # Part of the horizon for which heights are rounding, from which paths stay there
 
 
 # From values at the nodes of a step to the coefficients of the powers of shares
@@ -107,8 +127,8 @@ class _Steps:
         charge(CALL + LOOK_COST * self.nodal[:, :, 0].size)
         heights = np.ascontiguousarray(self.nodal[:, :, marker.state].T) - marker.level
         lowest, highest = heights.min(axis=0), heights.max(axis=0)
-        far = (lowest > 0.0) & (lowest > _LOW * highest)
-        far |= (highest < 0.0) & (highest < _LOW * lowest)
+        far = (lowest > 0.0) & (lowest > _LOOK.low * highest)
+        far |= (highest < 0.0) & (highest < _LOOK.low * lowest)
         far &= np.diff(self.owner, prepend=-1) == 0
         return self._chosen(np.flatnonzero(~far))
 
@@ -147,7 +167,7 @@ class _Steps:
         for a ``least`` time.
         """
         steps, done, stayed = self, list[tuple[_Steps, Array]](), False
-        for divisions in range(_MOST_DIVISIONS + 1):
+        for divisions in range(_LOOK.most_divisions + 1):
             at_nodes = steps.heights(event, NODES, steps.nodal)
             with np.errstate(all="ignore"):  # what is not a number is no crossing
                 stays = steps._stays(event, at_nodes, least)
@@ -155,7 +175,7 @@ class _Steps:
                 shares = steps._shares_to_divide(event, at_nodes)
             stayed |= bool(stays.any())
             hides = np.isfinite(shares) & ~stays
-            if divisions == _MOST_DIVISIONS or not hides.any():
+            if divisions == _LOOK.most_divisions or not hides.any():
                 break
             if not hides.all():
                 done.append((steps._chosen(~hides), at_nodes[~hides]))
@@ -190,16 +210,18 @@ class _Steps:
             missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
             sizes = np.concatenate([sizes, np.abs(between)], axis=1)
             largest, least = sizes.max(axis=1), sizes.min(axis=1)
-            unresolved = (missed > _UNRESOLVED * largest) & (least <= _NEAR * missed)
+            unresolved = (missed > _LOOK.unresolved * largest) & (least <= _LOOK.near * missed)
         # a crossing soon after a start on the surface, such as that of a small bounce
-        on_surface = np.abs(at_nodes[:, 0]) <= _ON_SURFACE * np.abs(at_nodes[:, 1] - at_nodes[:, 0])
+        on_surface = np.abs(at_nodes[:, 0]) <= _LOOK.on_surface * np.abs(
+            at_nodes[:, 1] - at_nodes[:, 0]
+        )
         turned = np.sign(at_nodes @ _TO_START_SLOPE) * at_nodes[:, 1] < 0.0
         shares = np.where(unresolved | (on_surface & turned), 0.5, np.nan)
         same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
-        near = np.flatnonzero(same & (least <= _LOW * largest) & np.isnan(shares))
+        near = np.flatnonzero(same & (least <= _LOOK.low * largest) & np.isnan(shares))
         nearest, height = _nearest_to_zero(at_nodes[near] * np.sign(at_nodes[near, :1]))
-        inside = (nearest > _AT_END) & (nearest < 1.0 - _AT_END)
-        grazes = inside & (height < _GRAZING * largest[near])
+        inside = (nearest > _LOOK.at_end) & (nearest < 1.0 - _LOOK.at_end)
+        grazes = inside & (height < _LOOK.grazing * largest[near])
         shares[near[grazes]] = nearest[grazes]
         return np.asarray(shares)
 
@@ -228,7 +250,7 @@ def _nearest_to_zero(heights: Array) -> tuple[Array, Array]:
     slopes = powers[:, 1:] * np.arange(1.0, NODES.size)
     bends = slopes[:, 1:] * np.arange(1.0, NODES.size - 1)
     share = _FINE[(heights @ _TO_FINE.T).argmin(axis=1)]
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_LOOK.newton_steps):
         slope, bend = (_polynomial(each, share) for each in (slopes, bends))
         step = np.divide(slope, bend, out=np.zeros_like(slope), where=bend > 0.0)
         share = np.clip(share - np.clip(step, -_FINE[1], _FINE[1]), 0.0, 1.0)
@@ -307,7 +329,7 @@ class Crossings:
         surface on its way: a ball that comes to rest falls again.
         """
         horizon = self.instant / SAME_INSTANT
-        steps, heights = self._steps.telling(event).resolved(event, _STAYS * horizon)
+        steps, heights = self._steps.telling(event).resolved(event, _LOOK.stays * horizon)
         _keep_sides(steps, heights)
         instants = [steps.begin[:0]] * len(self.paths)
         firsts = np.searchsorted(steps.owner, np.arange(len(self.paths)))
@@ -325,7 +347,7 @@ class Crossings:
             heights[was_here[steps.owner] & (since <= self.instant)] = 0.0
         # a reset may have moved the state away from the surface
         moved = np.abs(heights[began, 1] - heights[began, 0])
-        on_surface = np.abs(heights[began, 0]) <= _ON_SURFACE * moved
+        on_surface = np.abs(heights[began, 0]) <= _LOOK.on_surface * moved
         on_surface |= self._settled(event, steps, heights, began)
         began = began[on_surface]
         if began.size:
@@ -394,10 +416,10 @@ class Crossings:
             rates = np.broadcast_to(self.system.rhs(t, u, p), u.shape)
         charge(function_cost(self.system.rhs, self.system.user_functions)(starts.size))
         length = NODES[1] * (steps.end[starts] - t)
-        step = _SLOPE_STEP * np.maximum(length, np.abs(t))
+        step = _LOOK.slope_step * np.maximum(length, np.abs(t))
         rise = heights_of(event, t + step, u + step * rates, p) - heights_of(event, t, u, p)
         mean = heights_of(event, t + length, next_u, p) / length
-        return np.asarray(event.direction * rise / step > _CROSSING * np.abs(mean))
+        return np.asarray(event.direction * rise / step > _LOOK.crossing * np.abs(mean))
 
 
 def _keep_sides(steps: _Steps, heights: Array) -> None:

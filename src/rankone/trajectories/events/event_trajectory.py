@@ -21,10 +21,25 @@ from rankone.trajectories.integrators.integrator import HELD_NUMBERS, NODES, Pat
 from rankone.trajectories.system.events import BOTH, CROSSINGS, SystemEvent, overlap
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
-_LEAST_STRETCH = 1e-3  # Length of what is integrated after a reset at least, in horizons
-_SHRINKING = 10  # Shorter and shorter times until the same events, after which they may accumulate
-_REST = 1e-7  # Time within which all further ones would come if these shrink on, in horizons
-_STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
+
+
+@dataclass(frozen=True)
+class _Stretches:
+    """How far trajectories are integrated after a reset, and when events accumulate."""
+
+    least: float
+    shrinking: int
+    rest: float
+    longer: float
+
+
+_STRETCHES = _Stretches(
+    least=1e-3,  # Length of what is integrated after a reset at least, in horizons
+    # Shorter and shorter times until the same events, after which they may accumulate
+    shrinking=10,
+    rest=1e-7,  # Time within which all further ones would come if these shrink on, in horizons
+    longer=1.2,  # Length of what is integrated after a reset, over the time it took before
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +115,7 @@ class EventTrajectory:
         passed = self.end - float(self.paths[0].breaks[0])
         if stretch == math.inf and self.occurrences and passed > 0.0:  # marks alone so far
             stretch = self._until_passed(max(count - len(self.occurrences), 1))
-        far = edge - self.end > _STRETCH * stretch
+        far = edge - self.end > _STRETCHES.longer * stretch
         return self.end + stretch if far else edge
 
     def _until_passed(self, count: int) -> float:
@@ -170,13 +185,13 @@ class EventTrajectory:
         """
         gap, self.interrupted = time - self.interrupted, time
         self.gaps[self.met], self.met = gap, met
-        self.stretch = max(_STRETCH * self.gaps.get(met, gap), _LEAST_STRETCH * horizon)
+        self.stretch = max(_STRETCHES.longer * self.gaps.get(met, gap), _STRETCHES.least * horizon)
         last, before = self.returns.get(met, (-math.inf, 0.0))
         cycle = time - last
         self.returns[met] = time, cycle
         self.shorter = self.shorter + 1 if cycle < before else 0
         left = cycle / (1.0 - cycle / before) if self.shorter else math.inf
-        self.stuck |= self.shorter >= _SHRINKING and left <= _REST * horizon
+        self.stuck |= self.shorter >= _STRETCHES.shrinking and left <= _STRETCHES.rest * horizon
 
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE, TINY
+from rankone.support.precision import EPSILON, NEGLIGIBLE, ROUNDING, TINY
 from rankone.support.wording import quote
 from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
 from rankone.trajectories.events.sides import on_sides
@@ -34,11 +34,25 @@ from rankone.trajectories.system.events import Clearance, Ending, ForcedOrder, G
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES
 
-_LOOKS = 65  # Places at which a root is looked for
-_WIDER = (1.0, 4.0)  # Factors on the distance up to which it is looked for
-_FINER = 3  # Looks at a turn, each between the neighbours of the highest place before
-_AT_ROOT = 1e-7  # Height at the beginning, over the largest one, where a stretch begins at a root
-_MOST_FADED = 20.0  # Logarithm of the factor by which a surface that was moved comes back
+
+@dataclass(frozen=True)
+class _Following:
+    """Where roots of a forced order are looked for."""
+
+    looks: int
+    wider: tuple[float, float]
+    finer: int
+    at_root: float
+    most_faded: float
+
+
+_FOLLOWING = _Following(
+    looks=65,  # Places at which a root is looked for
+    wider=(1.0, 4.0),  # Factors on the distance up to which it is looked for
+    finer=3,  # Looks at a turn, each between the neighbours of the highest place before
+    at_root=1e-7,  # Height at the beginning, over the largest one, where a stretch begins at a root
+    most_faded=20.0,  # Logarithm of the factor by which a surface that was moved comes back
+)
 _NOT_FINITE = "runs to where its rates are not finite"
 _SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of states
 
@@ -77,7 +91,9 @@ class _Move:
     def __call__(self, elapsed: Array) -> Array:
         """The same after elapsed times (m, K): (m, K)."""
         by = self.by[:, None]
-        exponents = np.clip(self.fading * by * elapsed, -_MOST_FADED, _MOST_FADED)
+        exponents = np.clip(
+            self.fading * by * elapsed, -_FOLLOWING.most_faded, _FOLLOWING.most_faded
+        )
         return np.asarray(by * np.exp(-exponents))
 
 
@@ -441,7 +457,7 @@ class _Follower:
         the turn, where it would be zero: there is always a root.
         """
         event, i = self.clock.system.events[turn.event], turn.stretch
-        for factor in _WIDER:
+        for factor in _FOLLOWING.wider:
             low = expected - factor * self._forced.margins[i]
             flow = self._flow(i, times, states, np.maximum(expected, 0.0), np.minimum(low, 0.0))
             at_turn, height, rise = self._at_turn(turn, flow)
@@ -488,7 +504,7 @@ class _Follower:
         earliest = 2.0 * start - end - times
         if moved is not None and moved.start is not None:
             earliest, expected = np.zeros_like(times), np.maximum(expected, 0.0)
-        for factor in _WIDER:
+        for factor in _FOLLOWING.wider:
             low = np.maximum(expected - factor * margin, earliest)
             high = np.maximum(expected + factor * margin, earliest)
             to = np.maximum(high, 0.0), np.minimum(low, 0.0)
@@ -545,12 +561,12 @@ def _nearest_roots(
     that goes on where it would stick turns back.
     """
     low, high = between
-    elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
+    elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _FOLLOWING.looks)
     heights = flow.heights(event, elapsed, moved)
     what = flow.system.events[event]
     passed = what.switch | (np.diff(heights) * what.direction >= 0.0)
     at_start = np.abs(flow.heights(event, np.zeros((len(low), 1)), moved)[:, 0])
-    deflated = at_root & (at_start <= _AT_ROOT * np.abs(heights).max(axis=1))
+    deflated = at_root & (at_start <= _FOLLOWING.at_root * np.abs(heights).max(axis=1))
     heights = _deflated(heights, elapsed, deflated)
     signs = np.sign(heights)
     crossed = signs[:, :-1] * signs[:, 1:] < 0.0
@@ -569,7 +585,9 @@ def _nearest_roots(
     begin = elapsed[rows, chosen]
     length = elapsed[rows, chosen + 1] - begin
     ends = (np.where(exists, heights[rows, chosen + k], 0.0) for k in (0, 1))
-    shares = roots(lambda share: height(begin + share * length), *ends)
+    rounding = EPSILON * (np.abs(flow.starts) + np.abs(begin)) / np.abs(length)
+    accuracy = np.maximum(2.0 * rounding, ROUNDING)
+    shares = roots(lambda share: height(begin + share * length), *ends, accuracy)
     return np.where(exists, begin + shares * length, np.nan)
 
 
@@ -587,10 +605,10 @@ def _nearest_turns(
     low, high = between
     rows = np.arange(len(low))
     exists = np.ones(len(low), dtype=bool)
-    for finer in range(_FINER):
-        elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _LOOKS)
+    for finer in range(_FOLLOWING.finer):
+        elapsed = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _FOLLOWING.looks)
         heights = sign * flow.heights(event, elapsed)
-        chosen = np.clip(heights.argmax(axis=1), 1, _LOOKS - 2)
+        chosen = np.clip(heights.argmax(axis=1), 1, _FOLLOWING.looks - 2)
         if not finer:
             inner = heights[:, 1:-1]
             turns = (inner >= heights[:, :-2]) & (inner >= heights[:, 2:])

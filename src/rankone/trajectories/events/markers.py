@@ -44,25 +44,64 @@ OUT_OF_PHASE = 8.0
 which markers pay."""
 SCOUTS = slice(9)
 """Trajectories that are looked at first, corners of the box among them."""
-# Part of the spread and of the steepness that they have to show, roughly, before all are looked at
-_SCOUTED = 0.4
-_FEWEST, _FRONT = 3, 10.0  # Crossings that each has to pass, and least slope where they are fewer
-_LATER, _FURTHER = 0.1, 2.0  # Margins after a mark that is foreseen: in gaps, and in errors
-_MOST_DEGREE = 8  # Of the polynomials that foresee marks
-_TRANSVERSAL = 0.5  # Least slope at a crossing, over the range per mean gap between two crossings
-_SECOND_TRANSVERSAL = 0.2  # The same for a second marker
-_LEVELS, _MUCH_STEEPER = (0.5, 0.2, 0.8), 4.0  # Shares of the range of a state that are tried
-_SPIKE = 0.1  # Least gap between crossings, over the mean one, below which both are on one spike
-_HIGH_RANK = 8  # Rank of a few trajectories above which a second marker is looked for
-_LOWER_RANK = 0.8  # Largest rank with it, over the one without
-_APART = 0.03  # Least gap between crossings of two markers, over the mean one
-# Change over a period of trajectories that are continued to tell how many crossings there are, and
-# how many times as far as they were integrated
-_NEARLY, _FURTHEST = 0.01, 3.0
-_BEYOND = 0.25  # Time from the end to the last mark, at least, in periods
-_RANKED = 24  # Trajectories of which a rank is taken
-_RANK_TOLERANCE = 3e-4  # What is left out of them, over the largest states
-_TELLING, _MOST_PLACES = (0, -1), 512  # Those whose steps tell the places where they are compared
+
+
+@dataclass(frozen=True)
+class _MarkerChoice:
+    """What a state has to show before its crossings are markers."""
+
+    scouted: float
+    fewest: int
+    front: float
+    later: float
+    further: float
+    most_degree: int
+    transversal: float
+    second_transversal: float
+    levels: tuple[float, ...]
+    much_steeper: float
+    spike: float
+    high_rank: int
+    lower_rank: float
+    apart: float
+    nearly: float
+    furthest: float
+    beyond: float
+    ranked: int
+    rank_tolerance: float
+    telling: tuple[int, int]
+    most_places: int
+    full: float
+
+
+_CHOICE = _MarkerChoice(
+    # Part of the spread and of the steepness that they have to show, roughly, before all are looked
+    # at
+    scouted=0.4,
+    fewest=3,  # Crossings that each has to pass, and least slope where they are fewer
+    front=10.0,
+    later=0.1,  # Margins after a mark that is foreseen: in gaps, and in errors
+    further=2.0,
+    most_degree=8,  # Of the polynomials that foresee marks
+    transversal=0.5,  # Least slope at a crossing, over the range per mean gap between two crossings
+    second_transversal=0.2,  # The same for a second marker
+    levels=(0.5, 0.2, 0.8),  # Shares of the range of a state that are tried
+    much_steeper=4.0,
+    spike=0.1,  # Least gap between crossings, over the mean one, below which both are on one spike
+    high_rank=8,  # Rank of a few trajectories above which a second marker is looked for
+    lower_rank=0.8,  # Largest rank with it, over the one without
+    apart=0.03,  # Least gap between crossings of two markers, over the mean one
+    # Change over a period of trajectories that are continued to tell how many crossings there are,
+    # and how many times as far as they were integrated
+    nearly=0.01,
+    furthest=3.0,
+    beyond=0.25,  # Time from the end to the last mark, at least, in periods
+    ranked=24,  # Trajectories of which a rank is taken
+    rank_tolerance=3e-4,  # What is left out of them, over the largest states
+    telling=(0, -1),  # Those whose steps tell the places where they are compared
+    most_places=512,
+    full=0.75,  # Rank over clock time, over their number, from which it is looked for
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +117,7 @@ class _Candidate:
     def on_spikes(self) -> bool:
         """Whether two crossings are close to each other, beside the mean gap from the start."""
         gaps = [(np.diff(each).min(initial=math.inf), each[-1] / each.size) for each in self.times]
-        return any(least < _SPIKE * mean for least, mean in gaps)
+        return any(least < _CHOICE.spike * mean for least, mean in gaps)
 
 
 def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
@@ -86,7 +125,7 @@ def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
 
     The horizon is so many times as long as they are.
     """
-    least = _SCOUTED * OUT_OF_PHASE / further
+    least = _CHOICE.scouted * OUT_OF_PHASE / further
     return any(_rough_spread(scouts, *span) >= least for span in _spans(scouts))
 
 
@@ -102,7 +141,10 @@ def chosen_markers(
     """
     candidates: list[_Candidate] = []
     for state, lower, upper in _spans(paths):
-        if further * _rough_spread(paths[SCOUTS], state, lower, upper) < _SCOUTED * OUT_OF_PHASE:
+        if (
+            further * _rough_spread(paths[SCOUTS], state, lower, upper)
+            < _CHOICE.scouted * OUT_OF_PHASE
+        ):
             continue
         candidate = _steepest(system, paths, points, state, (lower, upper))
         if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
@@ -130,18 +172,18 @@ def _second(
 ) -> Marker | None:
     """A second marker beside the ``first`` one, if trajectories then are of a lower rank."""
     alone = rank_of(paths, _in_order((first,), len(paths)))
-    if alone <= _HIGH_RANK:
+    if alone <= _CHOICE.high_rank:
         return None
     ranks: list[tuple[float, Marker]] = []
     for state, lower, upper in _spans(paths):
         if state == first.marker.state:
             continue
-        other = _candidate(system, paths, points, state, (lower, upper), _SECOND_TRANSVERSAL)
+        other = _candidate(system, paths, points, state, (lower, upper), _CHOICE.second_transversal)
         order = None if other is None else _in_order((first, other), len(paths))
         if other is not None and order is not None:
             ranks.append((rank_of(paths, order), other.marker))
     rank, marker = min(ranks, key=lambda each: each[0], default=(math.inf, None))
-    return marker if rank <= _LOWER_RANK * alone else None
+    return marker if rank <= _CHOICE.lower_rank * alone else None
 
 
 def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
@@ -161,19 +203,19 @@ def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
     if not all((each[:fewest] == order).all() for each in owners):
         return None
     of_two = gaps[:, np.diff(order) != 0]
-    return None if of_two.size and of_two.min() <= _APART * gaps.mean() else common
+    return None if of_two.size and of_two.min() <= _CHOICE.apart * gaps.mean() else common
 
 
 def rank_of(paths: Sequence[Path], crossings: Array | None) -> float:
     """The rank of some trajectories over stretches between their crossings (m, k)."""
     if crossings is None:
         return math.inf
-    some = np.unique(np.linspace(0, len(paths) - 1, _RANKED).astype(int))
+    some = np.unique(np.linspace(0, len(paths) - 1, _CHOICE.ranked).astype(int))
     chosen = [paths[k] for k in some.tolist()]
     starts = np.array([[path.breaks[0]] for path in chosen])
     borders = np.concatenate([starts, crossings[some]], axis=1)
-    pseudo = np.unique(np.concatenate([_steps(chosen[k], borders[k]) for k in _TELLING]))
-    pseudo = pseudo[:: -(-pseudo.size // _MOST_PLACES)]
+    pseudo = np.unique(np.concatenate([_steps(chosen[k], borders[k]) for k in _CHOICE.telling]))
+    pseudo = pseudo[:: -(-pseudo.size // _CHOICE.most_places)]
     stretch = pseudo.astype(int)
     times = borders[:, stretch] + (pseudo - stretch) * np.diff(borders, axis=1)[:, stretch]
     states = Paths.of(chosen)(times)
@@ -181,7 +223,7 @@ def rank_of(paths: Sequence[Path], crossings: Array | None) -> float:
     rows = np.moveaxis(states / np.where(sizes > 0.0, sizes, 1.0), 1, 2).reshape(-1, some.size)
     values = np.linalg.svd(rows, compute_uv=False)
     left = np.sqrt(np.cumsum(values[::-1] ** 2))
-    return float((left > _RANK_TOLERANCE * math.sqrt(rows.size)).sum())
+    return float((left > _CHOICE.rank_tolerance * math.sqrt(rows.size)).sum())
 
 
 def _steps(path: Path, borders: Array) -> Array:
@@ -220,7 +262,7 @@ def _rough_steepness(paths: Sequence[Path], state: int, level: float) -> tuple[f
         return math.inf, True  # perhaps between the nodes
     begin = paths[0].breaks[0]
     steep = [rates[:fewest].min() * (times[fewest - 1] - begin) for times, rates in crossings]
-    return float(min(steep)) / fewest, max(times.size for times, _ in crossings) >= _FEWEST
+    return float(min(steep)) / fewest, max(times.size for times, _ in crossings) >= _CHOICE.fewest
 
 
 def _rough_crossings(paths: Sequence[Path], state: int, level: float) -> list[tuple[Array, Array]]:
@@ -252,14 +294,15 @@ def _steepest(
     A spike that falls slowly behind its peak is steep in both directions at its foot.
     """
     candidates = [
-        _candidate(system, paths, points, state, span, _TRANSVERSAL, share) for share in _LEVELS
+        _candidate(system, paths, points, state, span, _CHOICE.transversal, share)
+        for share in _CHOICE.levels
     ]
     middle, *others = candidates
     levels = [each for each in others if each is not None]
     best = max(levels, key=lambda each: each.steepness, default=None)
     if middle is None or best is None:
         return middle or best
-    return best if best.steepness > _MUCH_STEEPER * middle.steepness else middle
+    return best if best.steepness > _CHOICE.much_steeper * middle.steepness else middle
 
 
 def _candidate(
@@ -277,7 +320,7 @@ def _candidate(
     if len({bool(path.nodal[0, 0, state] > level) for path in paths}) > 1:
         return None
     steepness, several = _rough_steepness(paths[SCOUTS], state, level)
-    if steepness < _SCOUTED * (transversal if several else _FRONT) * (upper - lower):
+    if steepness < _CHOICE.scouted * (transversal if several else _CHOICE.front) * (upper - lower):
         return None
     marker = Marker(state, level)
     event = marker_event(marker, "")
@@ -293,8 +336,8 @@ def _candidate(
     width = upper - lower
     gaps = (common[:, -1:] - paths[0].breaks[0]) / fewest
     steepness = float((np.abs(slopes) * gaps / width).min())
-    several = fewest >= _FEWEST or max(map(len, times)) >= _FEWEST
-    if not steepness >= (transversal if several else _FRONT):
+    several = fewest >= _CHOICE.fewest or max(map(len, times)) >= _CHOICE.fewest
+    if not steepness >= (transversal if several else _CHOICE.front):
         return None
     passing = width / np.abs(slopes).min(axis=0)
     return _Candidate(marker, times, float((np.ptp(common, axis=0) / passing).max()), steepness)
@@ -344,19 +387,24 @@ class ForeseenMarks:
         """
         centre, half = bounds.mean(axis=1), 0.5 * np.ptp(bounds, axis=1)
         count, dimensions, degree = len(points), bounds.shape[0], 2
-        while 2 * math.comb(dimensions + degree + 1, dimensions) <= count and degree < _MOST_DEGREE:
+        while (
+            2 * math.comb(dimensions + degree + 1, dimensions) <= count
+            and degree < _CHOICE.most_degree
+        ):
             degree += 1
         monomials = _monomials((points - centre) / half, degree)
         coefficients = np.asarray(np.linalg.lstsq(monomials, times, rcond=None)[0], dtype=float)
         missed = np.abs(monomials @ coefficients - times).max(axis=0)
-        return cls(centre, half, coefficients, missed, _LATER * gap, degree)
+        return cls(centre, half, coefficients, missed, _CHOICE.later * gap, degree)
 
     def __call__(self, points: Array, count: int) -> Foreseen:
         """The first marks at points (m, d), no more than are known."""
         shares = (points - self.centre) / self.half_width
         times = _monomials(shares, self.degree) @ self.coefficients[:, :count]
         missed = self.missed[:count]
-        return Foreseen(np.asarray(times), self.margin + _FURTHER * missed, float(missed.max()))
+        return Foreseen(
+            np.asarray(times), self.margin + _CHOICE.further * missed, float(missed.max())
+        )
 
 
 def _monomials(shares: Array, degree: int) -> Array:
@@ -388,11 +436,11 @@ def with_order(
     replay, period, accuracy = _Replay(tuple(paths)), clock.marks_per_period, tolerances.relative
     begun = integrate_to_events(replay, system, points, (start, reached), tolerances, system.events)
     short = reached < end
-    if short and not all(repeats(each, _NEARLY, period) for each in begun):
+    if short and not all(repeats(each, _CHOICE.nearly, period) for each in begun):
         return None
     repeats_from = repeating_from(clock, integrator, points, begun, accuracy)
     if short and not repeats_from:
-        if end - start > _FURTHEST * (reached - start):
+        if end - start > _CHOICE.furthest * (reached - start):
             return None
         if any(repeats(each, accuracy, period) for each in begun):  # next to what is unstable
             return None
@@ -423,7 +471,7 @@ def _enough_marks(
     if any(len(each.occurrences) < most for each in trajectories):
         return most
     times = np.array([[mark.time for mark in each.occurrences[:most]] for each in trajectories])
-    enough = times >= end + _BEYOND * (times[:, period:] - times[:, :-period])[:, -1:]
+    enough = times >= end + _CHOICE.beyond * (times[:, period:] - times[:, :-period])[:, -1:]
     return next((k for k in range(passed + 1, most) if enough[:, k - 1].all()), most)
 
 
@@ -449,9 +497,6 @@ class _Replay:
 # they are followed for long enough, that is a marker, and the stretch behind it is as long for all.
 
 
-_FULL = 0.75  # Rank over clock time, over their number, from which it is looked for
-
-
 def late_front(
     system: System,
     points: Array,
@@ -466,11 +511,11 @@ def late_front(
     the rank of the trajectories is hardly lower over the stretches before and behind it.
     """
     start, end = horizon
-    some = np.unique(np.linspace(0, len(paths) - 1, _RANKED).astype(int))
+    some = np.unique(np.linspace(0, len(paths) - 1, _CHOICE.ranked).astype(int))
     points, paths = points[some], [paths[k] for k in some.tolist()]
     candidates = _candidates(paths)
     over_clock = rank_of(paths, np.full((some.size, 1), end))
-    if not candidates or over_clock < _FULL * some.size:
+    if not candidates or over_clock < _CHOICE.full * some.size:
         return None
     timed = timed_events(system, (), candidates)
 
@@ -495,7 +540,7 @@ def late_front(
         order = EventOrder(((0,),), Ending.LENGTH, (1.0 + SPARE) * rests[k])
         ranks.append((rank_of(further, np.hstack([each, each + rests[k]])), candidates[k], order))
     lowest = min(ranks, key=lambda each: each[0])
-    if lowest[0] > _LOWER_RANK * over_clock:
+    if lowest[0] > _CHOICE.lower_rank * over_clock:
         return None
     return lowest[1:]
 
@@ -507,7 +552,7 @@ def _candidates(paths: Sequence[Path]) -> list[Marker]:
     lower = np.min([each.min(axis=0) for each in nodal], axis=0)
     upper = np.max([each.max(axis=0) for each in nodal], axis=0)
     for state in np.flatnonzero(lower < upper).tolist():
-        for share in _LEVELS:
+        for share in _CHOICE.levels:
             level = float(lower[state] + share * (upper[state] - lower[state]))
             above = [each[:, state] > level for each in nodal]
             crossings = {int(np.count_nonzero(np.diff(each))) for each in above}

@@ -26,16 +26,35 @@ from rankone.trajectories.events.forced import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 from rankone.trajectories.system.events import FALLING, Beginning, ForcedOrder, Guard, Turn
 
-_SAMPLES = 257  # Places behind an event at which its turn is looked for
-_LOWEST = 3  # One of so many of the turns, the lowest ones, begins the continuation
-_FEWEST = 6  # Turns that it may begin with
-_FURTHER = 256  # Points, evenly spread over parameters and roots, to which orders are continued
-_NEAR = 0.1  # Share of the points that tell how many are next to the border
-_SLIVER = 0.003  # Share of the box, about, in which a height is as good as zero
-_ABOVE = 1.1  # Largest root of a relative height over that at the points
-_TO_START = 0.5  # Share of what is left to the start by which it may be larger
-_FADING = 0.2  # Rate at which a surface moved at a beginning comes back, over height and length
-_MOST_SIDES = 8  # Coordinates up to which it is predicted at the corners too
+
+@dataclass(frozen=True)
+class _Opening:
+    """How far an opened event is continued, and where it has been far enough."""
+
+    samples: int
+    lowest: int
+    fewest: int
+    further: int
+    near: float
+    sliver: float
+    above: float
+    to_start: float
+    fading: float
+    most_sides: int
+
+
+_OPENING = _Opening(
+    samples=257,  # Places behind an event at which its turn is looked for
+    lowest=3,  # One of so many of the turns, the lowest ones, begins the continuation
+    fewest=6,  # Turns that it may begin with
+    further=256,  # Points, evenly spread over parameters and roots, to which orders are continued
+    near=0.1,  # Share of the points that tell how many are next to the border
+    sliver=0.003,  # Share of the box, about, in which a height is as good as zero
+    above=1.1,  # Largest root of a relative height over that at the points
+    to_start=0.5,  # Share of what is left to the start by which it may be larger
+    fading=0.2,  # Rate at which a surface moved at a beginning comes back, over height and length
+    most_sides=8,  # Coordinates up to which it is predicted at the corners too
+)
 
 
 @dataclass(frozen=True)
@@ -99,9 +118,9 @@ def opened_at_beginning(
     heights = search.forced(parent.order, forced, parent.opened.points).guards[0]
     if not (heights[places] > 0.0).all() or not (heights < 0.0).any():
         return None
-    upper = _ABOVE * float(np.sqrt(_highest_anywhere(parent.opened, heights)))
+    upper = _OPENING.above * float(np.sqrt(_highest_anywhere(parent.opened, heights)))
     longest = float(search.lengths(order, places)[:, stretch].max())
-    begins = Beginning(stretch, guard.event, guard, _FADING / (upper**2 * longest))
+    begins = Beginning(stretch, guard.event, guard, _OPENING.fading / (upper**2 * longest))
     return _with_coordinate(search, parent.opened, begins, heights, (0.0, upper))
 
 
@@ -129,9 +148,9 @@ def _turn(
     event = order.met[stretch][0]
     times, heights, sign = _first_turns(search, parent, order, places, stretch)
     lowest = np.argsort(np.where(np.isfinite(times), heights, np.inf), kind="stable")
-    count = max(_FEWEST, np.isfinite(times).sum() // _LOWEST)
+    count = max(_OPENING.fewest, np.isfinite(times).sum() // _OPENING.lowest)
     chosen = lowest[: min(count, np.isfinite(times).sum())]
-    if len(chosen) < _FEWEST:
+    if len(chosen) < _OPENING.fewest:
         return None
     opened = parent.opened
     surface = _surface(search, event, order.sides[stretch])
@@ -167,7 +186,7 @@ def _first_turns(
     met = search.lengths(order, places)[:, stretch]
     further = replace(search, horizon=(search.horizon[0], search.horizon[1] + float(met.max())))
     flow = further.forced(parent.order, forced, parent.opened.points[places]).flows[stretch]
-    shares = np.linspace(0.0, 1.0, _SAMPLES)
+    shares = np.linspace(0.0, 1.0, _OPENING.samples)
     elapsed = met[:, None] + np.maximum(flow.to_ahead - met, 0.0)[:, None] * shares
     heights = flow.heights(order.met[stretch][0], elapsed)
     sign = float(np.sign(np.median(np.sign(heights[:, 1]))))
@@ -210,10 +229,10 @@ def _with_root(search: OrderSearch, parent: Opened, turn: Turn, heights: Array) 
     """The points of a parent with the roots of relative heights (m,), and further ones."""
     count = len(search.points)
     near = np.sort(np.abs(heights[:count]))
-    k = int(_NEAR * count)
-    lower = float(np.sqrt(near[k] * _SLIVER * count / k))
+    k = int(_OPENING.near * count)
+    lower = float(np.sqrt(near[k] * _OPENING.sliver * count / k))
     largest = float(np.sqrt(_highest(parent, heights)))
-    upper = min(_ABOVE * largest, largest + _TO_START * (1.0 - largest))
+    upper = min(_OPENING.above * largest, largest + _OPENING.to_start * (1.0 - largest))
     return _with_coordinate(search, parent, turn, heights, (lower, upper))
 
 
@@ -229,7 +248,7 @@ def _with_coordinate(
     roots = np.clip(np.sqrt(np.maximum(heights[:count], 0.0)), *ends)
     points = np.column_stack([parent.points[:count], roots])
     bounds = np.vstack([parent.bounds, ends])
-    shares = spread(_FURTHER, len(bounds), np.random.default_rng(20149))
+    shares = spread(_OPENING.further, len(bounds), np.random.default_rng(20149))
     further = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * shares
     return Opened((*parent.turns, opening), np.concatenate([points, further]), bounds)
 
@@ -243,7 +262,7 @@ def _highest(opened: Opened, heights: Array) -> float:
 def _highest_anywhere(opened: Opened, heights: Array) -> float:
     """The largest of heights (m,), and of those predicted at the corners."""
     highest = float(heights.max())
-    if len(opened.bounds) > _MOST_SIDES:
+    if len(opened.bounds) > _OPENING.most_sides:
         return highest
     predicted = Lengths.through(opened.bounds, opened.points, heights[:, None])
     corners = np.array(list(itertools.product(*opened.bounds.tolist())))

@@ -38,16 +38,37 @@ from rankone.trajectories.system.events import (
 )
 from rankone.trajectories.system.system import Clock, System
 
-_FIRST_CHUNK = 8  # Points to which an order is continued at once, or half as many as it has come to
-_FIRST_MARGIN, _LAST_MARGIN = 0.2, 0.05  # Distance of roots from what is expected, over lengths
-_SAFETY = 4.0  # The same over the errors of what was expected before
-_MOST_ROOTS = 4  # Roots at which stretches of one order may end
-_CORNERED = 3  # Parameters up to which an order is continued to all corners of the box
-_FEWEST = 12  # Lengths of stretches that tell such roots apart
-_APART = 4.0  # Gap between lengths of stretches that end at different roots, over further gaps
-_LEAST_APART = 0.01  # About the least such gap, over the horizon, and over ``_APART``
-# Weight of smoothness beside values: lengths at points that nearly coincide differ by rounding
-_SMOOTHING = 1e-10
+
+@dataclass(frozen=True)
+class _Continuing:
+    """How an order is continued from point to point."""
+
+    first_chunk: int
+    first_margin: float
+    last_margin: float
+    safety: float
+    most_roots: int
+    cornered: int
+    fewest: int
+    apart: float
+    least_apart: float
+    smoothing: float
+
+
+_ORDERS = _Continuing(
+    # Points to which an order is continued at once, or half as many as it has come to
+    first_chunk=8,
+    first_margin=0.2,  # Distance of roots from what is expected, over lengths
+    last_margin=0.05,
+    safety=4.0,  # The same over the errors of what was expected before
+    most_roots=4,  # Roots at which stretches of one order may end
+    cornered=3,  # Parameters up to which an order is continued to all corners of the box
+    fewest=12,  # Lengths of stretches that tell such roots apart
+    apart=4.0,  # Gap between lengths of stretches that end at different roots, over further gaps
+    least_apart=0.01,  # About the least such gap, over the horizon, and over ``_ORDERS.apart``
+    # Weight of smoothness beside values: lengths at points that nearly coincide differ by rounding
+    smoothing=1e-10,
+)
 
 
 Step: TypeAlias = tuple[tuple[int, ...], tuple[int, ...], int]
@@ -140,12 +161,12 @@ def _groups_apart(lengths: Array, least: float) -> list[int]:
     """Which group each of the lengths (m,) is in: a few gaps are far larger than all others."""
     ordered = np.sort(lengths)
     gaps = np.sort(np.diff(ordered))[::-1]
-    largest = gaps[:_MOST_ROOTS]
-    if len(lengths) < _FEWEST:
+    largest = gaps[: _ORDERS.most_roots]
+    if len(lengths) < _ORDERS.fewest:
         return [0] * len(lengths)
     wider = largest[:-1] / np.maximum(largest[1:], least)
     count = int(np.argmax(wider)) + 1
-    if wider[count - 1] < _APART:
+    if wider[count - 1] < _ORDERS.apart:
         return [0] * len(lengths)
     starts = ordered[1:][np.diff(ordered) >= largest[count - 1]]
     groups: list[int] = np.searchsorted(starts, lengths, side="right").tolist()
@@ -173,7 +194,7 @@ class Lengths:
         try:
             unit = (points - lower) / width
             interpolant = RBFInterpolator(
-                unit, lengths, smoothing=_SMOOTHING, kernel=kernel, degree=degree
+                unit, lengths, smoothing=_ORDERS.smoothing, kernel=kernel, degree=degree
             )
         except (np.linalg.LinAlgError, ValueError):
             interpolant = None
@@ -220,17 +241,18 @@ class Opened:
         lower, width = self.bounds[:, 0], self.bounds[:, 1] - self.bounds[:, 0]
         unit = (self.points - lower) / width
         waiting = np.setdiff1d(np.arange(len(self.points)), places)
-        margins = _FIRST_MARGIN * np.abs(values).max(axis=0, initial=0.0)
+        margins = _ORDERS.first_margin * np.abs(values).max(axis=0, initial=0.0)
         while waiting.size:
             distance = cdist(unit[waiting], unit[places]).min(axis=1)
-            size = max(_FIRST_CHUNK, len(places) // 2)
+            size = max(_ORDERS.first_chunk, len(places) // 2)
             chunk = waiting[np.argsort(distance, kind="stable")[:size]]
             expected = Lengths.through(self.bounds, self.points[places], values)
             there, chunk = reach(expected, tuple(margins.tolist()), chunk)
             missed = np.abs(there - expected(self.points[chunk])).max(axis=0, initial=0.0)
             values, places = np.concatenate([values, there]), np.append(places, chunk)
             margins = np.maximum(
-                _FIRST_MARGIN * np.abs(values).max(axis=0, initial=0.0), _SAFETY * missed
+                _ORDERS.first_margin * np.abs(values).max(axis=0, initial=0.0),
+                _ORDERS.safety * missed,
             )
             waiting = np.setdiff1d(waiting, chunk)
         return self._through(self.points[places], values)
@@ -240,8 +262,8 @@ class Opened:
         expected = Lengths.through(self.bounds, points, values)
         half = Lengths.through(self.bounds, points[::2], values[::2])
         missed = np.abs(half(points[1::2]) - values[1::2]).max(axis=0, initial=0.0)
-        least = _LAST_MARGIN * np.abs(values).max(axis=0, initial=0.0)
-        return expected, tuple(np.maximum(least, _SAFETY * missed).tolist())
+        least = _ORDERS.last_margin * np.abs(values).max(axis=0, initial=0.0)
+        return expected, tuple(np.maximum(least, _ORDERS.safety * missed).tolist())
 
 
 @dataclass(frozen=True)
@@ -286,7 +308,7 @@ class OrderSearch:
     @property
     def to_corners(self) -> OrderSearch:
         """The same search, with the corners of the box as further points, if they are few."""
-        if len(self.bounds) > _CORNERED:
+        if len(self.bounds) > _ORDERS.cornered:
             return self
         return replace(self, further=np.array(list(itertools.product(*self.bounds.tolist()))))
 
@@ -297,7 +319,7 @@ class OrderSearch:
         if not self.tells_roots:
             return orders
         lengths = [self._lengths(k) for k in range(len(orders))]
-        return _with_roots(orders, lengths, _LEAST_APART * self.length)
+        return _with_roots(orders, lengths, _ORDERS.least_apart * self.length)
 
     def _check_end(self, trajectory: EventTrajectory, point: Array) -> None:
         """Raise an OrderError for a trajectory that ends although nothing ends it."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,16 +32,38 @@ from rankone.trajectories.system.system import Clock, System
 
 FAR = 10.0
 """Horizons beyond the horizon up to which events are waited for."""
-_AGREEING = 3  # Crossings in a row that agree with those one period before
-# Error of marks that are foreseen, in times of a swing, above which less accurate trajectories tell
-# them, and the tolerance of these times the swings over the horizon
-_PHASE, _ROUGH = 100.0, 0.1
-_MORE = 1.5  # Factor from the crossings before they are compared first to those at the next time
-# Multipliers are those of a few trajectories, so many in all with the changed ones, over a period,
-# by relative changes of the states and at a relative tolerance
-_CHANGED, _FEWEST = 64, 2
-_CHANGE, _CHANGE_RTOL = 1e-4, 1e-9
-_MOST_GROWTH = 30.0  # Factor by which changes may grow over the periods that are left out
+
+
+@dataclass(frozen=True)
+class _Repeating:
+    """When a trajectory repeats, and how stable that has to be."""
+
+    agreeing: int
+    phase: float
+    rough: float
+    more: float
+    changed: int
+    fewest: int
+    change: float
+    change_rtol: float
+    most_growth: float
+
+
+_REPEATING = _Repeating(
+    agreeing=3,  # Crossings in a row that agree with those one period before
+    # Error of marks that are foreseen, in times of a swing, above which less accurate trajectories
+    # tell them, and the tolerance of these times the swings over the horizon
+    phase=100.0,
+    rough=0.1,
+    more=1.5,  # Factor from the crossings before they are compared first to those at the next time
+    # Multipliers are those of a few trajectories, so many in all with the changed ones, over a
+    # period, by relative changes of the states and at a relative tolerance
+    changed=64,
+    fewest=2,
+    change=1e-4,
+    change_rtol=1e-9,
+    most_growth=30.0,  # Factor by which changes may grow over the periods that are left out
+)
 
 
 def repeating_from(
@@ -60,7 +82,7 @@ def repeating_from(
     system = clock.system
     if not clock.in_step or not is_autonomous(system):
         return 0
-    count = max(_CHANGED // (system.n_differential + 1), _FEWEST)
+    count = max(_REPEATING.changed // (system.n_differential + 1), _REPEATING.fewest)
     places = {round(place) for place in np.linspace(0, len(trajectories) - 1, count).tolist()}
     repeating = [
         (k, first)
@@ -71,7 +93,7 @@ def repeating_from(
     if not marks or max(each[-1].time for each in marks) >= clock.horizon[1]:
         return 0  # nothing would be left out
     growth = _growth(clock, integrator, points[[k for k, _ in repeating]], marks)
-    stable = bool((growth < _MOST_GROWTH).all())
+    stable = bool((growth < _REPEATING.most_growth).all())
     return 1 + max(first for _, first in repeating) if stable else 0
 
 
@@ -87,15 +109,19 @@ def _growth(
     states = np.stack([each[-1].before for each in marks])  # (m, n)
     sizes = np.maximum(np.abs(states), TINY)
     m, n = states.shape
-    changes = np.concatenate([np.zeros((1, n)), _CHANGE * np.eye(n)])
+    changes = np.concatenate([np.zeros((1, n)), _REPEATING.change * np.eye(n)])
     changed = (states[:, None] + changes * sizes[:, None]).reshape(-1, n).T
     spans = Spans(np.zeros(m * (n + 1)), changed, np.repeat(periods, n + 1))
-    tolerances = Tolerances.down_to(_CHANGE_RTOL, _CHANGE * sizes.min(axis=0)[:, None])
+    tolerances = Tolerances.down_to(
+        _REPEATING.change_rtol, _REPEATING.change * sizes.min(axis=0)[:, None]
+    )
     paths = integrator.paths(clock.system, np.repeat(points, n + 1, axis=0), spans, tolerances)
     if any(path.end < end for path, end in zip(paths, spans.ends, strict=True)):
         return np.full(m, math.inf)
     ends = np.stack([path.state for path in paths]).reshape(m, n + 1, n)
-    over_period = (ends[:, 1:] - ends[:, :1]) / (_CHANGE * sizes[:, None])  # (m, changed, n)
+    over_period = (ends[:, 1:] - ends[:, :1]) / (
+        _REPEATING.change * sizes[:, None]
+    )  # (m, changed, n)
     largest = np.abs(np.linalg.eigvals(over_period)).max(axis=1)
     return np.asarray(np.maximum(largest, 1.0) ** ((clock.horizon[1] - last) / periods))
 
@@ -187,12 +213,12 @@ def _stages(clock: Clock, count: int, begun: bool) -> Iterator[int]:
         if clock.repeats_from:
             stage, rounds = stage + rounds * period, 2 * rounds
         else:
-            stage = period * math.ceil(_MORE * stage / period)
+            stage = period * math.ceil(_REPEATING.more * stage / period)
 
 
 def _first_period(clock: Clock) -> int:
     """The count of marks after which trajectories may repeat, after a first one on the way."""
-    return max(clock.repeats_from, _AGREEING + clock.marks_per_period + 1)
+    return max(clock.repeats_from, _REPEATING.agreeing + clock.marks_per_period + 1)
 
 
 def _foreseen(
@@ -209,8 +235,12 @@ def _foreseen(
         return Foreseen(times, np.full(count, 0.5 * gap), clock.length)
     foreseen = clock.foreseen_marks(points, count)
     swing = clock.length / max(clock.swings, 1.0)
-    rough = max(_ROUGH / max(clock.swings, 1.0), tolerances.relative)
-    if not clock.steep or foreseen.missed <= _PHASE * swing or rough <= tolerances.relative:
+    rough = max(_REPEATING.rough / max(clock.swings, 1.0), tolerances.relative)
+    if (
+        not clock.steep
+        or foreseen.missed <= _REPEATING.phase * swing
+        or rough <= tolerances.relative
+    ):
         return foreseen
     start, system = clock.horizon[0], clock.system
 
@@ -255,13 +285,13 @@ def repeats(trajectory: EventTrajectory, accuracy: float, period: int) -> bool:
     A ``period`` has so many crossings. Each state is compared with its own swing over the last one,
     however small it is.
     """
-    marks = trajectory.occurrences[-_AGREEING - period :]
+    marks = trajectory.occurrences[-_REPEATING.agreeing - period :]
     return trajectory.period > 0.0 or _agree(trajectory, marks, accuracy, period)
 
 
 def _first_repeated(trajectory: EventTrajectory, accuracy: float, period: int) -> int | None:
     """The place of the first crossing at which a trajectory repeats."""
-    marks, count = trajectory.occurrences, _AGREEING + period
+    marks, count = trajectory.occurrences, _REPEATING.agreeing + period
     last = range(count - 1, len(marks))
     alike = (k for k in last if _agree(trajectory, marks[k + 1 - count : k + 1], accuracy, period))
     return next(alike, None)
@@ -271,7 +301,7 @@ def _agree(
     trajectory: EventTrajectory, marks: Sequence[Occurrence], accuracy: float, period: int
 ) -> bool:
     """Whether crossings in a row agree, those of two periods."""
-    if len(marks) < _AGREEING + period:
+    if len(marks) < _REPEATING.agreeing + period:
         return False
     if any(a.event != b.event for a, b in zip(marks, marks[period:], strict=False)):
         return False

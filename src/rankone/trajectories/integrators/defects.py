@@ -19,14 +19,32 @@ from rankone.support.precision import EPSILON, ROUNDING
 from rankone.trajectories.system.system import System
 
 SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
-_MOST_CROSSING_DEFECT = 100.0  # At crossings, times the step, in tolerances; smooth: to 40
-_MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
-_DIFFERENT_RATES = 0.5  # Defect over the rates from which a step missed something
-_GRAZING = 0.1  # Least height of a parabola on a step, over those at its ends, that may be zero
-_TURNING_WIDTHS = (0.1, 0.02, 0.002)  # Widths of the parabolas that tell where a height turns
-_ROUNDINGS = 100.0  # Of a time or a state, that may be one of a slope times the step
-_LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
-_PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
+
+
+@dataclass(frozen=True)
+class _Defects:
+    """Which defects mean that a step missed something, and where they are looked for."""
+
+    most_at_crossings: float
+    most_at_random: float
+    different_rates: float
+    grazing: float
+    turning_widths: tuple[float, ...]
+    roundings: float
+    least_places: int
+    places: int
+
+
+_DEFECTS = _Defects(
+    most_at_crossings=100.0,  # At crossings, times the step, in tolerances; smooth: to 40
+    most_at_random=300.0,  # The same at random places: the largest of many is larger
+    different_rates=0.5,  # Defect over the rates from which a step missed something
+    grazing=0.1,  # Least height of a parabola on a step, over those at its ends, that may be zero
+    turning_widths=(0.1, 0.02, 0.002),  # Widths of the parabolas that tell where a height turns
+    roundings=100.0,  # Of a time or a state, that may be one of a slope times the step
+    least_places=2,  # Fewest random places on each trajectory in every step
+    places=512,  # Random places on all trajectories: one evaluation of the rates takes them well
+)
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
 
 # Maps shares (..., c) of a step, and whether slopes are needed, to the states (n, ..., c) of c
@@ -67,7 +85,7 @@ class DefectControl:
     def __init__(self, system: System, points: Array, anywhere: bool) -> None:
         self.rates, self.features = system.rhs, system.features
         self.parameters = np.ascontiguousarray(points.T)
-        self.places = max(_LEAST_PLACES, _PLACES // len(points)) if anywhere else 0
+        self.places = max(_DEFECTS.least_places, _DEFECTS.places // len(points)) if anywhere else 0
         self.columns = np.tile(np.arange(len(points)), self.places)
         self.generator = np.random.default_rng(20142)
         users = system.user_functions
@@ -78,9 +96,9 @@ class DefectControl:
         """In which columns a step missed something, (m,); they start at ``y_before`` (n m,)."""
         missed = np.zeros(self.parameters.shape[1], dtype=bool)
         if self.features.n_state_surfaces:
-            missed |= self._at_crossings(solver, y_before) > _MOST_CROSSING_DEFECT
+            missed |= self._at_crossings(solver, y_before) > _DEFECTS.most_at_crossings
         if self.places > 0 and not missed.any():
-            missed |= self._at_random(solver) > _MOST_RANDOM_DEFECT
+            missed |= self._at_random(solver) > _DEFECTS.most_at_random
         return missed
 
     def _at_random(self, solver: Steps) -> Array:
@@ -131,7 +149,7 @@ class DefectControl:
             states, slopes = interpolant(shares, True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(_beyond_rounding(rates - slopes, rates / h, before + h, states))
-            unknown = defect > _DIFFERENT_RATES * np.maximum(np.abs(rates), np.abs(slopes))
+            unknown = defect > _DEFECTS.different_rates * np.maximum(np.abs(rates), np.abs(slopes))
             defect[kink & ~unknown] = 0.0
             defect = np.where(narrow & unknown, (solver.t_bound - before) / h * defect, defect)
             return self._largest(defect / tolerated, columns)
@@ -217,13 +235,18 @@ def turning_shares(start: Array, middle: Array, end: Array) -> Array:
     shares = np.divide(-slope, 2.0 * bend, out=np.full_like(bend, np.nan), where=bend != 0.0)
     nearest = (start + 0.5 * slope * shares) * np.sign(start)
     largest = np.maximum(np.abs(start), np.abs(end))
-    turns = (start * end > 0.0) & (shares > 0.0) & (shares < 1.0) & (nearest < _GRAZING * largest)
+    turns = (
+        (start * end > 0.0)
+        & (shares > 0.0)
+        & (shares < 1.0)
+        & (nearest < _DEFECTS.grazing * largest)
+    )
     return np.where(turns, shares, np.nan)
 
 
 def turning_points(function: Callable[[Array], Array], shares: Array) -> Array:
     """Where functions turn, near shares in (0, 1): vertices of parabolas that get narrower."""
-    for width in _TURNING_WIDTHS:
+    for width in _DEFECTS.turning_widths:
         inside = np.clip(shares, width, 1.0 - width)
         left, here, right = (function(inside + shift) for shift in (-width, 0.0, width))
         bend, slope = left - 2.0 * here + right, 0.5 * (right - left)
@@ -238,7 +261,9 @@ def _beyond_rounding(defect: Array, rates: Array, times: float | Array, states: 
     Nodes of polynomials are at rounded times, where rates are (n, ...), and in rounded states.
     """
     rounding = np.spacing(np.abs(times)) * np.abs(rates) + EPSILON * np.abs(states)
-    return np.asarray(np.sign(defect) * np.maximum(np.abs(defect) - _ROUNDINGS * rounding, 0.0))
+    return np.asarray(
+        np.sign(defect) * np.maximum(np.abs(defect) - _DEFECTS.roundings * rounding, 0.0)
+    )
 
 
 def _tolerated(solver: Steps, states: Array) -> Array:
@@ -255,14 +280,16 @@ _MOST_ITERATIONS = 120  # About ten suffice, and about sixty where a function ju
 _JUMP = 1e-3  # Value at a root, over those at the ends, from which the function jumps there
 
 
-def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+def roots(
+    function: Callable[[Array], Array], start: Array, end: Array, accuracy: Array | float = ROUNDING
+) -> Array:
     """Roots in [0, 1] of functions that change sign from ``start`` to ``end``, or vanish there."""
-    return _around(function, start, end).nearest
+    return _around(function, start, end, accuracy).nearest
 
 
 def roots_or_jumps(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """The same; where the function jumps to the other sign, the place is behind the jump."""
-    around = _around(function, start, end)
+    around = _around(function, start, end, ROUNDING)
     jumps = around.height > _JUMP * np.minimum(np.abs(start), np.abs(end))
     return np.where(jumps, np.maximum(around.a, around.b), around.nearest)
 
@@ -287,8 +314,10 @@ class _Interval:
         return np.minimum(np.abs(self.at_a), np.abs(self.at_b))
 
 
-def _around(function: Callable[[Array], Array], start: Array, end: Array) -> _Interval:
-    """Intervals around roots in [0, 1], about as short as rounding.
+def _around(
+    function: Callable[[Array], Array], start: Array, end: Array, accuracy: Array | float
+) -> _Interval:
+    """Intervals around roots in [0, 1], no longer than the ``accuracy``.
 
     After a secant by inverse quadratic interpolation, or halving where values are far from that
     (T. R. Chandrupatla, Adv. Eng. Software 28 (1997), 145).
@@ -298,10 +327,10 @@ def _around(function: Callable[[Array], Array], start: Array, end: Array) -> _In
     for _ in range(_MOST_ITERATIONS):
         a, b, at_a, at_b = around.a, around.b, around.at_a, around.at_b
         width = np.abs(a - b)
-        done = (width <= ROUNDING) | (around.height == 0.0)
+        done = (width <= accuracy) | (around.height == 0.0)
         if done.all():
             break
-        least = 0.5 * ROUNDING / np.where(done, 1.0, width)
+        least = 0.5 * accuracy / np.where(done, 1.0, width)
         x = np.where(done, b, b + np.clip(share, least, 1.0 - least) * (a - b))
         height = np.where(done, at_b, function(x))
         same = np.sign(height) == np.sign(at_b)

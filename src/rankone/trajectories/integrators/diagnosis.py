@@ -29,11 +29,26 @@ from rankone.trajectories.system.events import FALLING, RISING
 from rankone.trajectories.system.system import AHEAD, PatternJacobian, System
 
 Matrix: TypeAlias = Array | scipy.sparse.csr_array
-_TOLERANCE = 0.03  # Relative error of an eigenvalue of a sparse matrix
-_MOST_RESTARTS = 30  # Of Arnoldi's method
-_SPARSE_COST = 20.0  # Operations of a restart for each entry and for each state
-_MOST_DENSE = 600  # States up to which all eigenvalues are computed where one does not converge
-_MOST_EXAMINED = 3  # Sparse matrices of a stack whose fastest decay is computed
+
+
+@dataclass(frozen=True)
+class _Eigenvalues:
+    """How eigenvalues of large matrices are computed."""
+
+    tolerance: float
+    most_restarts: int
+    restart_cost: float
+    most_dense: int
+    most_examined: int
+
+
+_EIGENVALUES = _Eigenvalues(
+    tolerance=0.03,  # Relative error of an eigenvalue of a sparse matrix
+    most_restarts=30,  # Of Arnoldi's method
+    restart_cost=20.0,  # Operations of a restart for each entry and for each state
+    most_dense=600,  # States up to which all eigenvalues are computed where one does not converge
+    most_examined=3,  # Sparse matrices of a stack whose fastest decay is computed
+)
 
 
 def growth_rate(matrix: Matrix, harmless: float = -math.inf) -> float:
@@ -46,14 +61,21 @@ def growth_rate(matrix: Matrix, harmless: float = -math.inf) -> float:
     bound = min(_circles(matrix), _circles(matrix.T))
     if bound <= harmless:
         return bound
-    charge(_MOST_RESTARTS * _SPARSE_COST * (matrix.nnz + matrix.shape[0]))
+    charge(_EIGENVALUES.most_restarts * _EIGENVALUES.restart_cost * (matrix.nnz + matrix.shape[0]))
     try:
         start = np.random.default_rng(20149).random(matrix.shape[0])
-        options = {"which": "LR", "v0": start, "tol": _TOLERANCE, "maxiter": _MOST_RESTARTS}
+        options = {
+            "which": "LR",
+            "v0": start,
+            "tol": _EIGENVALUES.tolerance,
+            "maxiter": _EIGENVALUES.most_restarts,
+        }
         fastest = eigs(matrix, k=1, return_eigenvectors=False, **options)
         return float(fastest.real.max())
     except ArpackError:
-        if matrix.shape[0] <= _MOST_DENSE:  # of what swings, the bound says that it grows
+        if (
+            matrix.shape[0] <= _EIGENVALUES.most_dense
+        ):  # of what swings, the bound says that it grows
             charge(eigenvalues(matrix.shape[0]))
             return float(np.linalg.eigvals(matrix.toarray()).real.max())
         return bound
@@ -147,7 +169,7 @@ def decays_faster(system: System, points: Array, time: float, states: Array, rat
         shape=(n, pattern.rows.size),
     )
     bounds = (stack @ np.abs(entries)).max(axis=0)  # no eigenvalue is larger
-    largest = np.argsort(-bounds, kind="stable")[:_MOST_EXAMINED]
+    largest = np.argsort(-bounds, kind="stable")[: _EIGENVALUES.most_examined]
     for k in largest[bounds[largest] > rate].tolist():
         own = -entries[:, k], (pattern.rows, pattern.columns)
         if growth_rate(scipy.sparse.csr_array(own, shape=(n, n)), rate) > rate:
@@ -177,12 +199,27 @@ def _dense_decays_faster(blocks: Array, rate: float) -> bool:
 # end.
 
 
-_LITTLE_CHANGE = 0.3  # Of a rate over such a step, over its size
-_RUNAWAY_GROWTH = 1e6  # Growth over a horizon, at the last rate, from which a state blows up
-_SEVERAL_ROUNDINGS = 16.0  # Relative error of states after many steps, in last places
-_TINY_STATE = 1e-6  # Size of a state, over the largest one, up to which it may be numerically zero
-_RESOLVED = 1e-7  # Part of its size below which a change of a state does not count
-_DRAWS = 4  # Random rounding errors at each time; the largest effect counts
+@dataclass(frozen=True)
+class _Signs:
+    """What tells why trajectories end, and which states are zero."""
+
+    little_change: float
+    runaway_growth: float
+    several_roundings: float
+    tiny_state: float
+    resolved: float
+    draws: int
+
+
+_SIGNS = _Signs(
+    little_change=0.3,  # Of a rate over such a step, over its size
+    runaway_growth=1e6,  # Growth over a horizon, at the last rate, from which a state blows up
+    several_roundings=16.0,  # Relative error of states after many steps, in last places
+    # Size of a state, over the largest one, up to which it may be numerically zero
+    tiny_state=1e-6,
+    resolved=1e-7,  # Part of its size below which a change of a state does not count
+    draws=4,  # Random rounding errors at each time; the largest effect counts
+)
 MOST_GROWTH = 5.0  # Growth over the horizon, as a power of e, from which small states are amplified
 
 
@@ -239,7 +276,7 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
             system.rhs(time, factor * state[:, None], point[:, None])
             for factor in (1.0, 1.0 + AHEAD[-1])
         )
-        fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY_GROWTH * np.abs(state)
+        fast = now[:, 0] * np.sign(state) * horizon > _SIGNS.runaway_growth * np.abs(state)
         return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
 
 
@@ -264,7 +301,7 @@ def is_regular(
             across = surfaces(later, ahead, parameters)
             crossed = ((before * across <= 0.0) & (across != before)).any()
             difference = np.abs(there - rates)
-            changed = difference > _LITTLE_CHANGE * np.maximum(np.abs(rates), np.abs(there))
+            changed = difference > _SIGNS.little_change * np.maximum(np.abs(rates), np.abs(there))
             changed &= difference * horizon > np.abs(ahead)
             if not np.isfinite(there).all() or (changed.any() and not crossed):
                 return False
@@ -301,7 +338,7 @@ def rounding_errors(
     The samples are times with the states (n, m) of all trajectories, at points (m, d); ``largest``
     (n, 1) is the largest absolute value of each state.
     """
-    tiny = (largest <= _TINY_STATE * largest.max(initial=0.0)) & (largest > 0.0)
+    tiny = (largest <= _SIGNS.tiny_state * largest.max(initial=0.0)) & (largest > 0.0)
     zero, errors = np.zeros_like(tiny), np.zeros_like(largest)
     if not tiny.any():
         return Rounding(errors, zero)
@@ -321,7 +358,7 @@ def rounding_errors(
     steady = max(probe.growth for probe in probes) <= MOST_GROWTH
     followed = [probe.followed(errors) for probe, errors in zip(probes, by_probe, strict=True)]
     noise = np.max(followed, axis=(0, 2))[:, None]
-    floor = np.where(tiny & steady, noise / _SEVERAL_ROUNDINGS, 0.0)
+    floor = np.where(tiny & steady, noise / _SIGNS.several_roundings, 0.0)
     return Rounding(np.where(zero, errors, floor), zero)
 
 
@@ -350,19 +387,19 @@ class _Probe:
         decay[self.rows[own]] = sizes[own]
         self.memory = 1.0 / (decay + 1.0 / horizon)
         self.couplings = np.where(own[:, None], 0.0, sizes)
-        self.tolerated = rtol * (np.abs(states) + _RESOLVED * largest)
+        self.tolerated = rtol * (np.abs(states) + _SIGNS.resolved * largest)
 
     def errors(self, zero_errors: Array) -> Array:
         """What rounding errors, and errors (n, 1) of some states, make of each state, (n, m).
 
         A state that does not change has no rounding errors.
         """
-        rounded = _SEVERAL_ROUNDINGS * EPSILON * np.abs(self.states)
+        rounded = _SIGNS.several_roundings * EPSILON * np.abs(self.states)
         sizes = np.maximum(rounded * (self.rates != 0.0), zero_errors)
         generator = np.random.default_rng(20143)
         worst = np.zeros_like(self.states)
         with np.errstate(all="ignore"):
-            for _ in range(_DRAWS):
+            for _ in range(_SIGNS.draws):
                 states = self.states + sizes * generator.uniform(-1.0, 1.0, sizes.shape)
                 changed = self.system.rhs(self.time, states, self.parameters)
                 worst = np.fmax(worst, np.abs(changed - self.rates))

@@ -31,16 +31,32 @@ from rankone.trajectories.stacks.stack import StackedIntegrator, sampling_cost
 from rankone.trajectories.stacks.taylor import DOP853_POWER, TaylorTerms, steps_ratio
 from rankone.trajectories.system.system import Clock, System
 
-_UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
-_PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
-_TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall too
-_PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
+
+@dataclass(frozen=True)
+class _Watching:
+    """When a stack is given up for single trajectories."""
+
+    unwatched_work: float
+    pilots: int
+    telling: int
+    patience: float
+    next_look: float
+    next_pilots: float
+
+
+_WATCH = _Watching(
+    unwatched_work=1e6,  # Operations for each trajectory up to which a stack is not looked at
+    pilots=3,  # Trajectories that tell what single ones cost; as many or fewer are not watched
+    telling=32,  # Fewest trajectories whose stall tells that larger stacks stall too
+    patience=0.5,  # Work of a stack, over that of single trajectories, before it is given up
+    # Factors on the work of a stack from one look at it to the next, and to one at which pilots
+    # that came to no end begin anew
+    next_look=1.25,
+    next_pilots=2.0,
+)
 # States of a system with sparse factors up to which stacks are watched: LSODA has dense matrices
 _MOST_SINGLE_STATES = 200
 _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
-# Factors on the work of a stack from one look at it to the next, and to one at which pilots that
-# came to no end begin anew
-_NEXT_LOOK, _NEXT_PILOTS = 1.25, 2.0
 
 
 def span_integrator_for(
@@ -100,7 +116,7 @@ def following(integrator: str, taken: str, trajectories: int, clock: Clock | Non
     ``clock`` of markers, which is in phase, is not watched again.
     """
     in_phase = clock is not None and clock.foreseen_marks is not None and taken == "stack"
-    told = integrator == "auto" and trajectories >= _TELLING
+    told = integrator == "auto" and trajectories >= _WATCH.telling
     return taken if told and (in_phase or taken == "single") else integrator
 
 
@@ -199,7 +215,7 @@ class WatchedStack:
         self, points: Array, pilots: Callable[[NDArray[np.intp]], Sequence[Path]]
     ) -> StackedIntegrator:
         """The stack, watched unless pilots would be all of it."""
-        if len(points) <= _PILOTS:
+        if len(points) <= _WATCH.pilots:
             return self.stack
         return replace(self.stack, watch=_Watch(len(points), pilots))
 
@@ -214,7 +230,7 @@ class _Watch:
     def __init__(self, count: int, pilots: Callable[[NDArray[np.intp]], Sequence[Path]]) -> None:
         self.count, self.pilots = count, pilots
         self.began, self.pilot_work = work_done(), 0.0
-        self.next_look = _UNWATCHED_WORK * count
+        self.next_look = _WATCH.unwatched_work * count
         self.paths: Sequence[Path] = ()
         self.alone = math.inf
 
@@ -222,18 +238,18 @@ class _Watch:
         spent = work_done() - self.began - self.pilot_work
         if spent < self.next_look:
             return
-        self.next_look = _NEXT_LOOK * spent
+        self.next_look = _WATCH.next_look * spent
         if not self.paths:
-            self._integrate_pilots(min(_PILOTS / self.count / _PATIENCE, 1.0) * spent)
+            self._integrate_pilots(min(_WATCH.pilots / self.count / _WATCH.patience, 1.0) * spent)
             if not self.paths:
-                self.next_look = _NEXT_PILOTS * spent
-        if spent > _PATIENCE * self.alone and self._left(time) * spent > self.alone:
+                self.next_look = _WATCH.next_pilots * spent
+        if spent > _WATCH.patience * self.alone and self._left(time) * spent > self.alone:
             raise _StallError
 
     def _integrate_pilots(self, most: float) -> None:
         """Integrate some trajectories alone, unless that is more work than single ones may take."""
         before = work_done()
-        some = np.linspace(0, self.count - 1, _PILOTS).astype(np.intp)
+        some = np.linspace(0, self.count - 1, _WATCH.pilots).astype(np.intp)
         try:
             with limited(most):
                 self.paths = self.pilots(some)

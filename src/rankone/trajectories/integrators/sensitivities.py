@@ -27,11 +27,25 @@ from rankone.trajectories.integrators.integrator import HELD_NUMBERS, Path, Span
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System
 
-_FINE_STAGES = 5  # Of the collocation, unless fewer are asked for: order 9 at the ends of steps
-_MOST_ROUNDS = 12  # Rounds in which steps are halved
-_MOST_STEPS = 20_000
-_UNRESOLVED = 1e-5  # Last coefficient of S in a step, over its size, above which it is halved
-_SMALL = 1e-2  # Share of a state's size that sensitivities are resolved beside, at least
+
+@dataclass(frozen=True)
+class _Resolution:
+    """How finely sensitivities are resolved."""
+
+    fine_stages: int
+    most_rounds: int
+    most_steps: int
+    unresolved: float
+    small: float
+
+
+_RESOLUTION = _Resolution(
+    fine_stages=5,  # Of the collocation, unless fewer are asked for: order 9 at the ends of steps
+    most_rounds=12,  # Rounds in which steps are halved
+    most_steps=20_000,
+    unresolved=1e-5,  # Last coefficient of S in a step, over its size, above which it is halved
+    small=1e-2,  # Share of a state's size that sensitivities are resolved beside, at least
+)
 
 Slopes: TypeAlias = Callable[[Array, Array, NDArray[np.intp]], Array]
 """Derivatives (n, w, N) of rates, at times (N,), states (n, N) and the trajectories (N,)."""
@@ -58,7 +72,7 @@ def sensitivities(
     forcing: Forcing,
     times: Array,
     *,
-    stages: int = _FINE_STAGES,
+    stages: int = _RESOLUTION.fine_stages,
     halves: bool = True,
 ) -> Array:
     """Derivatives (n, w, m, T) of trajectories at points (m, d), at times (T,).
@@ -74,12 +88,12 @@ def sensitivities(
     """
     ends = np.array(steps)
     sizes = np.abs(path(ends)).max(axis=2)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_RESOLUTION.most_rounds):
         collocated = _collocated(system, points, path, ends, forcing, stages)
         coarse = _unresolved(collocated, sizes) if halves else np.zeros(1, dtype=bool)
         if not coarse.any():
             return _at(collocated, ends, times)
-        if ends.size > _MOST_STEPS:
+        if ends.size > _RESOLUTION.most_steps:
             break
         middles = 0.5 * (ends[:-1] + ends[1:])[coarse]
         ends = np.sort(np.concatenate([ends, middles]))
@@ -159,7 +173,7 @@ def _unresolved(collocated: Array, sizes: Array) -> Array:
     modal = RadauCollocation.of(collocated.shape[1] - 1).to_modal[-1]
     last = np.abs(np.einsum("s,ksnwm->knwm", modal, collocated))
     largest = np.abs(collocated).max(axis=(0, 1))
-    allowed = _UNRESOLVED * np.maximum(largest, _SMALL * sizes[:, None])
+    allowed = _RESOLUTION.unresolved * np.maximum(largest, _RESOLUTION.small * sizes[:, None])
     with np.errstate(invalid="ignore"):
         return np.asarray((last > allowed).any(axis=(1, 2, 3)))
 

@@ -45,12 +45,26 @@ from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.features import Jumps
 from rankone.trajectories.system.system import System
 
-_TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
+
+@dataclass(frozen=True)
+class _SingleSteps:
+    """How LSODA is called, and steps that missed something are made again."""
+
+    tolerance: float
+    checked: int
+    short: int
+    nearer: float
+    longer: float
+
+
+_STEPS = _SingleSteps(
+    tolerance=0.01,  # Factor on tolerances: errors of LSODA are larger than theirs
+    checked=256,  # Steps whose defects are looked at together
+    short=10,  # Short steps at least after one that had to be made again
+    nearer=0.25,  # Length of a step that missed something, over the distance of a border
+    longer=8.0,  # Factor from a stretch that missed nothing to the next one
+)
 _LEAST_RELATIVE = 2.0 * ROUNDING  # Tightest relative tolerance that LSODA takes
-_CHECKED_STEPS = 256  # Steps whose defects are looked at together
-_SHORT_STEPS = 10  # Short steps at least after one that had to be made again
-_NEARER = 0.25  # Length of a step that missed something, over the distance of a border
-_LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
 _NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
 _ONE_AT_A_TIME = threading.RLock()  # LSODA in Fortran keeps its state in common blocks
 _NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
@@ -160,7 +174,7 @@ class _Single:
     @cached_property
     def tighter(self) -> Tolerances:
         """The tolerances that LSODA gets."""
-        tolerances = self.tolerances.times(_TOLERANCE)
+        tolerances = self.tolerances.times(_STEPS.tolerance)
         absolute = np.broadcast_to(tolerances.absolute, (self.system.n_differential, 1))
         relative = max(tolerances.relative, _LEAST_RELATIVE)
         return Tolerances(relative, absolute, tolerances.longest_step)
@@ -248,12 +262,12 @@ class _Single:
                 yield good
                 time, state = good.end, good.state
             if again is None:
-                length, longest = _LONGER * length, math.inf
+                length, longest = _STEPS.longer * length, math.inf
                 continue
             longest = SHORTENING * (again if good.steps else min(again, longest))
             if longest < COINCIDENT * self.horizon:
                 return
-            length = _SHORT_STEPS * longest
+            length = _STEPS.short * longest
 
     def _stretch(
         self, segment: Span, span: Span, state: Array, longest: float
@@ -270,13 +284,13 @@ class _Single:
             safe = max((t for t in called if t < border.time), default=start)
             end = safe if border.safe is None else max(border.safe, start)
             if not isinstance(border, lsoda.Crawl):
-                again = _NEARER * (border.time - end) if border.safe is None else 0.0
+                again = _STEPS.nearer * (border.time - end) if border.safe is None else 0.0
         try:
             first = next((t - start for t in called if t > start), 0.0)
             breaks = _steps_of(called, start, end)
             path = self._read(segment, state, breaks, _Lengths(longest, first, second=True))
         except lsoda.Border as border:
-            return self._nothing(start, state), _NEARER * (border.time - start)
+            return self._nothing(start, state), _STEPS.nearer * (border.time - start)
         missed = self._missed(path, end)
         if missed is None:
             return path, again
@@ -304,8 +318,8 @@ class _Single:
         if not self.checked:
             return None
         shortest = 1e3 * np.spacing(max(abs(path.breaks[0]), abs(end)))
-        for first in range(0, path.steps, _CHECKED_STEPS):
-            last = min(first + _CHECKED_STEPS, path.steps)
+        for first in range(0, path.steps, _STEPS.checked):
+            last = min(first + _STEPS.checked, path.steps)
             some = Path(path.breaks[first : last + 1], path.nodal[first:last], path.state)
             points = np.tile(self.point, (some.steps, 1))
             control = DefectControl(self.system, points, self.looks_anywhere)

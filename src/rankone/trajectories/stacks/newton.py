@@ -32,11 +32,47 @@ Solver: TypeAlias = Callable[[Array, Places], Array]
 
 A place may come several times.
 """
-_KEPT = 8  # Eliminations that are kept: as many as one session works with at a time
+
+
+@dataclass(frozen=True)
+class _Elimination:
+    """How Newton matrices are made and factored, and what that costs."""
+
+    kept: int
+    pivot_threshold: float
+    band_factors: tuple[float, ...]
+    band_solution: tuple[float, ...]
+    most_filled: float
+    least_stages: int
+    few_stages: int
+    most_stages: int
+    tight: float
+    step_matrices: float
+    iterations: int
+    cheap_iterations: float
+    costly_iterations: float
+
+
+_ELIMINATION = _Elimination(
+    kept=8,  # Eliminations that are kept: as many as one session works with at a time
+    pivot_threshold=0.1,  # A diagonal entry of this share of the largest of its column is the pivot
+    # Operations of factors and of a solution in bands: for each state, entry of the factors,
+    # product
+    band_factors=(35.0, 5.0, 0.1),
+    band_solution=(25.0, 2.0, 0.0),
+    most_filled=0.15,  # Share of the entries of a Jacobian above which it is taken for dense
+    least_stages=3,
+    few_stages=5,
+    most_stages=7,
+    tight=1e-5,  # Relative tolerance from which on least stages are enough
+    step_matrices=4.0,  # Matrices of a step that are held at once, for each trajectory
+    iterations=4,  # Of Newton, in a step
+    # What new matrices cost, in Newton's iterations: made of cofactors, and by LAPACK or sparse
+    # factors
+    cheap_iterations=2.0,
+    costly_iterations=10.0,
+)
 _ORDERS = ("MMD_AT_PLUS_A", "COLAMD")  # Orders of SuperLU that are tried
-_PIVOT_THRESHOLD = 0.1  # A diagonal entry of this share of the largest of its column is the pivot
-# Operations of factors and of a solution in bands: for each state, entry of the factors, product
-_BAND_FACTORS, _BAND_SOLUTION = (35.0, 5.0, 0.1), (25.0, 2.0, 0.0)
 
 
 class Elimination(Protocol):
@@ -64,7 +100,7 @@ class Elimination(Protocol):
         """What solves with matrices of numbers (m, stored), which may be overwritten."""
 
 
-@lru_cache(_KEPT)
+@lru_cache(_ELIMINATION.kept)
 def elimination_of(pattern: PatternJacobian) -> Elimination:
     """The cheapest way for matrices of a pattern with a diagonal."""
     band, sparse = BandElimination.of(pattern), SparseElimination.of(pattern)
@@ -111,11 +147,11 @@ class BandElimination:
 
     @property
     def factor_cost(self) -> float:
-        return self._cost(*_BAND_FACTORS)
+        return self._cost(*_ELIMINATION.band_factors)
 
     @property
     def solution_cost(self) -> float:
-        return self._cost(*_BAND_SOLUTION)
+        return self._cost(*_ELIMINATION.band_solution)
 
     def _cost(self, state: float, entry: float, product: float) -> float:
         products = self.lower * (1 + self.lower + self.upper)
@@ -213,7 +249,7 @@ def _turns(places: Places) -> Places:
 
 
 def _factors(matrix: scipy.sparse.csc_matrix, order: str) -> SuperLU:
-    return splu(matrix, permc_spec=order, diag_pivot_thresh=_PIVOT_THRESHOLD)
+    return splu(matrix, permc_spec=order, diag_pivot_thresh=_ELIMINATION.pivot_threshold)
 
 
 # -----------------------------------------------------------------------------
@@ -227,13 +263,6 @@ COFACTOR_STATES = 3
 """States up to which inverses are made of cofactors."""
 SPARSE_STATES = 64
 """States from which on sparse factors pay."""
-_MOST_FILLED = 0.15  # Share of the entries of a Jacobian above which it is taken for dense
-_LEAST_STAGES, _FEW_STAGES, _MOST_STAGES = 3, 5, 7
-_TIGHT = 1e-5  # Relative tolerance from which on least stages are enough
-_STEP_MATRICES = 4.0  # Matrices of a step that are held at once, for each trajectory
-_ITERATIONS = 4  # Of Newton, in a step
-# What new matrices cost, in Newton's iterations: made of cofactors, and by LAPACK or sparse factors
-_CHEAP_ITERATIONS, _COSTLY_ITERATIONS = 2.0, 10.0
 # Operations of a matrix times a vector: once, and for each entry
 _PRODUCT_COST = costs.Cost(40.0, 0.5)
 
@@ -290,7 +319,7 @@ def jacobians_for(system: System, points: Array) -> Callable[[float, Array], Jac
 def sparse_pattern(system: System) -> PatternJacobian | None:
     """The pattern of the Jacobian where sparse factors pay, by the number of states and entries."""
     pattern, n = pattern_of(system.jacobian), system.n_differential
-    if pattern is None or n < SPARSE_STATES or pattern.rows.size > _MOST_FILLED * n * n:
+    if pattern is None or n < SPARSE_STATES or pattern.rows.size > _ELIMINATION.most_filled * n * n:
         return None
     return pattern
 
@@ -300,9 +329,9 @@ def stages_for(system: System, tolerance: float) -> int:
 
     Up to three states a stage more costs little beside the calls of a step.
     """
-    if tolerance >= _TIGHT and system.n_differential > COFACTOR_STATES:
-        return _LEAST_STAGES
-    return _FEW_STAGES if sparse_pattern(system) is None else _MOST_STAGES
+    if tolerance >= _ELIMINATION.tight and system.n_differential > COFACTOR_STATES:
+        return _ELIMINATION.least_stages
+    return _ELIMINATION.few_stages if sparse_pattern(system) is None else _ELIMINATION.most_stages
 
 
 def implicit_step_cost(system: System) -> float | None:
@@ -311,8 +340,10 @@ def implicit_step_cost(system: System) -> float | None:
     if pattern is None:
         return None
     elimination = elimination_of(pattern)
-    matrices = (_FEW_STAGES + 1) / 2
-    return matrices * (elimination.factor_cost + _ITERATIONS * elimination.solution_cost)
+    matrices = (_ELIMINATION.few_stages + 1) / 2
+    return matrices * (
+        elimination.factor_cost + _ELIMINATION.iterations * elimination.solution_cost
+    )
 
 
 def entries_at(
@@ -332,12 +363,12 @@ class DenseJacobians:
     """All entries (m, n, n)."""
 
     blocks: Array
-    iterations: ClassVar[float] = _COSTLY_ITERATIONS
+    iterations: ClassVar[float] = _ELIMINATION.costly_iterations
 
     def newton(self, shift: complex) -> NewtonMatrices:
         size = self.blocks.shape[-1]
         cost, diagonal = costs.inverse(size, isinstance(shift, float)), shift * np.eye(size)
-        reserve(_STEP_MATRICES * self.blocks.size * np.dtype(type(shift)).itemsize)
+        reserve(_ELIMINATION.step_matrices * self.blocks.size * np.dtype(type(shift)).itemsize)
         inverses = np.empty(self.blocks.shape, dtype=type(shift))
         first = 0
         for some in costs.in_pieces(self.blocks, cost):
@@ -355,7 +386,7 @@ class SmallJacobians:
     """All entries (m, n, n) of up to three states, whose inverses are made of cofactors."""
 
     blocks: Array
-    iterations: ClassVar[float] = _CHEAP_ITERATIONS
+    iterations: ClassVar[float] = _ELIMINATION.cheap_iterations
 
     def newton(self, shift: complex) -> NewtonMatrices:
         return SmallInverses(self._inverses([shift])[:, :, 0])
@@ -466,14 +497,14 @@ class SparseJacobians:
 
     elimination: Elimination
     entries: Array
-    iterations: ClassVar[float] = _COSTLY_ITERATIONS
+    iterations: ClassVar[float] = _ELIMINATION.costly_iterations
 
     def paired(self, shifts: Sequence[complex]) -> PairedMatrices:
         return Pairs(tuple(map(self.newton, shifts)))
 
     def newton(self, shift: complex) -> NewtonMatrices:
         kept, m = self.elimination, self.entries.shape[1]
-        reserve(_STEP_MATRICES * m * kept.stored * np.dtype(type(shift)).itemsize)
+        reserve(_ELIMINATION.step_matrices * m * kept.stored * np.dtype(type(shift)).itemsize)
         numbers = np.zeros((m, kept.stored), dtype=type(shift))
         numbers[:, kept.places] -= self.entries.T
         numbers[:, kept.diagonal] += shift

@@ -41,19 +41,40 @@ from rankone.trajectories.stacks.taylor import StackedTaylor, TaylorSeries, Tayl
 from rankone.trajectories.system.features import OfStates
 from rankone.trajectories.system.system import System
 
-_FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
-# Explicit steps before it is probed whether a decay that has lasted for some of its times, and
-# would limit so many steps if it goes on, makes more of them pointless
-_EARLY_PROBE, _LASTING, _POINTLESS_STEPS = 5, 5.0, 3000.0
-_PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
-_PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
+
+@dataclass(frozen=True)
+class _Probes:
+    """When a stack looks whether stability limits its steps, and when it gives up."""
+
+    first: tuple[int, ...]
+    early: int
+    lasting: float
+    pointless_steps: float
+    interval: int
+    refusals: int
+    most_tiny_steps: int
+    telling_steps: int
+    telling_share: float
+    implicit_steps: int
+
+
+_PROBES = _Probes(
+    first=(10, 15, 20, 30),  # Explicit steps before stability is probed
+    # Explicit steps before it is probed whether a decay that has lasted for some of its times, and
+    # would limit so many steps if it goes on, makes more of them pointless
+    early=5,
+    lasting=5.0,
+    pointless_steps=3000.0,
+    interval=100,  # Steps between later probes: each costs a Jacobian and its eigenvalues
+    refusals=10,  # Refused steps after which stability is probed as well
+    most_tiny_steps=1000,  # Tiny steps in a row that end a trajectory
+    telling_steps=100,  # Steps that tell how many are left: those of a transient are fewer
+    telling_share=0.01,  # Part of the horizon after which fewer do
+    implicit_steps=20,  # Implicit steps at least, whatever the time that is left
+)
 _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
-_MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
-_TELLING_STEPS = 100  # Steps that tell how many are left: those of a transient are fewer
-_TELLING_SHARE = 0.01  # Part of the horizon after which fewer do
 _COMPARED = 32  # Trajectories at whose starts a series is compared with the rates, about
-_IMPLICIT_STEPS = 20  # Implicit steps at least, whatever the time that is left
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
@@ -311,7 +332,7 @@ class _DenseRecord:
         """
         start, end = self.horizon
         done, steps = float(solver.t - start), len(self.steps) + 1
-        if steps < _TELLING_STEPS and done < _TELLING_SHARE * (end - start):
+        if steps < _PROBES.telling_steps and done < _PROBES.telling_share * (end - start):
             return 0.0
         mean = done / steps
         last = max(float(solver.step_size), mean)
@@ -485,7 +506,7 @@ class _Stack:
                     self.options.watch(solver.t)
                 state, count = solver.y.reshape(self.shape), count + 1
                 tiny = tiny + 1 if solver.step_size < tiny_step else 0
-                if tiny == _MOST_TINY_STEPS:
+                if tiny == _PROBES.most_tiny_steps:
                     return state, 0.0
                 left = steps_left(solver, count)
                 if left:
@@ -506,7 +527,7 @@ class _Stack:
             return 0.0
         n, rates = self.shape[0], function_cost(self.system.rhs, self.system.user_functions)
         explicit = _DOP853_STAGES * (rates.each + _STAGE_COST(n) - _STAGE_COST(0.0))
-        return _IMPLICIT_STEPS * implicit / explicit
+        return _PROBES.implicit_steps * implicit / explicit
 
     def _explicit_steps_left(self, solver: Stepper, count: int) -> float:
         """The explicit steps left, if stability limits them and they are not bearable; else 0.
@@ -516,18 +537,18 @@ class _Stack:
         them, and a fifth of their length is stable. So the length that was refused counts. At the
         first probe stability need not limit a step yet, if it would limit very many.
         """
-        probes = count in (_EARLY_PROBE, *_FIRST_PROBES) or count % _PROBE_INTERVAL == 0
-        if not probes and solver.refusals < _PROBE_REFUSALS:
+        probes = count in (_PROBES.early, *_PROBES.first) or count % _PROBES.interval == 0
+        if not probes and solver.refusals < _PROBES.refusals:
             return 0.0
         longest, ahead = solver.longest_tried(), self.edges[-1] - solver.t
         left = float(ahead / solver.step_size)
         bearable = max(self.options.bearable_steps, self._cheaper_steps, solver.steps_kept)
-        early = count == _EARLY_PROBE
-        if left <= (max(bearable, _POINTLESS_STEPS) if early else bearable):
+        early = count == _PROBES.early
+        if left <= (max(bearable, _PROBES.pointless_steps) if early else bearable):
             return 0.0
         rate, states = solver.stiff_product / longest, solver.y.reshape(self.shape)
         if early:
-            pointless = solver.stiff_product * max(bearable, _POINTLESS_STEPS) / ahead
-            rate = max(pointless, _LASTING / (solver.t - self.edges[0]))
+            pointless = solver.stiff_product * max(bearable, _PROBES.pointless_steps) / ahead
+            rate = max(pointless, _PROBES.lasting / (solver.t - self.edges[0]))
         stiff = decays_faster(self.system, self.points, solver.t, states, rate)
         return left if stiff else 0.0

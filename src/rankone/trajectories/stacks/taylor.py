@@ -27,27 +27,53 @@ from rankone.trajectories.stacks import explicit
 from rankone.trajectories.stacks.newton import SPARSE_STATES
 from rankone.trajectories.system.system import System
 
-_LEAST_ORDER, _MOST_ORDER = 8, 40
-# Order of the series of affine rates over that of others: they converge everywhere, so that steps
-# grow with the order
-_AFFINE_ORDERS = 1.6
-_STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides
-_LAST_COEFFICIENTS = 2  # Coefficients that choose a step: one may vanish by symmetry
-# Size of the last coefficient, and the largest error of a step, over the tolerance
-_AIMED_ERROR, _MOST_ERROR = 0.1, 0.2
-_FIRST_SHARE = 1e-3  # First trial of the first step, over the way
-_FIRST_TRIALS = 12  # Trials of a first step whose coefficients are not finite
-_STEPS_RATIO = 4.2  # Steps over those of DOP853 at a tolerance of one
+
+@dataclass(frozen=True)
+class _SeriesSteps:
+    """How the order and the steps of a series are chosen."""
+
+    least_order: int
+    most_order: int
+    affine_orders: float
+    step_orders: float
+    last: int
+    aimed_error: float
+    most_error: float
+    first_share: float
+    first_trials: int
+    over_dop853: float
+    least_parts: int
+    most_parts: int
+    stiff_share: float
+    kept: int
+
+
+_SERIES = _SeriesSteps(
+    least_order=8,
+    most_order=40,
+    # Order of the series of affine rates over that of others: they converge everywhere, so that
+    # steps grow with the order
+    affine_orders=1.6,
+    step_orders=8.0,  # Orders that cost as much as what a step takes besides
+    last=2,  # Coefficients that choose a step: one may vanish by symmetry
+    # Size of the last coefficient, and the largest error of a step, over the tolerance
+    aimed_error=0.1,
+    most_error=0.2,
+    first_share=1e-3,  # First trial of the first step, over the way
+    first_trials=12,  # Trials of a first step whose coefficients are not finite
+    over_dop853=4.2,  # Steps over those of DOP853 at a tolerance of one
+    # Parts of a step, and the largest product of the distances of a share from all nodes of a path
+    least_parts=4,
+    most_parts=64,
+    # Step times decay rate from which stability limits a step, over the one at which the last
+    # coefficient is as large as the state
+    stiff_share=0.7,
+    kept=20,  # Steps to the end that cost less than implicit ones from the start
+)
 DOP853_POWER = 1.0 / 8.0
 """Steps of DOP853 grow with this power of one over the tolerance."""
-# Parts of a step, and the largest product of the distances of a share from all nodes of a path
-_LEAST_PARTS, _MOST_PARTS = 4, 64
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
-# Step times decay rate from which stability limits a step, over the one at which the last
-# coefficient is as large as the state
-_STIFF_SHARE = 0.7
-_STEPS_KEPT = 20  # Steps to the end that cost less than implicit ones from the start
 _ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
 _TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
 _PRODUCT_COST = 0.5  # Operations of a product of two coefficients
@@ -56,7 +82,7 @@ _STEP_COST = 80e3  # Operations of a step besides
 
 def steps_ratio(tolerance: float, affine: bool = False) -> float:
     """Steps of a series over those of DOP853, where the tolerance limits both."""
-    ratio = _STEPS_RATIO * math.pow(tolerance, DOP853_POWER)
+    ratio = _SERIES.over_dop853 * math.pow(tolerance, DOP853_POWER)
     if not affine:
         return ratio
     usual, order = taylor_order(tolerance), taylor_order(tolerance, affine=True)
@@ -69,9 +95,9 @@ def taylor_order(tolerance: float, affine: bool = False) -> int:
     The last coefficient then falls by a factor e with each order, but for ``affine`` rates.
     """
     digits = max(-math.log(tolerance), 0.0)
-    order = 0.5 * (digits + math.sqrt(digits**2 + 4.0 * _STEP_ORDERS * digits))
-    order *= _AFFINE_ORDERS if affine else 1.0
-    return min(max(round(order), _LEAST_ORDER), _MOST_ORDER)
+    order = 0.5 * (digits + math.sqrt(digits**2 + 4.0 * _SERIES.step_orders * digits))
+    order *= _SERIES.affine_orders if affine else 1.0
+    return min(max(round(order), _SERIES.least_order), _SERIES.most_order)
 
 
 def _affine_step(tolerance: float, order: int) -> float:
@@ -369,8 +395,8 @@ class TaylorPiece(explicit.Piece):
         allowed = absolute + relative * np.maximum(sizes, share * np.abs(self.rows[0]))
         with np.errstate(over="ignore"):
             missed = interpolation_errors(share, self.rows) / np.maximum(allowed, TINY)
-        enough = min(_MOST_PARTS, float(missed.max(initial=0.0)) ** (1.0 / NODES.size))
-        return int(max(_LEAST_PARTS, math.ceil(enough)))
+        enough = min(_SERIES.most_parts, float(missed.max(initial=0.0)) ** (1.0 / NODES.size))
+        return int(max(_SERIES.least_parts, math.ceil(enough)))
 
     def weights(self, shares: Array) -> Array:
         return explicit.powers_of(shares, self.order)
@@ -425,7 +451,7 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
     y_old: Array
     rtol: float
     atol: Array
-    steps_kept = _STEPS_KEPT
+    steps_kept = _SERIES.kept
 
     def __init__(
         self,
@@ -439,10 +465,16 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
         super().__init__(rates, start, states, end, tolerances)
         self.series = series
         self.order = taylor_order(tolerances.relative, affine=not series.products)
-        self.stiff_product = _STIFF_SHARE * math.exp(math.lgamma(self.order + 1.0) / self.order)
+        self.stiff_product = _SERIES.stiff_share * math.exp(
+            math.lgamma(self.order + 1.0) / self.order
+        )
         self.cost = series.cost(self.order)
         self.recursion = Recursion(series, self.order)
-        self.h_abs, self.unit, self.most = _FIRST_SHARE * (end - start), 0.0, 1.0 / _FIRST_SHARE
+        self.h_abs, self.unit, self.most = (
+            _SERIES.first_share * (end - start),
+            0.0,
+            1.0 / _SERIES.first_share,
+        )
         self.powers = np.empty((0, 0))
 
     def _step_impl(self) -> tuple[bool, str | None]:
@@ -459,11 +491,11 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
             scale = self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol
             missed = np.abs(slope / self.unit - self.fun(end, y_new)) / scale
             error = float(missed.max(initial=0.0)) * h / (self.order + 1)
-            if error <= _MOST_ERROR:
+            if error <= _SERIES.most_error:
                 self.h_abs, self.most = h, explicit.MOST_FACTOR
                 self.t, self.y, self.y_old = end, y_new, y
                 return True, None
-            reduced = (_AIMED_ERROR / error) ** (1.0 / (self.order + 1))
+            reduced = (_SERIES.aimed_error / error) ** (1.0 / (self.order + 1))
             h *= max(explicit.LEAST_FACTOR, reduced)  # the least if not a number
         return False, self.TOO_SMALL_STEP
 
@@ -473,23 +505,23 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
         The next step overwrites them.
         """
         states = self.y.reshape(self.trajectory_states, -1)
-        for _ in range(_FIRST_TRIALS):
+        for _ in range(_SERIES.first_trials):
             charge(self.cost)
             powers = self.recursion(states, self.unit)
-            if np.isfinite(powers[-_LAST_COEFFICIENTS:]).all() or self.unit < shortest:
+            if np.isfinite(powers[-_SERIES.last :]).all() or self.unit < shortest:
                 break
-            self.unit *= _FIRST_SHARE
+            self.unit *= _SERIES.first_share
         return powers
 
     def _longest(self, powers: Array) -> float:
         """The longest step whose last terms are within the tolerance, for the worst state."""
         scale = self.atol + self.rtol * np.maximum(np.abs(powers[0]), np.abs(powers[1]))
-        last = np.abs(powers[-_LAST_COEFFICIENTS:] / scale).max(axis=1, initial=0.0)
+        last = np.abs(powers[-_SERIES.last :] / scale).max(axis=1, initial=0.0)
         factor = self.most
         for i, size in enumerate(last.tolist()):
-            k = self.order + 1 - _LAST_COEFFICIENTS + i
+            k = self.order + 1 - _SERIES.last + i
             if size > 0.0:
-                factor = min(factor, (_AIMED_ERROR / size) ** (1.0 / k))
+                factor = min(factor, (_SERIES.aimed_error / size) ** (1.0 / k))
         return factor * self.unit
 
     def _at(self, powers: Array, share: float) -> tuple[Array, Array]:

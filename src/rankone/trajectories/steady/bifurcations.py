@@ -204,9 +204,22 @@ def _listed(steady: SteadyStates, point: Array) -> str:
 # Theory).
 
 
-_FIRST_STEP = 0.02  # Of arc length; the whole line and the size of each state have length one
-_MOST_STEPS = 1000
-_STRAIGHT = 0.95  # Cosine of the angle between tangents of one step and the next
+@dataclass(frozen=True)
+class _Continuation:
+    """How a branch is followed."""
+
+    first_step: float
+    most_steps: int
+    straight: float
+    zero: float
+
+
+_LINE = _Continuation(
+    first_step=0.02,  # Of arc length; the whole line and the size of each state have length one
+    most_steps=1000,
+    straight=0.95,  # Cosine of the angle between tangents of one step and the next
+    zero=1e-4,  # Coefficients of normal forms below this share of what they are made of vanish
+)
 # Step of second and third derivatives along the null vector, in sizes of the states
 _BENT = EPSILON**0.2
 _NAMES = {
@@ -215,7 +228,6 @@ _NAMES = {
     "transcritical": "a transcritical point",
     "pitchfork": "a pitchfork",
 }
-_ZERO = 1e-4  # Coefficients of normal forms below this share of what they are made of vanish
 
 
 @dataclass(frozen=True)
@@ -285,10 +297,10 @@ class BranchLine:
         here = self._described(self.first, along)
         if here is None:
             raise ArithmeticError
-        length = _FIRST_STEP
-        for _ in range(_MOST_STEPS):
+        length = _LINE.first_step
+        for _ in range(_LINE.most_steps):
             there = self._moved(here, length)
-            if there is None or there.tangent @ here.tangent < _STRAIGHT:
+            if there is None or there.tangent @ here.tangent < _LINE.straight:
                 length *= 0.5
                 if length < NEGLIGIBLE:
                     raise ArithmeticError
@@ -299,7 +311,7 @@ class BranchLine:
                 return self._named(here, self._located(here, there, lambda at: at.tangent[-1]))
             if there.z[-1] >= 1.0:
                 return None
-            here, length = there, min(1.5 * length, 5.0 * _FIRST_STEP)
+            here, length = there, min(1.5 * length, 5.0 * _LINE.first_step)
         raise ArithmeticError
 
     def _values(self, z: Array) -> tuple[Array, Array]:
@@ -357,7 +369,7 @@ class BranchLine:
         branch point, where nothing can be corrected, the cubic is the branch.
         """
         a, b, low, high = first, last, sign(first), sign(last)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_LINE.most_steps):
             length, share = float(np.linalg.norm(b.z - a.z)), low / (low - high)
             guess, tangent = _cubic(a, b, length, share)
             near = length * min(share, 1.0 - share)
@@ -397,7 +409,7 @@ class BranchLine:
         w, v = left[:, n - 1 :].T, np.append(right[n - 1], 0.0)
 
         passing = max(np.linalg.norm(x) for x in (slopes[:, n], self._slopes(before.z)[0][:, n]))
-        if np.linalg.norm(w @ slopes[:, n]) > _ZERO * passing:
+        if np.linalg.norm(w @ slopes[:, n]) > _LINE.zero * passing:
             return "fold"
         minus2, minus, here, plus, plus2 = (
             self._residuals(at.z + share * _BENT * v) / units for share in (-2, -1, 0, 1, 2)
@@ -405,7 +417,7 @@ class BranchLine:
         second = (plus - 2.0 * here + minus) / _BENT**2
         third = (plus2 - 2.0 * plus + 2.0 * minus - minus2) / (2.0 * _BENT**3)
         bent = max(np.linalg.norm(second), np.linalg.norm(third))
-        return "transcritical" if np.linalg.norm(w @ second) > _ZERO * bent else "pitchfork"
+        return "transcritical" if np.linalg.norm(w @ second) > _LINE.zero * bent else "pitchfork"
 
 
 def frequency_of(matrix: Array) -> float:

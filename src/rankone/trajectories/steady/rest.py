@@ -130,13 +130,27 @@ def _as_fractions(rows: Array) -> Array:
 # as totals of species, keep the values of the start.
 
 
-_ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come close
-_LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolerance
-_CLOSE = 1e-3  # Distance from a steady state, in sizes of the states, that counts as having settled
+@dataclass(frozen=True)
+class _Settling:
+    """When trajectories have come to rest."""
+
+    accuracy: float
+    least_size: float
+    close: float
+    noise: float
+    lengthened: float
+
+
+_SETTLING = _Settling(
+    accuracy=1e-5,  # Relative tolerance of trajectories that only have to come close
+    least_size=1e-6,  # Of a state beside the largest one, for its absolute tolerance
+    # Distance from a steady state, in sizes of the states, that counts as having settled
+    close=1e-3,
+    noise=1e-18,  # A state below this share of the largest one on the way is zero
+    lengthened=4.0,  # Factor from one time to the next at which trajectories are looked at
+)
 MOST_NEWTON_STEPS = 15
 """Steps of Newton's method from where a steady state is close."""
-_NOISE = 1e-18  # A state below this share of the largest one on the way is zero
-_LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
 # Of differences of fourth order, over the width of the box or the parameter itself
 _STEP = COINCIDENT**0.2
 _CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
@@ -269,7 +283,7 @@ class SteadyStates:
         jacobian = np.broadcast_to(self.system.jacobian(0.0, states, columns), (n, n, m))
         kept = np.concatenate([*self._invariants(states, columns)])
         sizes = np.abs(states)
-        sizes = np.maximum(sizes, _LEAST_SIZE * sizes.max(axis=0))
+        sizes = np.maximum(sizes, _SETTLING.least_size * sizes.max(axis=0))
         sizes = np.where(sizes > 0.0, sizes, 1.0)
         matrices = np.moveaxis(jacobian * sizes / sizes[:, None], 2, 0)
         finite = np.isfinite(matrices.sum(axis=(1, 2)) + kept.sum(axis=(0, 1)))
@@ -340,12 +354,14 @@ class SteadyStates:
                 break
             ends, sizes = self.follow(states[:, open_], points[open_], time, later)
             states[:, open_], largest[:, open_] = ends, np.maximum(largest[:, open_], sizes)
-            close, sure = self._nearby(ends, points[open_], largest[:, open_], _CLOSE)
+            close, sure = self._nearby(ends, points[open_], largest[:, open_], _SETTLING.close)
             close = np.where(self.decays(close, points[open_]), close, np.nan)
-            sure |= (np.abs(close - before[:, open_]) <= _CLOSE * np.abs(close)).all(axis=0)
+            sure |= (np.abs(close - before[:, open_]) <= _SETTLING.close * np.abs(close)).all(
+                axis=0
+            )
             settled[:, open_], before[:, open_] = np.where(sure, close, np.nan), close
             self.sizes = np.maximum(self.sizes, largest.max(axis=1))
-            time, later = later, min(_LENGTHENED * later, self.settle)
+            time, later = later, min(_SETTLING.lengthened * later, self.settle)
             self.latest = max(self.latest, time)
         for key, state in zip(points, states.T, strict=True):
             self._last[key.tobytes()] = state
@@ -363,7 +379,9 @@ class SteadyStates:
         consistent = self._constraints.consistent(0.0, states, columns, MOST_NEWTON_STEPS, largest)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
         away = np.abs(consistent - states)
-        consistent = np.where(np.abs(consistent) > _NOISE * units.max(axis=0), consistent, 0.0)
+        consistent = np.where(
+            np.abs(consistent) > _SETTLING.noise * units.max(axis=0), consistent, 0.0
+        )
         near = (away <= distance * np.where(units > 0.0, units, 1.0)).all(axis=0)
         sure = np.asarray((away <= distance * np.abs(consistent)).all(axis=0))
         return np.where(near, consistent, np.nan), sure
@@ -374,11 +392,13 @@ class SteadyStates:
         """States at the end of trajectories from states (n, m) on, and their largest values."""
         system = from_states(self.system, (start, end))
         moved = np.column_stack([points, states.T])
-        sizes = np.maximum(np.abs(states), _LEAST_SIZE * np.abs(states).max(axis=0))
+        sizes = np.maximum(np.abs(states), _SETTLING.least_size * np.abs(states).max(axis=0))
         size = sizes.max(axis=1, keepdims=True)
-        least = _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
+        least = _SETTLING.least_size * np.where(size > 0.0, size, 1.0)
         chosen = integrator_for(system, "auto")
-        dense = chosen.run(system, moved, [start, end], Tolerances.down_to(_ACCURACY, least))
+        dense = chosen.run(
+            system, moved, [start, end], Tolerances.down_to(_SETTLING.accuracy, least)
+        )
         if dense.end < end * (1.0 - NEGLIGIBLE):
             worst = int(np.argmax(np.nan_to_num(np.abs(dense.state).max(axis=0), nan=np.inf)))
             raise BlowUpError(
@@ -413,7 +433,7 @@ class SteadyStates:
         neutral = NEGLIGIBLE / self.first
         which = int(np.nanargmax(growth)) if np.isfinite(growth).any() else 0
         away = np.abs(states[:, which] - self._last[points[which].tobytes()])
-        if growth[which] > neutral and (away <= 10.0 * _ACCURACY * self.sizes.max()).all():
+        if growth[which] > neutral and (away <= 10.0 * _SETTLING.accuracy * self.sizes.max()).all():
             place = self._at(points[which])
             return ConvergenceError(
                 f"trajectories come to rest at a steady state that is not stable{place}",
@@ -436,7 +456,7 @@ class SteadyStates:
             if rate < slowest < -neutral:
                 rate = slowest
                 message += f", elsewhere at {-rate:.3g}"
-            longer = max(-np.log(_CLOSE * _CLOSE) / -rate, 2.0 * self.settle)
+            longer = max(-np.log(_SETTLING.close * _SETTLING.close) / -rate, 2.0 * self.settle)
             digit = 10.0 ** np.floor(np.log10(longer))
             remedy = f"give settle={np.ceil(longer / digit) * digit:g}, or narrow the box"
         return ConvergenceError(message, remedy=remedy)
