@@ -31,10 +31,10 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError
+from rankone.support.precision import MANY_STATES
 from rankone.support.progress import Report, quiet
 from rankone.support.wording import did_you_mean
 from rankone.tensors.bases.scales import moved_measures
-from rankone.trajectories.stacks.newton import SPARSE_STATES
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import MeasuredError, OtherEngines, Remedy, Status
 
@@ -78,7 +78,7 @@ def engines_for(
     OptionError if there is no such method, or an option belongs to another one, to be named.
     """
     if isinstance(method, str) and method == AUTO:
-        few = parameters <= _FEW_PARAMETERS and states < SPARSE_STATES
+        few = parameters <= _FEW_PARAMETERS and states < MANY_STATES
         order = ("train", "cross") if few else ("cross", "train")
         tried = tuple(ENGINES[name] for name in order if separated or name == "cross")
         common = set.intersection(*(set(ENGINES[name].options.names()) for name in order))

@@ -17,7 +17,7 @@ from rankone.support.costs import CALL
 from rankone.support.errors import ProblemError
 from rankone.support.precision import COINCIDENT, ROUNDING
 from rankone.support.wording import quote
-from rankone.trajectories.integrators.integrator import HELD_NUMBERS, NODES, Path, joined
+from rankone.trajectories.integrators.integrator import NODES, Path, joined
 from rankone.trajectories.system.events import BOTH, CROSSINGS, SystemEvent, overlap
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for

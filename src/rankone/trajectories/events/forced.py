@@ -584,10 +584,10 @@ def _nearest_roots(
 
     begin = elapsed[rows, chosen]
     length = elapsed[rows, chosen + 1] - begin
-    ends = (np.where(exists, heights[rows, chosen + k], 0.0) for k in (0, 1))
-    rounding = EPSILON * (np.abs(flow.starts) + np.abs(begin)) / np.abs(length)
+    start, end = (np.where(exists, heights[rows, chosen + k], 0.0) for k in (0, 1))
+    rounding = EPSILON * (np.abs(flow.starts) + np.abs(begin)) / np.maximum(np.abs(length), TINY)
     accuracy = np.maximum(2.0 * rounding, ROUNDING)
-    shares = roots(lambda share: height(begin + share * length), *ends, accuracy)
+    shares = roots(lambda share: height(begin + share * length), start, end, accuracy)
     return np.where(exists, begin + shares * length, np.nan)
 
 

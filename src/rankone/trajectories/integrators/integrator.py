@@ -29,8 +29,6 @@ _MANY_TIMES = 64  # Times of each path from which on their steps are looked up p
 _FEW_STATES = 8  # States up to which coefficients of all of them are one product of matrices
 BLOCK = 8192
 """Times, or steps, that are read together: what is in work fits the cache."""
-HELD_NUMBERS = 4_000_000
-"""Numbers, of states at nodes or of matrices, that are held at once."""
 
 
 @dataclass(frozen=True)

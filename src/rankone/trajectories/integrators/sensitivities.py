@@ -21,9 +21,9 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import COINCIDENT, DIFFERENCE
+from rankone.support.precision import AT_ONCE, COINCIDENT, DIFFERENCE
 from rankone.tensors.bases.time_grid import RadauCollocation, insets
-from rankone.trajectories.integrators.integrator import HELD_NUMBERS, Path, Spans, Tolerances
+from rankone.trajectories.integrators.integrator import Path, Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System
 
@@ -116,7 +116,7 @@ def _collocated(
     n, w, m = forcing.start.shape
     steps = ends.size - 1
     values = np.empty((steps, m, 1 + stages, n, w))
-    many = max(1, HELD_NUMBERS // (m * stages * n * (stages * n + n + w)))
+    many = max(1, AT_ONCE // (m * stages * n * (stages * n + n + w)))
     current = np.moveaxis(forcing.start, 2, 0)  # (m, n, w)
     for first in range(0, steps, many):
         some = slice(first, min(first + many, steps))

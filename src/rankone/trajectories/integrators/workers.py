@@ -26,6 +26,7 @@ from rankone.support.budget import (
     memory_left,
 )
 from rankone.support.errors import OptionError, RankoneError
+from rankone.support.precision import MANY_STATES
 from rankone.support.tasks import (
     DEATHS,
     GUARD,
@@ -47,7 +48,7 @@ from rankone.trajectories.system.system import ModuleSpecification, System
 
 Arguments: TypeAlias = "tuple[object, ...]"  # Those of a task, after the system
 _Sent: TypeAlias = "Counted[Answer] | Filed[Counted[Answer]]"  # What comes from a worker
-_LEAST_STATES, _MOST_FILES = 64, 200  # States whose trajectories are large; files open at once
+_MOST_FILES = 200  # Files of large trajectories that are open at once
 
 
 class Workers:
@@ -147,7 +148,7 @@ class Workers:
     def _files(self, count: int) -> dict[int, MemoryFile]:
         """Files for the answers of so many calls, where these are large."""
         assert self.pool is not None
-        if self.system.n_differential < _LEAST_STATES or count > _MOST_FILES:
+        if self.system.n_differential < MANY_STATES or count > _MOST_FILES:
             return {}
         files = (MemoryFile.for_workers(self.pool.wanted) for _ in range(count))
         return {k: file for k, file in enumerate(files) if file is not None}

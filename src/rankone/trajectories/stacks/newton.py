@@ -23,6 +23,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from rankone.support import costs
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
+from rankone.support.precision import MANY_STATES
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.system import PatternJacobian, System, pattern_of
 
@@ -261,8 +262,6 @@ def _factors(matrix: scipy.sparse.csc_matrix, order: str) -> SuperLU:
 
 COFACTOR_STATES = 3
 """States up to which inverses are made of cofactors."""
-SPARSE_STATES = 64
-"""States from which on sparse factors pay."""
 # Operations of a matrix times a vector: once, and for each entry
 _PRODUCT_COST = costs.Cost(40.0, 0.5)
 
@@ -319,7 +318,7 @@ def jacobians_for(system: System, points: Array) -> Callable[[float, Array], Jac
 def sparse_pattern(system: System) -> PatternJacobian | None:
     """The pattern of the Jacobian where sparse factors pay, by the number of states and entries."""
     pattern, n = pattern_of(system.jacobian), system.n_differential
-    if pattern is None or n < SPARSE_STATES or pattern.rows.size > _ELIMINATION.most_filled * n * n:
+    if pattern is None or n < MANY_STATES or pattern.rows.size > _ELIMINATION.most_filled * n * n:
         return None
     return pattern
 

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.precision import NEGLIGIBLE, TINY
+from rankone.support.precision import MANY_STATES, NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import NODES, Tolerances
 from rankone.trajectories.stacks import explicit
-from rankone.trajectories.stacks.newton import SPARSE_STATES
 from rankone.trajectories.system.system import System
 
 
@@ -242,8 +241,8 @@ def _terms_of(system: System) -> TaylorTerms:
     if not varying:
         columns = variables[columns].tolist()
     shape = n, len(flows) if varying else len(places)
-    sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < SPARSE_STATES else 0)
-    if n < SPARSE_STATES:
+    sums: Array | scipy.sparse.csr_array = np.zeros(shape if n < MANY_STATES else 0)
+    if n < MANY_STATES:
         np.add.at(sums, (targets, columns), entries)
     else:
         sums = scipy.sparse.csr_array((entries, (targets, columns)), shape=shape)
