@@ -217,7 +217,7 @@ def rested(resting: Any) -> Outcome:
     with limited() as account:
         try:
             solution = ro.steady_state(
-                resting.system.problem(), resting.rtol, settle=resting.settle, effort=0.3
+                resting.system.problem(), settle=resting.settle, rtol=resting.rtol, effort=0.3
             )
         except ro.RankoneError as error:
             return Outcome(type(error).__name__, account.done)

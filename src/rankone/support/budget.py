@@ -34,6 +34,8 @@ REMEDIES = 0.14
 WAITING = 0.1 * NORMAL
 """Most operations that :func:`waiting` adds to the patience of a solve."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
+COPIES = 6
+"""Copies of a large array while others are computed from it: memory is reserved for these."""
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
 _TELLING_SHARE = 0.2  # Part of the work of a look after which it tells how much is left

@@ -211,7 +211,7 @@ class SparseFactors:
         self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A")
         self.filled = int(self._factors.nnz)
         self._weight = 2.0 if np.iscomplexobj(matrix) else 1.0
-        reserve(8.0 * (self._weight + 1.0) * self.filled)
+        reserve(8 * (self._weight + 1.0) * self.filled)
         multiplications = _MULTIPLICATION * self.filled**2 / matrix.shape[0]
         charge(self._weight * (SPARSE_FACTORS(self.filled) + multiplications))
 

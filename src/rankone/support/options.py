@@ -213,7 +213,7 @@ def physical_memory() -> float:
 
 def in_words(count: float) -> str:
     """Bytes as a user reads them: "2.1 GB"."""
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+    for unit, size in (("TB", 10**12), ("GB", 10**9), ("MB", 10**6)):
         if count >= size:
             return f"{count / size:.3g} {unit}"
-    return f"{count / 1e3:.3g} kB"
+    return f"{count / 10**3:.3g} kB"

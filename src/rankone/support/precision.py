@@ -13,6 +13,8 @@ TINY = float(np.finfo(float).tiny)
 """Smallest normal number: what a size that may be zero is raised to before it divides."""
 ROUNDING = 64.0 * EPSILON
 """Error of a number that a few operations made of rounded ones, about 1e-14."""
+ACCUMULATED = 512.0 * EPSILON
+"""Error of what a long computation makes of them, about 1e-13."""
 COINCIDENT = 4096.0 * EPSILON
 """Difference below which two times or places are one, about 1e-12, in sizes of these."""
 NEGLIGIBLE = 1e-9

@@ -14,7 +14,6 @@ from sympy.core.function import AppliedUndef
 
 from rankone.compiler.agreement.comparison import (
     LOST_SHARE,
-    TOLERANCE,
     Comparison,
     NoValueError,
     total,
@@ -28,7 +27,7 @@ from rankone.problem.problem import Problem
 from rankone.problem.tables.term_table import TermTable
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
-from rankone.support.precision import EPSILON, SEED
+from rankone.support.precision import ACCUMULATED, EPSILON, SEED
 from rankone.support.wording import quote
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.steady.bifurcations import before_start
@@ -178,7 +177,7 @@ class _ProblemCheck:
         finite = _finite(points.states, points.rates)
         p, u, f = points.parameters, points.states, points.rates[self.highest]
         leaves = [np.array([points.time[k], *p[:, k], *u[:, k], *f[:, k]]) for k in finite]
-        slowest = TOLERANCE * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
+        slowest = ACCUMULATED * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
         solved: dict[int | None, list[int]] = {}  # states by the equation solved for their rate
         for i, equation in enumerate(self.first_order.origins):
             solved.setdefault(equation, []).append(i)

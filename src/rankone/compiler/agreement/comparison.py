@@ -29,7 +29,7 @@ from mpmath.libmp import (
 from sympy.core.relational import Relational
 
 from rankone.support.arrays import Array
-from rankone.support.precision import EPSILON, SEED, TINY
+from rankone.support.precision import ACCUMULATED, EPSILON, SEED, TINY
 
 Number = tuple[int, int, int, int]
 """A floating-point number of mpmath: sign, mantissa, exponent, bits."""
@@ -45,14 +45,10 @@ PRECISION = _CONTEXT.prec
 _LARGEST_ARGUMENT = 1e100  # Of functions that grow or take seconds beyond
 _MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
 _STEP = from_float(1e-35)  # Of difference quotients: half of the digits remain in the difference
-TOLERANCE = 1e-13
-"""Residuals below this share of the terms are rounding.
-
-A larger one is compared with the effect of relative errors of this size in all intermediate
-results.
-"""
 # Relative error of the evaluation: log(1 + 1e-178) has no digits either
 _LAST_DIGITS = 10.0 ** (10 - _CONTEXT.dps)
+# Residuals below the accumulated error, as a share of the terms, are rounding. A larger one is
+# compared with the effect of relative errors of this size in all intermediate results.
 _RUNS = 4  # Evaluations with disturbed intermediate results: few, as only the largest effect counts
 _SPREAD_RATIO = 10.0  # Largest residual over that effect: a few runs do not meet the worst errors
 LOST_SHARE = 0.01
@@ -352,7 +348,7 @@ class Comparison:
         residuals = []
         for point in (start, there):
             noise = None if seed is None else np.random.default_rng([SEED, seed])
-            residuals.append(self._sums(self.program(point, noise, TOLERANCE))[0])
+            residuals.append(self._sums(self.program(point, noise, ACCUMULATED))[0])
         change = mpf_sub(residuals[1], residuals[0], PRECISION, "n")
         return cast(Number, mpf_div(change, _STEP, PRECISION, "n"))
 
@@ -383,7 +379,7 @@ class Comparison:
         largest_size = max((size for _, size, _ in sums.values()), default=0.0)
         floor = max(_TINY_SHARE * largest_size, TINY / EPSILON**2)
         for k, (residual, size, _) in sums.items():
-            if abs(residual) > max(TOLERANCE * size, floor):
+            if abs(residual) > max(ACCUMULATED * size, floor):
                 spread = self._spread(leaves[k], residual)
                 if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
@@ -399,7 +395,7 @@ class Comparison:
                     return k, residual
         return None
 
-    def _spread(self, point: Array, exact: float, size: float = TOLERANCE) -> float | None:
+    def _spread(self, point: Array, exact: float, size: float = ACCUMULATED) -> float | None:
         """How far rounding of a size moves the residual; None if that cannot be told."""
         noise = np.random.default_rng(SEED)
         spread = 0.0
@@ -414,7 +410,7 @@ class Comparison:
         self,
         point: Array,
         noise: np.random.Generator | None = None,
-        size: float = TOLERANCE,
+        size: float = ACCUMULATED,
     ) -> tuple[Number, Number, Number] | None:
         """Residual, size of the terms, computed terms; None where they have no value."""
         try:

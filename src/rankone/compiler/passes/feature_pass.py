@@ -40,7 +40,7 @@ from rankone.problem.forms import Coordinate
 from rankone.problem.tables.term_table import TermTable
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
-from rankone.support.precision import TINY
+from rankone.support.precision import EPSILON, TINY
 from rankone.support.wording import quote, written
 from rankone.trajectories.system.verdict import SwitchingTerm
 
@@ -496,7 +496,7 @@ def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
     heights = function(points)
     changes = np.flatnonzero(heights[:-1] * heights[1:] < 0.0)
     roots = {float(x) for x in points[heights == 0.0]} if np.any(heights) else set()
-    tight = {"xtol": 1e-300, "rtol": 4.0 * np.finfo(float).eps}
+    tight = {"xtol": TINY, "rtol": 4.0 * EPSILON}
     for i in changes:
         root = scipy.optimize.brentq(lambda at: float(function(at)), *points[i : i + 2], **tight)
         roots.add(float(root))

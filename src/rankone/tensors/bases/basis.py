@@ -20,7 +20,15 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
+from rankone.support.precision import COINCIDENT, TINY
 from rankone.tensors.bases.scales import IDENTITY, Scale
+
+_NODES_OF_DIGIT = 1.4
+
+
+def nodes_for(tolerance: float, first: float) -> int:
+    """Nodes that resolve a smooth function: ``first`` of them, and some for each digit."""
+    return round(first - _NODES_OF_DIGIT * math.log10(tolerance))
 
 
 def legendre_values(xi: Array, count: int) -> Array:
@@ -251,7 +259,7 @@ class Basis1D(ABC):
 
     def restricted(self, lower: float, upper: float) -> Self:
         """The basis on another interval, with the ends of elements that are inside of it."""
-        near = 1e-12 * (self.upper - self.lower)
+        near = COINCIDENT * (self.upper - self.lower)
         inside = [float(e) for e in self.edges if lower + near < e < upper - near]
         breaks = tuple(inside)
         return replace(self, lower=lower, upper=upper, elements=len(breaks) + 1, breaks=breaks)
@@ -283,7 +291,7 @@ class Basis1D(ABC):
     def relative_spectrum(self, values: Array) -> Array:
         """Size of each mode of functions (rows, size), relative to the largest of its row."""
         spectra = np.abs((values * np.sqrt(self.weights)) @ self.to_modal.T)
-        largest = spectra.max(axis=1, keepdims=True, initial=1e-300)
+        largest = spectra.max(axis=1, keepdims=True, initial=TINY)
         return np.asarray((spectra / largest).max(axis=0))
 
     def coarsened(self, spectrum: Array, tolerance: float, least: int = 3) -> Self:

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from rankone.support.arrays import HALVINGS, Array
 from rankone.support.errors import OptionError, warn
-from rankone.support.precision import ROUNDING
+from rankone.support.precision import ACCUMULATED, EPSILON, ROUNDING, TINY
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.bases import Basis1D, Scale
 from rankone.tensors.bases.scales import LINEAR, LOG, written_scale
@@ -36,12 +36,11 @@ _PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15,
 # Relative error of the probability of the interval below which a quadrature counts as exact
 _EXACT_MASS_ERROR = 1e-10
 # Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
-_SHARE_RANGE = (1e-300, 1.0 - 2.0**-53)
+_SHARE_RANGE = (TINY, 1.0 - 0.5 * EPSILON)
 # Probability outside the box above which a user is warned: it shows in three digits
 _WARNED_OUTSIDE = 1e-3
 # Weight, relative to the largest, of points that a Gauss rule leaves out
 _NEGLIGIBLE_WEIGHT = 1e-40
-_LEAST_NORM = 1e-13  # Norm below which the next orthogonal polynomial is rounding
 
 
 class Distribution(Protocol):
@@ -303,7 +302,7 @@ class Measure:
         else:
             lower, upper = self._ends
             share = (float(self._cumulative(point)) - lower) / (upper - lower)
-        return float(ndtri(min(max(share, 1e-15), 1.0 - 1e-15)))
+        return float(ndtri(min(max(share, 4.0 * EPSILON), 1.0 - 4.0 * EPSILON)))
 
     def rule(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
         """The Gauss rule of each element: it integrates products of ``factors`` modes.
@@ -420,7 +419,7 @@ def gauss_rule(points: Array, weights: Array, count: int) -> tuple[Array, Array]
         for _ in range(2):
             polynomial = polynomial - (rows @ polynomial) @ rows
         length = float(np.linalg.norm(polynomial))
-        if length < _LEAST_NORM:
+        if length < ACCUMULATED:
             break
         rows = np.vstack([rows, polynomial / length])
     nodes, vectors = np.linalg.eigh((rows * x) @ rows.T)

@@ -22,6 +22,7 @@ from scipy.special import ndtr, ndtri
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import EPSILON, TINY
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.distributions import Distribution, Measure, PointMeasure
@@ -121,14 +122,16 @@ class Copula:
 
 def _normals(shares: Array) -> Array:
     """Normal numbers whose probabilities are shares."""
-    return np.asarray(ndtri(np.clip(shares, 1e-300, 1.0 - 2.0**-53)))
+    return np.asarray(ndtri(np.clip(shares, TINY, 1.0 - 0.5 * EPSILON)))
 
 
 def _normal(count: int) -> list[tuple[Array, Array]]:
     """Quadratures for independent standard normal numbers."""
     if count > _MOST_GRID_DIMENSIONS:
         shares = even_shares(_EVEN_POINTS, count, SEED)
-        return [(ndtri(np.clip(shares, 1e-15, 1.0)), np.full(_EVEN_POINTS, 1.0 / _EVEN_POINTS))]
+        return [
+            (ndtri(np.clip(shares, 4.0 * EPSILON, 1.0)), np.full(_EVEN_POINTS, 1.0 / _EVEN_POINTS))
+        ]
     rules = []
     for step in _GRID_STEPS:
         line = np.arange(-_LARGEST_NORMAL, _LARGEST_NORMAL + 0.5 * step, step)

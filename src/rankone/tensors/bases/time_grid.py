@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, bisected
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.tensors.bases.basis import legendre_derivative, legendre_values
 
 _SHORTEST_OF_HORIZON = 1e-18
@@ -276,7 +276,7 @@ def _tops(dense: Array) -> NDArray[np.bool_]:
 
 def _sizes(dense: Array) -> Array:
     """Largest absolute value of each column, not zero."""
-    return np.asarray(np.abs(dense).max(axis=0) + 1e-300)
+    return np.asarray(np.abs(dense).max(axis=0) + TINY)
 
 
 def times_within(start: float, end: float, shares: Array) -> Array:

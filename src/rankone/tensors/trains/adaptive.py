@@ -16,8 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE, SEED
+from rankone.support.precision import NEGLIGIBLE, SEED, TINY
 from rankone.tensors.bases import Basis1D, Scale, first_scale
+from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.trains.cross import (
     FULL_GRID_NODES,
     Columns,
@@ -255,7 +256,7 @@ class AdaptiveInterpolation:
     @property
     def _line_nodes(self) -> int:
         """Nodes of a line, or of an element: a smooth function of the box needs about as many."""
-        return min(max(round(4.0 + 1.4 * -math.log10(self.level)), 6), self.limits.max_nodes)
+        return min(max(nodes_for(self.level, 4.0), 6), self.limits.max_nodes)
 
     def _line_bases(self, count: int) -> list[Basis1D]:
         """Bases of the first lines: ``count`` nodes of each parameter."""
@@ -463,7 +464,7 @@ def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_R
         return max(int(np.count_nonzero(tails > tolerance)), 1)
     half = count // 2
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]  # modes may vanish by symmetry
-    ratio = (levels[-2] / max(levels[half - 1], 1e-300)) ** (1.0 / (count - 1 - half))
+    ratio = (levels[-2] / max(levels[half - 1], TINY)) ** (1.0 / (count - 1 - half))
     ratio = min(max(ratio, FASTEST_DECAY), SLOWEST_DECAY)
     beyond = math.log(tolerance / levels[-2]) / math.log(ratio)
     return math.ceil(min(count + beyond, max_ratio * count))

@@ -29,7 +29,7 @@ from numpy.polynomial.legendre import leggauss
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, warn
 from rankone.support.options import checked_number
-from rankone.support.precision import NEGLIGIBLE
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, ROUNDING
 from rankone.support.wording import listing
 from rankone.tensors.bases import IDENTITY, Basis1D, Scale, legendre_values
 from rankone.tensors.bases.coordinates import Coordinates, name_of, round_off
@@ -386,7 +386,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
             products.append((-negative, modes))
             remainder -= negative**2
             # the running difference loses digits, the sum over the heap does not
-            nearly = remainder <= tolerance**2 + 1e-12 * total
+            nearly = remainder <= tolerance**2 + COINCIDENT * total
             if nearly and math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
                 break
             continue
@@ -445,7 +445,7 @@ def _least_squares(
             target = np.einsum("inb,bi->ni", spread, rights[-1 - j])
             gram = reduce(np.multiply, [*grams[:j], *grams[j + 1 :]])
             eigenvalues, vectors = np.linalg.eigh(gram)
-            kept = eigenvalues > 1e-14 * eigenvalues[-1]
+            kept = eigenvalues > ROUNDING * eigenvalues[-1]
             inverse = (vectors[:, kept] / eigenvalues[kept]) @ vectors[:, kept].T
             scaled = target @ inverse
             amplitudes = np.linalg.norm(scaled, axis=0)

@@ -19,8 +19,9 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from rankone.support.arrays import Array, sequence
-from rankone.support.budget import charge, reserve
+from rankone.support.budget import COPIES, charge, reserve
 from rankone.support.costs import CALL, product, qr
+from rankone.support.precision import ACCUMULATED
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.trains.train import Integers, Skeleton, Train, skeleton_of
 
@@ -37,12 +38,9 @@ _EXTRA_RANK = 16  # Added to the expected rank of a bond
 # Error of a skeleton at left points that it was not made for, over the tolerance, that shows that
 # the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
 _SPANNED = 5.0
-_BLOCK_COPIES = 5.0  # Copies of the columns of a bond: sampled, weighted, joined, projected
 _TABLE_COPIES = 3.0  # Copies of all samples: before and after some are added, and these
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
-# Square of the norm of a remainder, over that of the column, that Pythagoras' theorem resolves
-_PYTHAGOREAN = 1e-13
 # Columns for which a basis grows at a time: those between them hardly add to what these span
 _MOST_SPANNED = 400
 # Norm of a remainder, over that of all columns, that a Gram matrix tells from rounding
@@ -225,7 +223,7 @@ class _Block:
         """The same for some batches."""
         left, count = np.concatenate(batches), len(self.columns)
         samples = self.samples(_pairs(left, self.columns))
-        reserve(_BLOCK_COPIES * samples.nbytes)
+        reserve(COPIES * samples.nbytes)
         charge(4.0 * samples.size)
         rows = samples.T.reshape(count, len(left), -1)
         weights, first = _weights(left, self.sizes), 0
@@ -285,7 +283,7 @@ class Samples:
         points = np.stack([x[indices[:, j]] for j, x in enumerate(self.nodes)], axis=1)
         coefficients = self.columns(points)
         count, rank = self._table.shape
-        reserve(8.0 * _TABLE_COPIES * len(coefficients) * (count + codes.size))
+        reserve(8 * _TABLE_COPIES * len(coefficients) * (count + codes.size))
         table = np.zeros((count + codes.size, len(coefficients)))
         table[:count, :rank], table[count:] = self._table, coefficients.T
         self._table = table
@@ -309,7 +307,7 @@ class GrowingBasis:
         if rank == length:
             return coefficients
         squares = _squares(columns)
-        missed = squares - _squares(coefficients) + _PYTHAGOREAN * squares
+        missed = squares - _squares(coefficients) + ACCUMULATED * squares
         if rank and missed.max(initial=0.0) <= tolerance**2:
             return coefficients
         remainder = columns - self.vectors @ coefficients

@@ -182,7 +182,7 @@ def element_trains(
         sums[0] = RankOneSum(tuple(np.zeros((len(factor), 1)) for factor in sums[0].factors))
     n, rank = len(sums), sum(total.rank for total in sums)
     entries = n * time.size + rank * sum(basis.size for basis in parameters)
-    reserve(8.0 * _TRAIN_COPIES * rank * entries)
+    reserve(8 * _TRAIN_COPIES * rank * entries)
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):

@@ -136,7 +136,7 @@ class SlabTrain:
         ``modes`` are those of :meth:`time_modes`, if they are there already.
         """
         states, rank = len(self.cores[0]), len(columns)
-        charge(50.0 * CALL + product(states * times.size, rank, columns.shape[1]))
+        charge(50 * CALL + product(states * times.size, rank, columns.shape[1]))
         modes = self.time_modes(times) if modes is None else modes
         at_times = np.matmul(modes, self.cores[0]).reshape(-1, rank) @ columns
         return np.asarray(at_times.reshape(states, times.size, -1).swapaxes(1, 2))
@@ -317,7 +317,7 @@ class LineColumns:
     def at(self, basis: Basis1D) -> LineColumns:
         """The columns interpolated to the nodes of another basis."""
         modal = basis_values(self.basis, basis.nodes)
-        charge(5.0 * CALL + product(self.columns.size // self.basis.size, *modal.shape))
+        charge(5 * CALL + product(self.columns.size // self.basis.size, *modal.shape))
         return LineColumns(basis, (self.columns * np.sqrt(self.basis.weights)) @ modal.T)
 
     def error(self, other: LineColumns) -> float:

@@ -20,6 +20,7 @@ from scipy.linalg.lapack import dgeqp3, dtrtrs
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import product, qr, svd
+from rankone.support.precision import ACCUMULATED
 
 # Combinations of rows over the expected rank, and how many more: pivots fit them, too
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8
@@ -145,8 +146,6 @@ Integers = NDArray[np.int64]
 _DIRECT_SIDE = 48
 # Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more).
 _RANDOM_DIRECTIONS = 12
-# Rows whose new direction is smaller than this, relative to the largest, are rounding
-_NEGLIGIBLE_ROW = 1e-13
 # The same for directions that only widen a frame: they need not be kept to the last digit
 _NEGLIGIBLE_PROBE = 1e-6
 
@@ -197,7 +196,7 @@ class Train:
             weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
         return norms
 
-    def right_orthonormal(self, negligible: float = _NEGLIGIBLE_ROW) -> Train:
+    def right_orthonormal(self, negligible: float = ACCUMULATED) -> Train:
         """Cores 1, ..., d of orthonormal rows; core 0 takes the factors.
 
         Rows that add no direction above ``negligible``, relative to the largest, are left out.

@@ -37,7 +37,7 @@ def test_lengths_follow_the_iterations(iterations: int, limits: Any, factor: flo
 
 
 def test_fixed_slabs_are_not_halved_and_short_ones_given_up() -> None:
-    for options, longest in ((GreedyOptions(time_slabs=1), 1.0), (GreedyOptions(), 1.5e-6)):
+    for options, longest in ((GreedyOptions(time_slabs=1), 1.0), (GreedyOptions(), 1.5e-9)):
         lengths = SlabLengths(0.0, 1.0, options, longest)
         assert not lengths.adapt(lengths.propose(0.0), trial(False))
         assert lengths.propose(0.0) is Status.NO_CONVERGENCE

@@ -38,7 +38,7 @@ def test_a_restart_counts_anew_from_the_last_residual():
 
 def test_divergence_and_stagnation_are_hopeless():
     assert after([math.inf]).hopeless(limited=False)
-    assert after([1e3]).hopeless(limited=False)
+    assert after([2e3]).hopeless(limited=False)
     assert after([1e-2, 9e-3, 8e-3, 7e-3]).hopeless(limited=False)
     assert not after([1e-2, 9e-3, 8e-3]).hopeless(limited=False)
     assert not after([1e-2, 9e-3, 8e-3, 7e-3]).hopeless(limited=True)

@@ -39,8 +39,10 @@ from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, OutOfWorkError, unlimited, work_done, work_left
+from rankone.support.precision import ACCUMULATED
 from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.bases import BASES, Basis1D
+from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
 from rankone.tensors.trains.adaptive import (
     LEAST_NODES,
@@ -73,9 +75,6 @@ _UNRESOLVED = (
     Status.WORK_LIMIT,
     Status.TIME_LIMIT,
 )
-
-
-_FIRST_TIMED = slice(12)  # Trajectories of the reference that are looked at first for slabs
 
 
 class _JumpFound(Exception):
@@ -254,11 +253,11 @@ class CrossMarcher:
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
         highest_modes = TUNING.highest_time_modes_share * level
-        tolerance = max(highest_modes, TUNING.tightest_tolerance)
+        tolerance = max(highest_modes, ACCUMULATED)
 
         breaks: Sequence[float] = edges
         # slabs that do not resolve some trajectories need no look at all of them
-        for some in (_FIRST_TIMED, slice(None)):
+        for some in (slice(TUNING.worst_points), slice(None)):
             reference = reference_set.reference.of(some)
 
             def in_units(times: Array, reference: Reference = reference, s: slice = some) -> Array:
@@ -368,7 +367,7 @@ class CrossMarcher:
         trajectories, domain = self.trajectories, self.reference_set.domain
         if trajectories is None:
             return []
-        count = round(TUNING.line_node_ratio * (4.0 - 1.4 * math.log10(self.rtol)))
+        count = round(TUNING.line_node_ratio * nodes_for(self.rtol, 4.0))
         kind, modes = BASES[self.options.basis], list[tuple[Basis1D, Array]]()
 
         def columns(points: Array) -> Array:

@@ -11,6 +11,7 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.support.options import Options, choice, integer
 from rankone.support.tasks import ExecutorLike, checked_executor
 from rankone.tensors.bases import BASES
+from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.trains.adaptive import Tightening
 
 
@@ -63,9 +64,6 @@ class CrossTuning:
     first_marked_level: float = 0.7
     """Level of the first attempt between markers, over the tolerance: a second one costs as
     much again."""
-    tightest_tolerance: float = 1e-13
-    """Tightest tolerance of the integration and of the time grid: rounding errors are not far
-    below."""
     absolute_tolerance_ratio: float = 1e-5
     """Absolute tolerance in units of each state's size, over the relative tolerance."""
     calibration_points: int = 8
@@ -117,9 +115,6 @@ class CrossTuning:
     """Nodes of a line over those that did not resolve it."""
     explaining_share: float = 0.3
     """Sum of the modes that an attempt left out, over its error, that explains the error."""
-    copies: int = 6
-    """Copies of sampled trajectories that are held at once: stages of steps, columns,
-    coefficients."""
     full_rank: float = 0.5
     """Rank over the largest one for its nodes from which it is that of a front, and grows with
     them."""
@@ -169,7 +164,7 @@ class CrossOptions(Options):
         """Gauss nodes per slab: more for tighter tolerances."""
         if self.time_nodes is not None:
             return self.time_nodes
-        return int(min(max(round(5.6 + 1.4 * -math.log10(rtol)), 7), 20))
+        return min(max(nodes_for(rtol, 5.6), 7), 20)
 
 
 @dataclass(frozen=True, slots=True)

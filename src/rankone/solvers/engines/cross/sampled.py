@@ -10,8 +10,15 @@ import numpy as np
 from rankone.solvers.engines.cross.cross_options import TUNING
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfWorkError, memory_left, reserve, work_done, work_left
-from rankone.support.precision import MANY_STATES, TINY
+from rankone.support.budget import (
+    COPIES,
+    OutOfWorkError,
+    memory_left,
+    reserve,
+    work_done,
+    work_left,
+)
+from rankone.support.precision import ACCUMULATED, MANY_STATES, TINY
 from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.cross import GrowingBasis
 from rankone.trajectories.integrators.diagnosis import first_to_end
@@ -101,21 +108,21 @@ class Trajectories:
         highest_modes = self.grid.highest_modes(in_units) * self.scale
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
-        lost = max(min(self.tightness, 1.0) * self.allowed_error, TUNING.tightest_tolerance)
+        lost = max(min(self.tightness, 1.0) * self.allowed_error, ACCUMULATED)
         return self.basis.coefficients(columns, lost)
 
     def _groups(self, points: Array) -> list[Array]:
         """Points whose columns are held at a time: few of many states, whole chunks of others."""
         numbers = self._read * self.grid.times.size
-        held = min(TUNING.held_numbers, memory_left() / (8.0 * TUNING.copies))
+        held = min(TUNING.held_numbers, memory_left() / (8 * COPIES))
         size = max(int(held // numbers), self._chunk_size())
         return np.array_split(points, max(-(-len(points) // size), 1))
 
     def _reserve(self, count: int) -> None:
         """Raise an OutOfMemoryError if so many trajectories do not fit beside the basis."""
         times = self.grid.times.size
-        numbers = TUNING.copies * count * self._read * times + 2.0 * self.basis.vectors.size
-        reserve(8.0 * numbers)
+        numbers = COPIES * count * self._read * times + 2.0 * self.basis.vectors.size
+        reserve(8 * numbers)
 
     @property
     def work_of_each(self) -> float:
@@ -191,7 +198,7 @@ class Trajectories:
         reference_set, end = self.reference_set, self.grid.breaks[-1]
         cuts = (cut for cut in reference_set.cuts if cut < end)
         edges = [reference_set.domain.horizon[0], *cuts, end]
-        tolerance = max(self.tightness * self.allowed_error, TUNING.tightest_tolerance)
+        tolerance = max(self.tightness * self.allowed_error, ACCUMULATED)
         least_sizes = TUNING.absolute_tolerance_ratio * reference_set.of_states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         least = np.maximum(reference_set.reference.rounded, reference_set.reference.least)

@@ -31,6 +31,7 @@ from rankone.solvers.engines.greedy.operators import Equation
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
+from rankone.support.precision import ACCUMULATED, EPSILON
 from rankone.tensors.trains.rank_one_sums import RankOneSum
 
 
@@ -199,7 +200,7 @@ class Enrichment:
         logarithm = 0.0
         for function, earlier, metric in zip(mode, before, self.equation.metrics, strict=True):
             gap = function - earlier
-            logarithm += math.log1p(-min(0.5 * float(gap @ metric @ gap), 1.0 - 1e-15))
+            logarithm += math.log1p(-min(0.5 * float(gap @ metric @ gap), 1.0 - 4.0 * EPSILON))
         square = (amplitude - previous) ** 2 - 2.0 * amplitude * previous * math.expm1(logarithm)
         return math.sqrt(max(square, 0.0)) / amplitude
 
@@ -288,7 +289,7 @@ class Enrichment:
         matrix, right = self._projected()
         square = self.functional - 2.0 * self.amplitudes @ right
         square += self.amplitudes @ matrix @ self.amplitudes
-        return math.sqrt(max(float(square), 1e-15 * self.functional))
+        return math.sqrt(max(float(square), 4.0 * EPSILON * self.functional))
 
 
 def _solving(size: int) -> float:
@@ -327,7 +328,7 @@ def _solve(matrix: Array, right: Array, bandwidth: int | None = None) -> Array:
     except np.linalg.LinAlgError:
         if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
             return np.full_like(right, np.inf)
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-13)[0])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=ACCUMULATED)[0])
 
 
 def _solve_coupled(grams: Array, matrices: Array, right: Array, bandwidth: int) -> Array:

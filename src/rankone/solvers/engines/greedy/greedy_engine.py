@@ -33,8 +33,8 @@ from rankone.solvers.request import SolveRequest
 from rankone.solvers.verification.growth import amplification
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
-from rankone.support.budget import memory_left, reserve
-from rankone.support.precision import AT_ONCE, NEGLIGIBLE, TINY
+from rankone.support.budget import COPIES, memory_left, reserve
+from rankone.support.precision import ACCUMULATED, AT_ONCE, NEGLIGIBLE, TINY
 from rankone.support.progress import Report
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.verdict import Cause, Status, UnsettledTerms
@@ -65,7 +65,7 @@ class SlabLengths:
             return Status.NO_CONVERGENCE
         border = next((cut for cut in self.cuts if start < cut < self.end), self.end)
         remaining = border - start
-        length = remaining / max(math.ceil(remaining / self.length - 1e-9), 1)
+        length = remaining / max(math.ceil(remaining / self.length - NEGLIGIBLE), 1)
         if border == self.end:
             self.length = length
         end = border if remaining < 1.01 * length else start + length
@@ -123,7 +123,9 @@ class GreedyMarcher(Marcher):
 
     def tolerance(self, time: float) -> float:
         """Tolerance of a slab, in units of the sizes."""
-        return self.options.tolerance or max(self.share * self.rtol / self.growth(time), 1e-13)
+        return self.options.tolerance or max(
+            self.share * self.rtol / self.growth(time), ACCUMULATED
+        )
 
     def march(self, index: int, report: Report) -> MarchResult:
         """March with the present nodes and tolerance."""
@@ -162,9 +164,9 @@ def _stiffness(reference_set: ReferenceSet) -> float:
     system, reference, sizes = reference_set.system, reference_set.reference, reference_set.states
     times = np.linspace(reference.start, reference_set.end, TUNING.stiffness_samples)
     n, m = system.n_differential, len(reference.points)
-    held = min(AT_ONCE, memory_left() / (8.0 * TUNING.copies))
+    held = min(AT_ONCE, memory_left() / (8 * COPIES))
     together, largest = max(int(held // (n * n * m)), 1), 0.0
-    reserve(8.0 * TUNING.copies * n * n * m * together)
+    reserve(8 * COPIES * n * n * m * together)
     for first in range(0, times.size, together):
         some = times[first : first + together]
         jacobian = system.jacobian(some, reference(some), reference.points.T[:, :, None])

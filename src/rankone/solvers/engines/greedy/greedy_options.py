@@ -38,13 +38,9 @@ class GreedyTuning:
     """Tolerance of a slab relative to rtol, before errors grow."""
     tail_share: float = 0.1
     """Part of rtol that the highest modes may make up."""
-    end_rounding_share: float = 0.2
-    """Largest loss from rounding a state at the end of a slab, relative to the slab's
-    tolerance."""
-    thinning_share: float = 0.05
-    """Largest loss from thinning the trains of a slab, relative to the slab's tolerance."""
-    jump_share: float = 0.01
-    """Largest interpolation error of states after a jump, relative to the slab's tolerance."""
+    loss_share: float = 0.2
+    """Largest loss from thinning the trains of a slab, rounding its end, or interpolating states
+    after a jump, relative to the slab's tolerance."""
     first_slab_contraction: float = 3.0
     """Length of the first slab times the largest norm of the scaled Jacobian."""
     few_iterations: int = 10
@@ -66,14 +62,12 @@ class GreedyTuning:
     """Degree of the basis on which the factors of a parameter are resolved."""
     finite_element_nodes: int = 41
     """Nodes in every dimension for finite elements, if none are given."""
-    pass_operations: float = 100.0 * CALL
+    pass_operations: float = 100 * CALL
     """Operations of a pass over a dimension, besides those with large arrays."""
     sparse_operations: float = 5e3
     """Operations for each unknown of a sparse system."""
     stiffness_samples: int = 101
     """Evenly spaced times at which stiffness is measured."""
-    copies: int = 4
-    """Copies of these while they are scaled and summed."""
 
 
 TUNING = GreedyTuning()

@@ -28,8 +28,9 @@ from rankone.solvers.engines.greedy.greedy_options import (
 from rankone.solvers.march import FEW_PARAMETERS
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Array
+from rankone.support.precision import ACCUMULATED
 from rankone.tensors.bases import LegendreBasis
-from rankone.tensors.bases.basis import LagrangeElements
+from rankone.tensors.bases.basis import LagrangeElements, nodes_for
 from rankone.tensors.trains.rank_one_sums import RankOneSum
 from rankone.trajectories.system.system import System
 
@@ -276,12 +277,12 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
     if options.elements != "legendre":
         equal = (TUNING.finite_element_nodes,) * len(domain.box)
         return Nodes(options.time_nodes or TUNING.finite_element_nodes, counts or equal)
-    time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
+    time = options.time_nodes or min(max(nodes_for(rtol, 5.6), 6), 24)
     if counts is not None:
         return Nodes(time, counts)
     few = len(domain.box) <= FEW_PARAMETERS
     common = max(round((4.0 if few else 2.0) + 1.2 * digits), 4)
-    tolerance = 1e-13 if few else 0.01 * rtol
+    tolerance = ACCUMULATED if few else 0.01 * rtol
     resolving = [_resolving(system, j, *bounds, tolerance) for j, bounds in enumerate(domain.box)]
     return Nodes(time, tuple(max(common, count) for count in resolving))
 

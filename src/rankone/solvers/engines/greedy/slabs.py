@@ -296,11 +296,11 @@ class LaggedSlabs:
         """One train for each element in time; the next slab begins at the end of this one."""
         bases, modes, lost = trial.space.bases, trial.solved.modes, trial.record.tolerance
         trains, tails = element_trains(
-            bases, self._values, modes, TUNING.thinning_share * lost * self.sizes
+            bases, self._values, modes, TUNING.loss_share * lost * self.sizes
         )
         self.tails = np.maximum(self.tails, (tails / self.sizes[:, None]).max(axis=0))
         self._values = [
-            self._at_end(state, added, TUNING.end_rounding_share * lost * size)
+            self._at_end(state, added, TUNING.loss_share * lost * size)
             for state, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
         kind = self.coupling.system.jumps.kind_at(span.end)
@@ -328,7 +328,7 @@ class LaggedSlabs:
         if not parameters:
             return [RankOneSum((row[None, :],)) for row in first]
         states = (RankOneSum.of_train(row, parameters) for row in first)
-        limits = TUNING.end_rounding_share * tolerance * self.sizes
+        limits = TUNING.loss_share * tolerance * self.sizes
         return [self._compressed(s, limit) for s, limit in zip(states, limits, strict=True)]
 
     def _after_jump(self, kind: int, tolerance: float) -> list[RankOneSum]:
@@ -343,7 +343,7 @@ class LaggedSlabs:
             )
 
         plain = [PlainNodes(x.size) for x in nodes]
-        return self._of_train(interpolated(values, plain, TUNING.jump_share * tolerance), tolerance)
+        return self._of_train(interpolated(values, plain, TUNING.loss_share * tolerance), tolerance)
 
     def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
         """A state at the end of a slab, in few products.

@@ -28,7 +28,7 @@ from rankone.solvers.march import (
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE, ROUNDING
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, ROUNDING, TINY
 from rankone.tensors.bases import BASES, Basis1D, RadauCollocation
 from rankone.tensors.bases.time_grid import times_within
 from rankone.tensors.trains.train import Integers, Train
@@ -49,7 +49,7 @@ class Accuracy:
 
     def tolerance(self, time: float) -> float:
         """Inner tolerance at a time: errors made there are amplified until the end."""
-        return max(self.level / self.growth(time), 1e-14)
+        return max(self.level / self.growth(time), ROUNDING)
 
     @property
     def resolution(self) -> float:
@@ -117,13 +117,13 @@ class SlabLengths:
         if self.length < min(NEGLIGIBLE * self.horizon, self.borders[-1] - start):
             return Status.NO_CONVERGENCE
         self._proposed = self.length
-        border = min(b for b in self.borders if b > start + 1e-12 * self.horizon)
+        border = min(b for b in self.borders if b > start + COINCIDENT * self.horizon)
         remaining = border - start
         guess = self._guess(start)
         length = guess.length if guess else self.resolved(start, min(self.length, remaining))
         if guess is None and length < remaining < 1.6 * length:
             length = 0.5 * remaining
-        if abs(remaining - length) < 1e-9 * remaining:
+        if abs(remaining - length) < NEGLIGIBLE * remaining:
             return TrainSpan(start, remaining, border, guess)
         return TrainSpan(start, length, start + length, guess)
 
@@ -165,12 +165,12 @@ class SlabLengths:
         """Factor on the length at which the highest time modes would be at the tolerance."""
         tail = float(np.sqrt(np.sum(trial.time_modes[:, -2:] ** 2, axis=(1, 2)).max()))
         allowed = max(20.0 * self.accuracy.tolerance(span.start), self.accuracy.resolution)
-        return float((allowed / max(tail, 1e-300)) ** (1.0 / self.collocation.count))
+        return float((allowed / max(tail, TINY)) ** (1.0 / self.collocation.count))
 
     def _guess(self, start: float) -> Guess | None:
         """The slab of the attempt before that starts here, if it is not too long."""
         for guess in self.guesses:
-            if abs(guess.start - start) < 1e-12 * (1.0 + abs(start)):
+            if abs(guess.start - start) < COINCIDENT * (1.0 + abs(start)):
                 longest = min(self.length, self.resolved(start, guess.length))
                 return guess if guess.length <= 1.01 * longest else None
         return None

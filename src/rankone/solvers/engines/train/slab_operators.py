@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.engines.train.train_options import TUNING
 from rankone.support.arrays import Array
-from rankone.support.budget import reserve
+from rankone.support.budget import COPIES, reserve
 from rankone.support.costs import SparseFactors, product
 from rankone.support.errors import OptionError
 from rankone.tensors.bases import Basis1D, RadauCollocation
@@ -421,7 +421,7 @@ class DenseInverse:
 
     def __init__(self, jacobian: SlabJacobian, mass: Array, collocation: RadauCollocation) -> None:
         n, count = self._shape = jacobian.size, collocation.count
-        reserve(8.0 * TUNING.copies * (n * count) ** 2)
+        reserve(8 * COPIES * (n * count) ** 2)
         self._jacobian = jacobian.dense()
         matrix = np.zeros((n, count, n, count))
         index, nodes = np.arange(n), np.arange(count)

@@ -175,14 +175,14 @@ class Sweeper:
             total += basis.size * (left * left * right + left * right * right) + left**3
         n, count = self.operator.shape
         first = bases[0].size * count * n * ranks[1] ** 2 if bases else 0.0
-        return 8.0 * (2.0 * total + 2.0 * first)
+        return 8 * (2.0 * total + 2.0 * first)
 
     def _reserve(self, numbers: float) -> None:
         """Raise an OutOfMemoryError if so many numbers do not fit beside the contractions."""
         if memory_left() < math.inf:
             kept = (self._left, self._right, self._left_halves, self._right_halves)
             held = sum(x.nbytes for by_bond in kept for by_key in by_bond for x in by_key.values())
-            reserve(held + 8.0 * _COPIES * numbers)
+            reserve(held + 8 * _COPIES * numbers)
 
     def source_in_frame(self) -> Array:
         """Scaled states at the start of the slab in the present frame, (n_differential, r_1)."""
@@ -261,7 +261,7 @@ class Sweeper:
             if degree == LINEAR and rows[0] == 0 and (degree, rows[1:]) not in self._right[b + 1]:
                 continue
             half = self._right_half(b, key)
-            charge(5.0 * CALL + product(len(half), half.shape[1], r))
+            charge(5 * CALL + product(len(half), half.shape[1], r))
             env = half @ flat.T
             if degree == CONSTANT:
                 env = env[0]
@@ -352,7 +352,7 @@ class Sweeper:
         s = core.shape[2]
         flat = core.reshape(-1, s)
         for key, half in self._left_half(b - 1).items():
-            charge(5.0 * CALL + product(s, flat.shape[0], half.size / flat.shape[0]))
+            charge(5 * CALL + product(s, flat.shape[0], half.size / flat.shape[0]))
             env = flat.T @ half.reshape(flat.shape[0], -1)
             if key[0] == CONSTANT:
                 env = env[:, 0]
@@ -382,7 +382,7 @@ class Sweeper:
         block = self._source_left_half(b) @ self._source_right_half(b + 1)
         for key, half in self._left_half(b).items():
             other_half = self._right_half(b + 1, key)
-            charge(5.0 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
+            charge(5 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
             block += half @ other_half
         return block, present
 

@@ -163,7 +163,7 @@ class Convergence:
             return True
         return (
             self._since_restart >= 4
-            and self.contraction > TUNING.slowest_contraction
+            and self.contraction > TUNING.reliable_contraction
             and not limited
         )
 
@@ -235,7 +235,7 @@ class SlabIteration:
         self._source = self._at_end(trial)
         kind = self.reference_set.system.jumps.kind_at(span.end)
         if kind is not None and span.end < self.reference_set.end:
-            tolerance = TUNING.jump_share * trial.record.tolerance
+            tolerance = TUNING.loss_share * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
         train = train.with_first(train.first * units[:, None, None])
         return [SlabTrain(span.start, span.end, train, bases)]
@@ -311,9 +311,7 @@ class SlabIteration:
         """The train at the end of the slab, on no more parameter nodes than it needs."""
         last = trial.sweeper.cores[0][: self.reference_set.system.n_differential, -1]
         source = trial.sweeper.train.with_first(last * np.sqrt(self.collocation.count))
-        bases = self.nodes.coarsened(
-            trial.spectra, TUNING.coarsening_share * trial.record.tolerance
-        )
+        bases = self.nodes.coarsened(trial.spectra, TUNING.loss_share * trial.record.tolerance)
         if bases is self.nodes.bases:
             return source
         return source.apply_to_modes(self.nodes.take(bases)).right_orthonormal()

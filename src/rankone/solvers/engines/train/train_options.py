@@ -5,13 +5,13 @@ The constants were measured over the reference problems.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 from rankone.support.costs import CALL, Cost
 from rankone.support.options import Options, choice, integer
 from rankone.tensors.bases import BASES
+from rankone.tensors.bases.basis import nodes_for
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,9 @@ class TrainTuning:
     """First inner tolerance, relative to rtol, where only interior points count."""
     thinning_share: float = 0.5
     """Norm of the entries dropped from an accepted slab, relative to its resolution."""
-    coarsening_share: float = 0.02
-    """Largest loss from coarser parameter nodes at the end of a slab, relative to its
-    tolerance."""
-    jump_share: float = 0.1
-    """Largest error of the states after a jump, relative to the tolerance of the slab before
-    it."""
+    loss_share: float = 0.05
+    """Largest loss from coarser parameter nodes at the end of a slab, or from interpolating states
+    after a jump, relative to the slab's tolerance."""
     recovery_factor: float = 1.15
     """Largest growth of the length per slab after a rejection."""
     reference_noise: float = 1e-7
@@ -38,10 +35,9 @@ class TrainTuning:
     """A slab whose proper length is below this part of its own is solved again."""
     memory_halving_limit: float = 1e-3
     """Shortest slab, relative to the horizon, that is halved to save memory."""
-    slowest_contraction: float = 0.6
-    """Sweeps that contract less than this after the fourth will not converge."""
     reliable_contraction: float = 0.5
-    """A smaller ratio of two residuals predicts the next residual."""
+    """A smaller ratio of two residuals predicts the next residual; sweeps that contract less after
+    the fourth will not converge."""
     least_contraction: float = 0.15
     """The predicted contraction is never taken below this."""
     stagnant_contraction: float = 0.3
@@ -63,15 +59,13 @@ class TrainTuning:
     largest_change: float = 3.0
     """Change of the Jacobian over the slab, times its length, that S may leave out: it costs no
     sweeps."""
-    copies: int = 5
-    """Matrices over these pairs while S is set up."""
     entry_bytes: float = 16.0
     """An entry of a sparse matrix, with its row."""
 
 
 TUNING = TrainTuning()
 # Operations of the kernel of a group: once, and for each number of its output
-GROUP_COST = Cost(30.0 * CALL, 4.0)
+GROUP_COST = Cost(30 * CALL, 4.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,5 +108,4 @@ class TrainOptions(Options):
         """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""
         if self.time_nodes is not None:
             return self.time_nodes
-        digits = -math.log10(rtol)
-        return int(min(max(round(4.6 + 1.4 * digits), 6), 18))
+        return min(max(nodes_for(rtol, 4.6), 6), 18)
