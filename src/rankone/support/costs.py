@@ -20,6 +20,8 @@ from scipy.sparse.linalg import splu
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, reserve
 
+COPY = 3.0
+"""Operations of copying a number of a matrix at chosen places."""
 CALL = 1e3
 """A call of NumPy for small arrays."""
 # Operations of a piece of work between two looks at the budget: a fifth of a second

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from rankone.support.arrays import HALVINGS, Array
 from rankone.support.errors import OptionError, warn
-from rankone.support.precision import ACCUMULATED, EPSILON, ROUNDING, TINY
+from rankone.support.precision import ACCUMULATED, EPSILON, NEGLIGIBLE, ROUNDING, TINY
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.bases import Basis1D, Scale
 from rankone.tensors.bases.scales import LINEAR, LOG, written_scale
@@ -33,8 +33,6 @@ _FINITE_MOMENTS = "give one with finite moments, or one that is cut, such as sci
 _PANEL_NODES = 24
 # Ends of panels, together with their complements: densities vary on the scale of quantiles
 _PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 0.5)
-# Relative error of the probability of the interval below which a quadrature counts as exact
-_EXACT_MASS_ERROR = 1e-10
 # Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
 _SHARE_RANGE = (TINY, 1.0 - 0.5 * EPSILON)
 # Probability outside the box above which a user is warned: it shows in three digits
@@ -332,7 +330,7 @@ class Measure:
         count = max(_PANEL_NODES, enough)
         points, weights = _panels(np.array(edges), count, 1.0, basis.scale)
         weights = weights * self.distribution.pdf(points)
-        if not abs(float(weights.sum()) - self.mass) <= _EXACT_MASS_ERROR * self.mass:
+        if not abs(float(weights.sum()) - self.mass) <= NEGLIGIBLE * self.mass:
             points, weights = self._by_probability(basis)
         return points, weights / weights.sum()
 

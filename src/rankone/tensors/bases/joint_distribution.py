@@ -22,7 +22,7 @@ from scipy.special import ndtr, ndtri
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
-from rankone.support.precision import EPSILON, TINY
+from rankone.support.precision import EPSILON, NEGLIGIBLE, TINY
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.distributions import Distribution, Measure, PointMeasure
@@ -64,8 +64,6 @@ _MOST_GRID_DIMENSIONS = 3  # Most correlated parameters for a grid; more take ev
 _GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
 _MOST_GRID_POINTS = 2**17  # Most points of a grid, to bound time and memory
 _EVEN_POINTS = 2**14  # Evenly spread points, which are good to about 1e-3 of the standard deviation
-# Least eigenvalue of a correlation matrix that counts as positive definite
-_LEAST_EIGENVALUE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ def copula_of(names: Sequence[str], correlation: Correlations) -> Copula | None:
     for (i, j), coefficient in coefficients.items():
         a, b = positions.index(i), positions.index(j)
         matrix[a, b] = matrix[b, a] = coefficient
-    if np.linalg.eigvalsh(matrix)[0] < _LEAST_EIGENVALUE:
+    if np.linalg.eigvalsh(matrix)[0] < NEGLIGIBLE:
         raise OptionError(
             f"the correlations of {listing(names[i] for i in positions)} contradict each other: "
             "their matrix is not positive definite",

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE, SEED, TINY
+from rankone.support.precision import EPSILON, NEGLIGIBLE, SEED, TINY
 from rankone.tensors.bases import Basis1D, Scale, first_scale
 from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.trains.cross import (
@@ -29,7 +29,7 @@ from rankone.tensors.trains.cross import (
     with_last_joined,
     with_points,
 )
-from rankone.tensors.trains.slab import LineColumns, basis_values, best_coordinates
+from rankone.tensors.trains.slab import TAIL_RATIO, LineColumns, basis_values, best_coordinates
 from rankone.tensors.trains.train import Integers, Train
 
 # Left points of each bond to begin with; each refinement takes half as many again
@@ -43,9 +43,8 @@ LATER_BATCHES = 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0
 SKELETON_SHARE = 0.04
 # Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
-ROUNDING_SHARE = (
-    0.005  # Error of rounding the train, relative to the level: at corners it is amplified
-)
+# Error of rounding the train, relative to the level: at corners it is amplified
+ROUNDING_SHARE = 0.005
 # Distance of the second line of a parameter from the centre, in widths of the other intervals:
 # functions with a symmetry about the centre look different there
 SECOND_LINE_OFFSET = 0.35
@@ -54,16 +53,8 @@ MAX_STEEP_LINES = 6
 # Largest tail of the modes on the first lines, relative to the level, for a single parameter:
 # elsewhere in the box a function may need more modes, and the tails of several parameters add up
 TAIL_SHARE = 0.02
-STEEP_TAIL_SHARE = 0.01  # The same where elements are taken: a column is steep at few times only
-# An element is halved where its error at the borders exceeds this many tolerances of its tail
-BORDER_ERROR_FACTOR = 30.0
 # Largest ratio of successive modes used for a prediction: slower decay looks like none
 SLOWEST_DECAY = 0.95
-FASTEST_DECAY = 1e-3  # Smallest ratio of successive modes used for a prediction
-# Errors above this many times the highest modes have another reason: a mode is larger at corners
-# of the box, and on narrow fronts, than on average;
-# tests/benchmarks/attempts.py shows what it costs
-EXPLAINED_RATIO = 20.0
 MAX_PREDICTED_RATIO = 3.0  # Largest number of nodes predicted, over the nodes it is predicted from
 ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the nodes of the lines
 # With one parameter elements may have this many times the nodes of a single element that does not
@@ -71,8 +62,6 @@ ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the 
 ELEMENT_COST_RATIO = 2.0
 # The same with more parameters, where a steep place moves with the others: lines show some of them
 MOVING_COST_RATIO = 0.25
-# Distance of points beside a border, in widths of the interval: there may be a jump
-BORDER_DISTANCE = 4e-9
 LEAST_NODES = 3  # Fewest nodes of a parameter
 
 
@@ -294,7 +283,7 @@ class AdaptiveInterpolation:
 
         None as soon as it is certain that they need more nodes than ``allowed``.
         """
-        tolerance, scale = STEEP_TAIL_SHARE * self.level, basis.scale
+        tolerance, scale = TAIL_SHARE * self.level, basis.scale
         ends = np.array([basis.lower, *borders, basis.upper])
         edges = scale.to_scale(ends).tolist()
         in_user = dict(zip(edges, ends.tolist(), strict=True))
@@ -305,7 +294,7 @@ class AdaptiveInterpolation:
             if (len(begins) + len(waiting)) * basis.degree > allowed:
                 return None
             pieces = [replace(basis, lower=in_user[a], upper=in_user[b]) for a, b in waiting]
-            insets = [min(BORDER_DISTANCE * width, 0.01 * (b - a)) for a, b in waiting]
+            insets = [min(4.0 * NEGLIGIBLE * width, 0.01 * (b - a)) for a, b in waiting]
             beside = [
                 scale.from_scale(np.array([a + s, b - s]))
                 for (a, b), s in zip(waiting, insets, strict=True)
@@ -323,7 +312,7 @@ class AdaptiveInterpolation:
                     modal = basis_values(piece, points_beside)
                     errors = at_nodes * np.sqrt(piece.weights) @ modal.T - exact
                     error = float(np.linalg.norm(errors, axis=0).max())
-                    rough = error > BORDER_ERROR_FACTOR * tolerance
+                    rough = error > TAIL_RATIO * tolerance
                 room = (len(begins) + len(halves) + 3) * basis.degree <= self.limits.max_nodes
                 if rough and room and b - a > NEGLIGIBLE * width:
                     middle = 0.5 * (a + b)
@@ -367,7 +356,7 @@ class AdaptiveInterpolation:
         assert self.bases is not None
         pairs = zip(self.bases, self.spectra, strict=True)
         tail = max((basis.tail(spectrum) for basis, spectrum in pairs), default=0.0)
-        return EXPLAINED_RATIO * tail > error
+        return TAIL_RATIO * tail > error
 
     def undo_division(self) -> bool:
         """Go back to the bases before they were divided, for good; whether they had been.
@@ -465,7 +454,7 @@ def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_R
     half = count // 2
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]  # modes may vanish by symmetry
     ratio = (levels[-2] / max(levels[half - 1], TINY)) ** (1.0 / (count - 1 - half))
-    ratio = min(max(ratio, FASTEST_DECAY), SLOWEST_DECAY)
+    ratio = min(max(ratio, EPSILON), SLOWEST_DECAY)
     beyond = math.log(tolerance / levels[-2]) / math.log(ratio)
     return math.ceil(min(count + beyond, max_ratio * count))
 

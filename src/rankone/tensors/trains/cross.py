@@ -20,8 +20,8 @@ from scipy.linalg.lapack import dpstrf
 
 from rankone.support.arrays import Array, sequence
 from rankone.support.budget import COPIES, charge, reserve
-from rankone.support.costs import CALL, product, qr
-from rankone.support.precision import ACCUMULATED
+from rankone.support.costs import CALL, COPY, product, qr
+from rankone.support.precision import ACCUMULATED, COINCIDENT
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.trains.train import Integers, Skeleton, Train, skeleton_of
 
@@ -38,13 +38,9 @@ _EXTRA_RANK = 16  # Added to the expected rank of a bond
 # Error of a skeleton at left points that it was not made for, over the tolerance, that shows that
 # the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
 _SPANNED = 5.0
-_TABLE_COPIES = 3.0  # Copies of all samples: before and after some are added, and these
 _LOOKUP_COST = 250.0  # Operations of looking a node up
-_COPY_COST = 3.0  # Operations of copying a coefficient of a node
 # Columns for which a basis grows at a time: those between them hardly add to what these span
 _MOST_SPANNED = 400
-# Norm of a remainder, over that of all columns, that a Gram matrix tells from rounding
-_GRAM_RESOLUTION = 1e-6
 # Remainders that add nothing to the basis, and the norm that it misses of all others together, over
 # the tolerance: columns to come are missed by more
 _LOST_SHARE = 0.3
@@ -268,7 +264,7 @@ class Samples:
         if missing.any():
             self._add(np.unique(codes[missing]))
             places = self._found(codes)
-        charge(_COPY_COST * self._table.shape[1] * len(indices))
+        charge(COPY * self._table.shape[1] * len(indices))
         return self._table.take(places, axis=0).T
 
     def _found(self, codes: Integers) -> Integers:
@@ -283,7 +279,7 @@ class Samples:
         points = np.stack([x[indices[:, j]] for j, x in enumerate(self.nodes)], axis=1)
         coefficients = self.columns(points)
         count, rank = self._table.shape
-        reserve(8 * _TABLE_COPIES * len(coefficients) * (count + codes.size))
+        reserve(8 * COPIES * len(coefficients) * (count + codes.size))
         table = np.zeros((count + codes.size, len(coefficients)))
         table[:count, :rank], table[count:] = self._table, coefficients.T
         self._table = table
@@ -366,7 +362,7 @@ def _directions(columns: Array, tolerance: float) -> tuple[Array, float]:
     wide = larger > len(columns)
     gram = columns @ columns.T if wide else columns.T @ columns
     total = float(np.trace(gram))
-    missed = max(tolerance, _GRAM_RESOLUTION * math.sqrt(total))
+    missed = max(tolerance, math.sqrt(COINCIDENT) * math.sqrt(total))
     factor, order, found, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
     rank = max(found, 1)
     charge(product(smaller, rank, rank))

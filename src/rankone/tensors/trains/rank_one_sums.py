@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.support.arrays import Array
-from rankone.support.budget import charge, reserve
+from rankone.support.budget import COPIES, charge, reserve
 from rankone.support.costs import product, qr
 from rankone.support.precision import AT_ONCE, EPSILON
 from rankone.tensors.bases.basis import LagrangeElements
@@ -25,7 +25,6 @@ from rankone.tensors.trains.train import Integers, Train
 
 # Largest rank whose norm in three dimensions or more is found by orthogonalisation, in cubic time
 _ORTHOGONALISED_RANK = 120
-_TRAIN_COPIES = 3.0  # Copies of the cores of an element before their ranks are rounded
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,7 @@ def element_trains(
         sums[0] = RankOneSum(tuple(np.zeros((len(factor), 1)) for factor in sums[0].factors))
     n, rank = len(sums), sum(total.rank for total in sums)
     entries = n * time.size + rank * sum(basis.size for basis in parameters)
-    reserve(8 * _TRAIN_COPIES * rank * entries)
+    reserve(8 * COPIES * rank * entries)
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):

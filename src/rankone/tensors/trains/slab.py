@@ -289,16 +289,14 @@ def _changed(
 # Ratio of the ends of an interval up to which all coordinates are much the same: a parameter that
 # may be half as large or half as large again is left as it is, whatever its ends are rounded to
 _LEAST_RATIO = 3.001
-# Nodes predicted, over those of the lines, above which a single parameter is drawn again: with
-# several parameters fewer nodes save more than lines cost
-_REDRAWN_ALONE_RATIO = 2.0
+# Error over the size of tails, or of the highest modes, that they may explain: modes are larger at
+# corners of the box, at borders and on narrow fronts, than on average;
+# tests/benchmarks/attempts.py shows what it costs
+TAIL_RATIO = 30.0
 # Nodes in another coordinate over nodes in the first, below which it is taken
 _CLEAR_RATIO = 0.8
 # Nodes of interpolated columns over those of the lines: highest modes are then those of the columns
 _FINE_RATIO = 2
-# Error of interpolated columns at the nodes of the other coordinate, over the tolerance of tails,
-# up to which a coordinate has seen what the other one sees
-_UNSEEN_RATIO = 30.0
 
 
 @dataclass(frozen=True)
@@ -350,7 +348,6 @@ def best_coordinates(
     leaves out.
     """
     best, again = list(lines), list[tuple[int, Basis1D]]()
-    patience = _REDRAWN_ALONE_RATIO if len(lines) == 1 else 1.0
     counts = [needed(line.spectrum) for line in lines]
     for j, line in enumerate(lines):
         others = candidates(line.basis) if free[j] else ()
@@ -360,12 +357,12 @@ def best_coordinates(
                 (line, *(line.at(replace(fine, scale=scale)) for scale in others)),
                 key=lambda each: needed(each.spectrum) / (1.0 if each is line else _CLEAR_RATIO),
             )
-        elif counts[j] > patience * line.basis.degree:
+        else:
             again += [(j, replace(line.basis, scale=scale)) for scale in others]
     drawn = redraw([(j, basis.nodes) for j, basis in again]) if again else []
     for (j, basis), columns in zip(again, drawn, strict=True):
         other, first = LineColumns(basis, columns), lines[j]
-        seen = max(first.error(other), _UNSEEN_RATIO * tol)
+        seen = max(first.error(other), TAIL_RATIO * tol)
         fewer = needed(other.spectrum) <= _CLEAR_RATIO * needed(best[j].spectrum)
         if fewer and other.error(first) <= seen:
             best[j] = other

@@ -19,17 +19,15 @@ from scipy.linalg.lapack import dgeqp3, dtrtrs
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import product, qr, svd
+from rankone.support.costs import COPY, product, qr, svd
 from rankone.support.precision import ACCUMULATED
 
 # Combinations of rows over the expected rank, and how many more: pivots fit them, too
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8
-_LEAST_SPARE_ROWS = 6  # Fewest of them beyond the rank that tell the remainder
 _DIRECT_RATIO = 1.5  # Rows over combinations up to which the rows themselves are taken
 _QR_BLOCK = 32  # Columns that a QR decomposition takes together
 _MAX_EXCHANGES = 100  # Most exchanges of columns; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
-_EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def _pivoted(rows: Array, tolerance: float, max_rank: int, combined: bool) -> Sk
     squares = np.square(factor).sum(axis=1)
     remainder = np.sqrt(np.append(np.cumsum(squares[::-1])[::-1], 0.0))
     if combined:
-        remainder = remainder[: m - _LEAST_SPARE_ROWS]
+        remainder = remainder[: m - _RANDOM_DIRECTIONS // 2]
         remainder *= m / (m - np.arange(remainder.size))
     enough = remainder <= tolerance
     rank = int(np.argmax(enough)) if enough.any() else remainder.size
@@ -126,7 +124,7 @@ def _of_larger_volume(skeleton: Skeleton) -> Skeleton:
         i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
         if abs(coefficients[i, j]) < _VOLUME_GAIN:
             break
-        charge(_EXCHANGE_COST * coefficients.size)
+        charge(COPY * coefficients.size)
         change = coefficients[:, j].copy()
         change[i] -= 1.0
         coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
@@ -142,8 +140,6 @@ def _of_larger_volume(skeleton: Skeleton) -> Skeleton:
 
 Integers = NDArray[np.int64]
 
-# A matrix with a smaller side is decomposed directly: projecting it first costs more
-_DIRECT_SIDE = 48
 # Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more).
 _RANDOM_DIRECTIONS = 12
 # The same for directions that only widen a frame: they need not be kept to the last digit
@@ -335,7 +331,7 @@ def truncated_svd(
     missed = 0.0
     basis = None
     if rows is not None and min(matrix.shape) > max(
-        _DIRECT_SIDE, 2 * (len(rows) + _RANDOM_DIRECTIONS)
+        4 * _RANDOM_DIRECTIONS, 2 * (len(rows) + _RANDOM_DIRECTIONS)
     ):
         basis, reduced, missed = _range(matrix, rows, 0.5 * tolerance)
     left, weights, right = _svd(matrix if basis is None else reduced)
