@@ -245,7 +245,6 @@ PARTS: dict[str, tuple[Place, ...]] = {
     "levels": (Place(reformulated, "levelled", _nothing, _any),),
     "markers": (Place(stretches_by_markers, "chosen_markers", lambda *_: (), _any),),
     "events in step": (Place(ways, "goes_in_step", _never, _true),),
-    "a second marker": (Place(markers, "_second", _none),),
     "late fronts": (Place(stretches_by_markers, "late_front", _none),),
     "periods that repeat": (
         Place(stretches_by_markers, "repeating_from", _zero, _true),

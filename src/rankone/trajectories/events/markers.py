@@ -3,8 +3,7 @@
 In clock time a front moves through the box wherever periods differ, and ranks grow with the
 horizon. A marker is a state that crosses the middle of its range, in both directions. Stretches
 between its crossings have times of their own, in which trajectories are in phase (compare the
-shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)). Where the flow is slow and
-fast in turns, a second marker gives each of both a stretch of its own.
+shifted decompositions of Reiss et al., SIAM J. Sci. Comput. 40 (2018)).
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -57,13 +55,10 @@ class _MarkerChoice:
     further: float
     most_degree: int
     transversal: float
-    second_transversal: float
     levels: tuple[float, ...]
     much_steeper: float
     spike: float
-    high_rank: int
     lower_rank: float
-    apart: float
     nearly: float
     furthest: float
     beyond: float
@@ -84,13 +79,10 @@ _CHOICE = _MarkerChoice(
     further=2.0,
     most_degree=8,  # Of the polynomials that foresee marks
     transversal=0.5,  # Least slope at a crossing, over the range per mean gap between two crossings
-    second_transversal=0.2,  # The same for a second marker
     levels=(0.5, 0.2, 0.8),  # Shares of the range of a state that are tried
     much_steeper=4.0,
     spike=0.1,  # Least gap between crossings, over the mean one, below which both are on one spike
-    high_rank=8,  # Rank of a few trajectories above which a second marker is looked for
-    lower_rank=0.8,  # Largest rank with it, over the one without
-    apart=0.03,  # Least gap between crossings of two markers, over the mean one
+    lower_rank=0.8,  # Largest rank over stretches before and behind a front, over that without
     # Change over a period of trajectories that are continued to tell how many crossings there are,
     # and how many times as far as they were integrated
     nearly=0.01,
@@ -100,7 +92,7 @@ _CHOICE = _MarkerChoice(
     rank_tolerance=3e-4,  # What is left out of them, over the largest states
     telling=(0, -1),  # Those whose steps tell the places where they are compared
     most_places=512,
-    full=0.75,  # Rank over clock time, over their number, from which it is looked for
+    full=0.75,  # Rank over clock time, over their number, from which a front is looked for
 )
 
 
@@ -150,10 +142,7 @@ def chosen_markers(
         if candidate is not None and further * candidate.spread >= OUT_OF_PHASE:
             candidates.append(candidate)
     best = min(candidates, key=lambda each: (each.on_spikes, -each.steepness), default=None)
-    if best is None:
-        return ()
-    second = _second(system, paths, points, best)
-    return (best.marker,) if second is None else (best.marker, second)
+    return () if best is None else (best.marker,)
 
 
 def swings_of(paths: Sequence[Path], length: float) -> float:
@@ -167,49 +156,8 @@ def swings_of(paths: Sequence[Path], length: float) -> float:
     return float((length * fastest / np.where(sizes > 0.0, sizes, 1.0)).max())
 
 
-def _second(
-    system: System, paths: Sequence[Path], points: Array, first: _Candidate
-) -> Marker | None:
-    """A second marker beside the ``first`` one, if trajectories then are of a lower rank."""
-    alone = rank_of(paths, _in_order((first,), len(paths)))
-    if alone <= _CHOICE.high_rank:
-        return None
-    ranks: list[tuple[float, Marker]] = []
-    for state, lower, upper in _spans(paths):
-        if state == first.marker.state:
-            continue
-        other = _candidate(system, paths, points, state, (lower, upper), _CHOICE.second_transversal)
-        order = None if other is None else _in_order((first, other), len(paths))
-        if other is not None and order is not None:
-            ranks.append((rank_of(paths, order), other.marker))
-    rank, marker = min(ranks, key=lambda each: each[0], default=(math.inf, None))
-    return marker if rank <= _CHOICE.lower_rank * alone else None
-
-
-def _in_order(candidates: Sequence[_Candidate], count: int) -> Array | None:
-    """The first times at which so many trajectories cross candidates, all in one order: (m, k).
-
-    None where their orders differ, or those of two are so close that others may have another one.
-    """
-    times, owners = list[Array](), list[NDArray[np.intp]]()
-    for k in range(count):
-        each = [candidate.times[k] for candidate in candidates]
-        order = np.argsort(np.concatenate(each), kind="stable")
-        times.append(np.concatenate(each)[order])
-        owners.append(np.repeat(np.arange(len(each)), [one.size for one in each])[order])
-    fewest = min(each.size for each in times)
-    common = np.array([each[:fewest] for each in times])
-    order, gaps = owners[0][:fewest], np.diff(common, axis=1)
-    if not all((each[:fewest] == order).all() for each in owners):
-        return None
-    of_two = gaps[:, np.diff(order) != 0]
-    return None if of_two.size and of_two.min() <= _CHOICE.apart * gaps.mean() else common
-
-
-def rank_of(paths: Sequence[Path], crossings: Array | None) -> float:
+def rank_of(paths: Sequence[Path], crossings: Array) -> float:
     """The rank of some trajectories over stretches between their crossings (m, k)."""
-    if crossings is None:
-        return math.inf
     some = np.unique(np.linspace(0, len(paths) - 1, _CHOICE.ranked).astype(int))
     chosen = [paths[k] for k in some.tolist()]
     starts = np.array([[path.breaks[0]] for path in chosen])
@@ -293,10 +241,7 @@ def _steepest(
 
     A spike that falls slowly behind its peak is steep in both directions at its foot.
     """
-    candidates = [
-        _candidate(system, paths, points, state, span, _CHOICE.transversal, share)
-        for share in _CHOICE.levels
-    ]
+    candidates = [_candidate(system, paths, points, state, span, share) for share in _CHOICE.levels]
     middle, *others = candidates
     levels = [each for each in others if each is not None]
     best = max(levels, key=lambda each: each.steepness, default=None)
@@ -311,16 +256,16 @@ def _candidate(
     points: Array,
     state: int,
     span: tuple[float, float],
-    transversal: float,
-    share: float = 0.5,
+    share: float,
 ) -> _Candidate | None:
     """How trajectories cross a level of a state, a share of the range that all run through."""
-    lower, upper = span
-    level = lower + share * (upper - lower)
+    lower, width = span[0], span[1] - span[0]
+    level = lower + share * width
     if len({bool(path.nodal[0, 0, state] > level) for path in paths}) > 1:
         return None
     steepness, several = _rough_steepness(paths[SCOUTS], state, level)
-    if steepness < _CHOICE.scouted * (transversal if several else _CHOICE.front) * (upper - lower):
+    least = _CHOICE.transversal if several else _CHOICE.front
+    if steepness < _CHOICE.scouted * least * width:
         return None
     marker = Marker(state, level)
     event = marker_event(marker, "")
@@ -333,11 +278,10 @@ def _candidate(
         return None
     common = np.array([each[:fewest] for each in times])
     slopes = _slopes(system, paths, points, common, state)
-    width = upper - lower
     gaps = (common[:, -1:] - paths[0].breaks[0]) / fewest
     steepness = float((np.abs(slopes) * gaps / width).min())
     several = fewest >= _CHOICE.fewest or max(map(len, times)) >= _CHOICE.fewest
-    if not steepness >= (transversal if several else _CHOICE.front):
+    if not steepness >= (_CHOICE.transversal if several else _CHOICE.front):
         return None
     passing = width / np.abs(slopes).min(axis=0)
     return _Candidate(marker, times, float((np.ptp(common, axis=0) / passing).max()), steepness)
