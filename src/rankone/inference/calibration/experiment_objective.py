@@ -451,8 +451,9 @@ class _Point:
         self, edges: Sequence[float], tolerances: Tolerances, times: Array, start: Start
     ) -> Sensitive:
         """States and derivatives at times, from a start on."""
+        variation = sensitivities.Variation(self.rate_slopes)
         return sensitivities.sensitive_path(
-            self.system, self.inputs, edges, tolerances, times, start, self.rate_slopes
+            self.system, self.inputs, edges, tolerances, times, start, variation
         )
 
     def rest(self, start: Start) -> Start:
