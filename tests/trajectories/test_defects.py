@@ -277,7 +277,7 @@ def test_states_at_several_shares_of_a_step_are_those_at_each(method):
 
     starts = np.arange(1.0, m + 1.0)[None]
     tolerances = Tolerances(1e-6, np.full((1, 1), 1e-9))
-    solver = method(Decay(), 0.0, starts, 1.0, tolerances)
+    solver = method(Decay(), (0.0, 1.0), starts, tolerances)
     solver.step()
     interpolant = solver.interpolant(columns)
     shares = np.random.default_rng(1).random((4, columns.size))

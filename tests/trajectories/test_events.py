@@ -1,5 +1,7 @@
 """Events against exact solutions, for stacks and for single trajectories."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -24,7 +26,8 @@ def trajectories(system, points, events, integrator, edges=None, rtol=1e-10):
     tolerances = Tolerances(rtol, np.full((n, 1), 1e-2 * rtol))
     chosen = span_integrator_for(system, integrator)
     edges = edges or list(system.horizon)
-    return integrate_to_events(chosen, system, np.array(points), edges, tolerances, events)
+    with_events = replace(system, events=tuple(events))
+    return integrate_to_events(chosen, with_events, np.array(points), edges, tolerances)
 
 
 def ball(end):

@@ -61,27 +61,37 @@ class Ahead:
         return ends, marks if (gaps > 0.0).all() else None
 
 
+@dataclass(frozen=True)
+class Goal:
+    """How far trajectories are followed, unless to the last edge.
+
+    One is followed no further once it is ``enough`` on the way to the next edge. The first
+    integration is as told by what is ``ahead``; so many events are asked for at least.
+    """
+
+    enough: Callable[[EventTrajectory, float], bool] | None = None
+    ahead: Ahead | None = None
+    count: int = 0
+
+
 def integrate_to_events(
     integrator: Spanning,
     system: System,
     points: Array,
     edges: Sequence[float],
     tolerances: Tolerances,
-    events: Sequence[SystemEvent],
-    enough: Callable[[EventTrajectory, float], bool] | None = None,
+    goal: Goal | None = None,
     begun: Sequence[EventTrajectory] = (),
-    ahead: Ahead | None = None,
-    count: int = 0,
 ) -> list[EventTrajectory]:
-    """The trajectories at points (m, d), with events.
+    """The trajectories at points (m, d), with the events of the system.
 
     They go on from those that have ``begun``, if any. States are reset at the edges where the
-    system jumps, and after that by events. A trajectory is followed no further once it is
-    ``enough`` on the way to the next edge. The first integration is as told by what is ``ahead``,
-    if it is; ``count`` is how many events are asked for at least. An OutOfBudgetError says which
-    time all trajectories have reached.
+    system jumps, and after that by events. An OutOfBudgetError says which time all trajectories
+    have reached.
     """
-    search = _Search(system, Instants(tuple(events), edges[-1] - edges[0]), tolerances)
+    goal = goal or Goal()
+    enough, ahead, count = goal.enough, goal.ahead, goal.count
+    search = _Search(system, Instants(system.events, edges[-1] - edges[0]), tolerances)
     trajectories = [each.copy() for each in begun] or search.begin(points, edges[0])
     for a, b in itertools.pairwise(edges):
         search.jump(trajectories, points, a)

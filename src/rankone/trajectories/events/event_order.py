@@ -11,7 +11,7 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
-from rankone.trajectories.events.event_integration import integrate_to_events
+from rankone.trajectories.events.event_integration import Goal, integrate_to_events
 from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory, Occurrence
 from rankone.trajectories.events.periods import FAR, begin_in_step
 from rankone.trajectories.integrators.diagnosis import first_to_end
@@ -56,12 +56,10 @@ def event_order(
     integrator: SpanIntegrator,
     tolerances: Tolerances,
     more: int = 0,
-    begun: Sequence[EventTrajectory] = (),
 ) -> EventOrder:
     """The order of the events of trajectories at points (m, d).
 
-    Others may meet so many ``more`` before the end of the horizon. Those that have ``begun`` have
-    reached it already.
+    Others may meet so many ``more`` before the end of the horizon.
 
     Raises
     ------
@@ -69,9 +67,7 @@ def event_order(
         If it is not the same at all of them, except for what comes after the horizon.
     """
     events, end = system.events, horizon[1]
-    followed = [*begun] or integrate_to_events(
-        integrator, system, points, horizon, tolerances, events
-    )
+    followed = integrate_to_events(integrator, system, points, horizon, tolerances)
     length = end - horizon[0]
     counts = [len(instants_of(each, length)) for each in followed]
     longest = int(np.argmax(counts))
@@ -125,23 +121,14 @@ def follow(
     edges = [start, end, end + FAR * length]
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
-    events = clock.system.events
     if clock.in_step:
         begun = begin_in_step(clock, integrator, points, tolerances, count, begun)
-    followed = integrate_to_events(
-        integrator,
-        clock.system,
-        points,
-        edges,
-        tolerances,
-        events,
-        enough,
-        begun,
-        count=count,
-    )
+    goal = Goal(enough, count=count)
+    followed = integrate_to_events(integrator, clock.system, points, edges, tolerances, goal, begun)
     early, stuck = list[int](), list[int]()
     for k, each in enumerate(followed):
-        terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal
+        last = each.occurrences[-1:]
+        terminal = any(clock.system.events[occurrence.event].terminal for occurrence in last)
         short = each.end < end - SAME_INSTANT * length
         if each.stuck and not terminal and (short or len(instants_of(each, length)) < count):
             stuck.append(k)

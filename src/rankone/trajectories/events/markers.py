@@ -20,7 +20,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.support.precision import TINY
 from rankone.trajectories.events.event_crossings import Crossings
-from rankone.trajectories.events.event_integration import integrate_to_events
+from rankone.trajectories.events.event_integration import Goal, integrate_to_events
 from rankone.trajectories.events.event_order import SPARE, follow
 from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory
 from rankone.trajectories.events.periods import FAR, repeated, repeating_from, repeats
@@ -112,12 +112,9 @@ class _Candidate:
         return any(least < _CHOICE.spike * mean for least, mean in gaps)
 
 
-def may_pay(scouts: Sequence[Path], further: float = 1.0) -> bool:
-    """Whether some marker may pay for trajectories of which these are the first ones.
-
-    The horizon is so many times as long as they are.
-    """
-    least = _CHOICE.scouted * OUT_OF_PHASE / further
+def may_pay(scouts: Sequence[Path]) -> bool:
+    """Whether some marker may pay for trajectories of which these are the first ones."""
+    least = _CHOICE.scouted * OUT_OF_PHASE
     return any(_rough_spread(scouts, *span) >= least for span in _spans(scouts))
 
 
@@ -378,7 +375,7 @@ def with_order(
     """
     system, (start, end), reached = clock.system, clock.horizon, paths[0].end
     replay, period, accuracy = _Replay(tuple(paths)), clock.marks_per_period, tolerances.relative
-    begun = integrate_to_events(replay, system, points, (start, reached), tolerances, system.events)
+    begun = integrate_to_events(replay, system, points, (start, reached), tolerances)
     short = reached < end
     if short and not all(repeats(each, _CHOICE.nearly, period) for each in begun):
         return None
@@ -467,9 +464,7 @@ def late_front(
         return len({each.event for each in trajectory.occurrences}) == len(candidates)
 
     edges = (start, end, end + FAR * (end - start))
-    followed = integrate_to_events(
-        integrator, timed, points, edges, tolerances, timed.events, enough
-    )
+    followed = integrate_to_events(integrator, timed, points, edges, tolerances, Goal(enough))
     times = {k: [each.times_of(k) for each in followed] for k in range(len(candidates))}
     marks = {k: np.array(each) for k, each in times.items() if all(one.size == 1 for one in each)}
     if not marks:

@@ -333,9 +333,8 @@ class OrderSearch:
 
     def followed(self, points: Array) -> list[EventTrajectory]:
         """Trajectories at points (m, d); an OrderError where one ends although nothing ends it."""
-        events = self.system.events
         followed = integrate_to_events(
-            self.integrator, self.system, points, self.horizon, self.tolerances, events
+            self.integrator, self.system, points, self.horizon, self.tolerances
         )
         for trajectory, point in zip(followed, points, strict=True):
             self._check_end(trajectory, point)

@@ -17,7 +17,7 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.precision import ROUNDING, TINY
-from rankone.trajectories.events.event_integration import Ahead, integrate_to_events
+from rankone.trajectories.events.event_integration import Ahead, Goal, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.integrators.integrator import (
     Path,
@@ -156,7 +156,7 @@ def begin_in_step(
     or until they repeat if the ``clock`` says so: then they go on to the end as they did, and to a
     ``count`` of crossings. They may have ``begun``.
     """
-    (start, end), events, period = clock.horizon, clock.system.events, clock.marks_per_period
+    (start, end), period = clock.horizon, clock.marks_per_period
     far = end if clock.order.ending is Ending.HORIZON else end + FAR * clock.length
     some = [*begun]
     answers = dict[Occurrence, bool]()  # by the last mark, which copies share
@@ -178,17 +178,12 @@ def begin_in_step(
 
     foreseen = None if begun else _foreseen(clock, points, tolerances, count, far)
     for stage in _stages(clock, count, bool(begun)):
+        marks, ahead = min(stage, count), None
+        if foreseen:
+            ahead = _ahead(clock, foreseen, some, marks, far)
+        goal = Goal(enough, ahead, marks)
         some = integrate_to_events(
-            integrator,
-            clock.system,
-            points,
-            (start, far),
-            tolerances,
-            events,
-            enough,
-            some,
-            _ahead(clock, foreseen, some, min(stage, count), far) if foreseen else None,
-            min(stage, count),
+            integrator, clock.system, points, (start, far), tolerances, goal, some
         )
         if all(has_passed(each) or settled(each) or each.end >= far or each.ends for each in some):
             break
@@ -249,9 +244,9 @@ def _foreseen(
 
     looser = tolerances.times(rough / tolerances.relative)
     ahead = Ahead(None, np.minimum(foreseen.times[:, -1] + foreseen.margins[-1], far))
-    alone = SingleIntegrator()
+    goal = Goal(enough, ahead, count)
     trajectories = integrate_to_events(
-        alone, system, points, (start, far), looser, system.events, enough, (), ahead, count
+        SingleIntegrator(), system, points, (start, far), looser, goal
     )
     if any(len(each.occurrences) < count for each in trajectories):
         return foreseen

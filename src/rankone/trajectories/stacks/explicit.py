@@ -147,9 +147,8 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
     def __init__(
         self,
         rates: Rates,
-        start: float,
+        span: tuple[float, float],
         states: Array,
-        end: float,
         tolerances: Tolerances,
         control: DefectControl | None = None,
     ) -> None:
@@ -157,7 +156,7 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
         self.refusals, self._longest_refused = 0, 0.0
         absolute = np.broadcast_to(tolerances.absolute, states.shape).ravel()
         steps = {"rtol": tolerances.relative, "max_step": tolerances.longest_step}
-        super().__init__(rates, start, states.ravel(), end, atol=absolute, **steps)
+        super().__init__(rates, span[0], states.ravel(), span[1], atol=absolute, **steps)
         self.fun = rates  # without SciPy's checks and counts in between
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
@@ -258,17 +257,17 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     def __init__(
         self,
         rates: Rates,
-        start: float,
+        span: tuple[float, float],
         states: Array,
-        end: float,
         tolerances: Tolerances,
         control: DefectControl | None = None,
         kinks: Kinks | None = None,
         smooth: bool = False,
     ) -> None:
         self.kinks = kinks
-        super().__init__(rates, start, states, end, tolerances, control)
+        super().__init__(rates, span, states, tolerances, control)
         if smooth:
+            start, end = span
             steps = math.ceil((end - start) / min(_FIRST_FACTOR * self.h_abs, self.max_step))
             self.h_abs = (end - start) / steps
 

@@ -182,9 +182,8 @@ class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[mis
     def __init__(
         self,
         rates: explicit.Rates,
-        start: float,
+        span: tuple[float, float],
         states: Array,
-        end: float,
         tolerances: Tolerances,
         control: DefectControl | None,
         blocks: Callable[[float, Array], Jacobians],
@@ -193,7 +192,8 @@ class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[mis
     ) -> None:
         self._scheme = _Scheme.of(stages)
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
-        super().__init__(rates, start, states, end, tolerances, control)
+        super().__init__(rates, span, states, tolerances, control)
+        start, end = span
         h = min(self.h_abs, self.max_step, end - start)
         self._newton = _Newton.of(start, h, self._blocks(start, self.y), self._scheme)
 

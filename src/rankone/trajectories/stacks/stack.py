@@ -81,7 +81,7 @@ _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
 _READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
 
 # Starts an integration of rates from a time and states to an end
-_Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
+_Method: TypeAlias = Callable[[Rates, tuple[float, float], Array], Stepper]
 _Record: TypeAlias = "_DenseRecord | _SampleRecord"  # Keeps something of each step
 
 
@@ -493,7 +493,7 @@ class _Stack:
                     rates = self.system.rhs(a, state, self.parameters)
                     if not (np.isfinite(state).all() and np.isfinite(rates).all()):
                         return state, 0.0
-            solver = method(self._rates(a, b), a, state, b)
+            solver = method(self._rates(a, b), (a, b), state)
             while solver.status == "running":
                 charge(_STEP_COST(state.size))
                 solver.step()

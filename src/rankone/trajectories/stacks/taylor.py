@@ -455,13 +455,12 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
     def __init__(
         self,
         rates: explicit.Rates,
-        start: float,
+        span: tuple[float, float],
         states: Array,
-        end: float,
         tolerances: Tolerances,
         series: TaylorSeries,
     ) -> None:
-        super().__init__(rates, start, states, end, tolerances)
+        super().__init__(rates, span, states, tolerances)
         self.series = series
         self.order = taylor_order(tolerances.relative, affine=not series.products)
         self.stiff_product = _SERIES.stiff_share * math.exp(
@@ -470,7 +469,7 @@ class StackedTaylor(explicit.Stepper, _TaylorSolver):
         self.cost = series.cost(self.order)
         self.recursion = Recursion(series, self.order)
         self.h_abs, self.unit, self.most = (
-            _SERIES.first_share * (end - start),
+            _SERIES.first_share * (span[1] - span[0]),
             0.0,
             1.0 / _SERIES.first_share,
         )
