@@ -9,10 +9,12 @@ import scipy.stats
 
 import rankone as ro
 from rankone.inference.estimation.cube_distributions import Chain
+from rankone.inference.estimation.posterior import PosteriorTuning
 from rankone.support.errors import OptionError
 from tests.inference.estimation.systems import FALL, FALL_TIMES, decay, fall, line, noisy
 
 T = np.linspace(0, 1, 12)
+SMALL_BLOCKS = PosteriorTuning(points_at_once=500)
 
 
 class Counting(ThreadPoolExecutor):
@@ -192,7 +194,7 @@ def test_chains_that_differ_are_no_success():
 
 
 def test_cells_are_evaluated_by_any_executor(monkeypatch):
-    monkeypatch.setattr("rankone.inference.estimation.posterior._POINTS_AT_ONCE", 500)
+    monkeypatch.setattr("rankone.inference.estimation.posterior.TUNING", SMALL_BLOCKS)
     data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
     here = fall().posterior(FALL_TIMES, data, sigma=0.1)
     with Counting(2) as executor:
@@ -205,7 +207,7 @@ def test_cells_are_evaluated_by_any_executor(monkeypatch):
 
 @pytest.mark.slow
 def test_processes_give_the_same_bits(monkeypatch):
-    monkeypatch.setattr("rankone.inference.estimation.posterior._POINTS_AT_ONCE", 500)
+    monkeypatch.setattr("rankone.inference.estimation.posterior.TUNING", SMALL_BLOCKS)
     data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
     priors = {"C_D": scipy.stats.norm(0.3, 0.1)}
     options = {"sigma": 0.1, "prior": priors}
@@ -221,7 +223,7 @@ def test_processes_give_the_same_bits(monkeypatch):
 @pytest.mark.slow
 def test_dask_gives_the_same_bits(monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("rankone.inference.estimation.posterior._POINTS_AT_ONCE", 500)
+    monkeypatch.setattr("rankone.inference.estimation.posterior.TUNING", SMALL_BLOCKS)
     data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
     here = fall().posterior(FALL_TIMES, data, sigma=0.1)
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from rankone.inference.calibration.experiment_objective import COARSE
 from rankone.inference.calibration.records import Interval
 from rankone.inference.calibration.result import (
     Box,
@@ -23,7 +24,7 @@ from rankone.inference.calibration.result import (
 from rankone.inference.calibration.trajectory_likelihood import OfExperiments, profile_reaches
 from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.fit import Fit
-from rankone.inference.estimation.free_parameters import Bounds, FreeParameters
+from rankone.inference.estimation.free_parameters import SAME, Bounds, FreeParameters
 from rankone.inference.estimation.least_squares import (
     MOST_STARTS,
     Descent,
@@ -32,6 +33,7 @@ from rankone.inference.estimation.least_squares import (
     descents,
     random_starts,
 )
+from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
@@ -45,7 +47,6 @@ from rankone.tensors.bases.joint_distribution import by_name
 
 MOST_END_PARAMETERS = 6
 """Most parameters of the box around the optimum."""
-_SEARCH_TOLERANCE = 1e-3  # Of solutions on boxes, until the optimum is inside of one
 _SEARCHES = ("trajectories", "boxes")
 
 
@@ -158,7 +159,7 @@ def _by_boxes(boxes: BoxSearch, starts: int, seed: int) -> list[Descent]:
     ways, rtol = [], boxes.rtol
     for z in random_starts(starts, len(boxes.likelihood.names), seed):
         boxes.at, before = boxes.likelihood.expanded(z), len(boxes.boxes)
-        boxes.rtol = max(rtol, _SEARCH_TOLERANCE)
+        boxes.rtol = max(rtol, COARSE)
         way = Descent(boxes.at, z)
         if np.isfinite(boxes.at.cost):
             way.arrived = boxes.search()
@@ -176,7 +177,7 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
     if np.isfinite(boxes.at.cost):
         reaches = profile_reaches(likelihood, boxes.at)
         remark = _around(boxes, reaches) if box else ""
-        if boxes.at.cost < ways[0].at.cost - SETTLED:
+        if boxes.at.cost < ways[0].at.cost - UNNOTICED:
             reaches = profile_reaches(likelihood, boxes.at)
     ways[0].at = boxes.at
     return Calibration.of(
@@ -219,13 +220,51 @@ def _around(boxes: BoxSearch, reaches: Mapping[str, Reach]) -> str:
 # the rest.
 
 
-MOST_AROUND = 4
-"""Most parameters of a box around the end of a search, unless they are named."""
-_STANDARD_DEVIATIONS = 4.0  # Half the width of the box
-_LARGEST_FACTOR = 3.0  # From the middle to an end, on logarithmic scales
-_LARGEST_SHARE = 0.1  # The same in widths of the bounds, on linear ones
-_LEAST_SHARE = 1e-4  # Least half width, in widths of the bounds
-_AROUND_INSENSITIVE = 1e-3  # Share of the largest sensitivity below which a parameter is left out
+@dataclass(frozen=True)
+class BoxTuning:
+    """Tuning of boxes that follow a fit."""
+
+    standard_deviations: float = 4.0
+    """Half the width of the box."""
+    largest_factor: float = 3.0
+    """From the middle to an end, on logarithmic scales."""
+    largest_share: float = 0.1
+    """From the middle to an end in widths of the bounds, on linear scales."""
+    least_share: float = 1e-4
+    """Least half width, in widths of the bounds."""
+    first_share: float = 0.125
+    """Width of the first box in widths of the bounds, without logarithms."""
+    least_factor: float = 0.02
+    """Factor on the first width from which on boxes are not smaller."""
+    most_factor: float = 2.0
+    """Factor up to which they grow."""
+    shrinking: float = 0.5
+    """Factor on a box that is not solved, or holds the optimum."""
+    growing: float = 1.5
+    """Factor on a box at whose side the fit ended."""
+    tightening: float = 0.1
+    """Factor on the tolerance where they differ by more."""
+    least_tolerance: float = 1e-8
+    """Least tolerance of a solution on a box."""
+    most_boxes: int = 30
+    """Most boxes of one start."""
+    most_end_boxes: int = 6
+    """Boxes around an optimum that are tried."""
+    insensitive: float = 1e-3
+    """Share of the largest sensitivity below which a parameter is not in a box."""
+    far: float = 2.0
+    """Side of the box around the optimum, in lengths to a close end of the interval."""
+    near: float = 1.25
+    """The same for an end that is far."""
+    least_end: float = 0.05
+    """Least width of such a box, in first widths."""
+    most_end: float = 0.7
+    """Largest one, unless the interval is longer."""
+    margin: float = 1e-3
+    """Half the width of a condition that all experiments share, relative."""
+
+
+TUNING = BoxTuning()
 
 
 def box_around(
@@ -251,8 +290,8 @@ def box_around(
     order, count = np.arange(len(listed)), len(listed)
     if names is None:
         _, r, order = scipy.linalg.qr(rest, mode="economic", pivoting=True)
-        sizes = np.abs(np.diag(r))[:MOST_AROUND]
-        count = max(int(np.sum(sizes > _AROUND_INSENSITIVE * sizes[0])), 1)
+        sizes = np.abs(np.diag(r))[:MOST_PARAMETERS]
+        count = max(int(np.sum(sizes > TUNING.insensitive * sizes[0])), 1)
     chosen = order[:count]
     spreads = np.sqrt(np.diag(covariance_of(rest[:, chosen])))
     deviations = dict(zip(chosen.tolist(), spreads.tolist(), strict=True))
@@ -273,10 +312,10 @@ def _beside_others(jacobian: Array, others: NDArray[np.bool_]) -> Array:
 
 def _interval(free: FreeParameters, name: str, value: float, deviation: float) -> Interval:
     """Some standard deviations (in z) to both sides, within the bounds."""
-    j, largest = free.names.index(name), _LARGEST_SHARE
+    j, largest = free.names.index(name), TUNING.largest_share
     if free.logarithmic[j]:
-        largest = math.log(_LARGEST_FACTOR) / float(free.logarithms[j])
-    half = min(max(_STANDARD_DEVIATIONS * deviation, _LEAST_SHARE), largest)
+        largest = math.log(TUNING.largest_factor) / float(free.logarithms[j])
+    half = min(max(TUNING.standard_deviations * deviation, TUNING.least_share), largest)
     middle = np.clip(value, free.lower, free.upper)
     sides = np.array([[-half], [half]])
     lower, upper = free.values(np.clip(free.places(middle) + sides, 0.0, 1.0))[:, j].tolist()
@@ -295,23 +334,6 @@ def _interval(free: FreeParameters, name: str, value: float, deviation: float) -
 MOST_PARAMETERS = 4
 """Most parameters of a box that searches: its trajectories grow steeply with their number."""
 _FIRST_WIDTH = math.log(10.0)  # Width of the first box in natural logarithms: one decade
-_FIRST_SHARE = 0.125  # The same in widths of the bounds, for parameters without logarithm
-_LEAST_FACTOR, _MOST_FACTOR = 0.02, 2.0  # Factors on these widths between which boxes stay
-_SHRINKING, _GROWING = 0.5, 1.5
-_AGREEMENT = 0.02  # Accepted difference of -2 log L between a solution and trajectories
-_TIGHTENING = 0.1  # Factor on the tolerance where they differ by more
-_LEAST_TOLERANCE = 1e-8
-_MOST_BOXES = 30  # Of one start
-_MOST_END_BOXES = 6  # Boxes around an optimum that are tried
-SETTLED = 0.02
-"""Decrease of -2 log L that all parameters promise below which a search has arrived."""
-_INSENSITIVE = 1e-4  # Share of the largest sensitivity below which a parameter is not in a box
-# From the optimum to the sides of the box around it, in lengths to the ends of the interval, where
-# these are short or long
-_FAR, _NEAR = 2.0, 1.25
-_LEAST_END, _MOST_END = 0.05, 0.7  # Factors on the first widths between which such boxes are
-_SIDE = 1e-6  # Distance from a side, in widths of the box, that counts as at the side
-_MARGIN = 1e-3  # Half the width of a condition that all experiments share, relative
 
 
 @dataclass
@@ -333,15 +355,17 @@ class BoxSearch:
         factor, before = 1.0, len(self.boxes)
         while True:
             taken = len(self.boxes) - before
-            if taken and bounded_step(self.at, 1.0)[1] <= SETTLED:
+            if taken and bounded_step(self.at, 1.0)[1] <= UNNOTICED:
                 return True
-            if taken == _MOST_BOXES or factor <= _LEAST_FACTOR:
+            if taken == TUNING.most_boxes or factor <= TUNING.least_factor:
                 return False
             chosen = self._chosen(most_parameters, factor)
             half = {name: 0.5 * factor * self._unit(name) for name in chosen}
             box = self._taken({name: (each, each) for name, each in half.items()})
             grows = box.solved and not box.inside
-            factor = min(factor * (_GROWING if grows else _SHRINKING), _MOST_FACTOR)
+            factor = min(
+                factor * (TUNING.growing if grows else TUNING.shrinking), TUNING.most_factor
+            )
 
     def around(self, reaches: Mapping[str, Reach]) -> None:
         """A box around the optimum that holds the intervals of some parameters.
@@ -349,11 +373,11 @@ class BoxSearch:
         It shrinks until it is solved, and moves where the fit ends at one of its sides.
         """
         factor = 1.0
-        for _ in range(_MOST_END_BOXES):
+        for _ in range(TUNING.most_end_boxes):
             box = self._taken({n: self._end_sides(n, each, factor) for n, each in reaches.items()})
             if box.solved and box.inside:
                 break
-            factor *= 1.0 if box.solved else _SHRINKING
+            factor *= 1.0 if box.solved else TUNING.shrinking
         if self.fit is not None:
             held = [name for name in self.likelihood.dynamic if name not in reaches]
             at = self.likelihood.named(self.at.z)
@@ -363,8 +387,10 @@ class BoxSearch:
         """How far the box goes from the optimum to either side, in z."""
         z, unit = self.at.z[self.likelihood.names.index(name)], self._unit(name)
         lengths = np.maximum([z - reach.lower, reach.upper - z], 0.0)
-        sides = np.minimum(_FAR * lengths, np.maximum(_NEAR * lengths, 0.5 * _MOST_END * unit))
-        low, high = factor * np.maximum(sides, 0.5 * _LEAST_END * unit)
+        sides = np.minimum(
+            TUNING.far * lengths, np.maximum(TUNING.near * lengths, 0.5 * TUNING.most_end * unit)
+        )
+        low, high = factor * np.maximum(sides, 0.5 * TUNING.least_end * unit)
         return float(low), float(high)
 
     def _unit(self, name: str) -> float:
@@ -373,7 +399,7 @@ class BoxSearch:
         j = free.names.index(name)
         if free.logarithmic[j]:
             return min(_FIRST_WIDTH / float(free.logarithms[j]), 1.0)
-        return _FIRST_SHARE
+        return TUNING.first_share
 
     def _chosen(self, most: int, factor: float) -> list[str]:
         """The parameters that matter most, and are told apart from each other.
@@ -391,7 +417,7 @@ class BoxSearch:
         weighed = self.at.jacobian[:, columns] * (np.abs(step[columns]) + 0.01 * units)
         _, r, order = scipy.linalg.qr(weighed, mode="economic", pivoting=True)
         sizes = np.abs(np.diag(r))[:most]
-        sensitive = max(int(np.sum(sizes > _INSENSITIVE * sizes[0])), 1)
+        sensitive = max(int(np.sum(sizes > TUNING.insensitive * sizes[0])), 1)
         return [dynamic[j] for j in sorted(order[:sensitive])]
 
     def _taken(self, sides: Mapping[str, tuple[float, float]]) -> Box:
@@ -440,7 +466,7 @@ class BoxSearch:
         """From the least to the largest value of a parameter that experiments fix."""
         at = [trial.fixed[name] for trial in self.likelihood.likelihood.trials]
         low, high = min(at), max(at)
-        margin = 0.0 if low < high else _MARGIN * (abs(low) or 1.0)
+        margin = 0.0 if low < high else TUNING.margin * (abs(low) or 1.0)
         return low - margin, high + margin
 
     def _fitted(self, solution: Solution, box: Box) -> Box:
@@ -454,10 +480,10 @@ class BoxSearch:
         trial = self.likelihood.expanded(self.likelihood.places({**at, **fit.most_likely}))
         inside = all(self._is_inside(name, fit.x[name], box) for name in box.intervals)
         log_likelihood = self.likelihood.log_likelihood(trial)
-        agrees = 2.0 * abs(log_likelihood - fit.log_likelihood) <= _AGREEMENT
+        agrees = 2.0 * abs(log_likelihood - fit.log_likelihood) <= UNNOTICED
         if inside and not agrees:
-            self.rtol = max(_TIGHTENING * self.rtol, _LEAST_TOLERANCE)
-        if trial.cost <= self.at.cost + _AGREEMENT:
+            self.rtol = max(TUNING.tightening * self.rtol, TUNING.least_tolerance)
+        if trial.cost <= self.at.cost + UNNOTICED:
             self.fit, self.solution = fit, solution
         if trial.cost < self.at.cost:
             self.at = trial
@@ -468,6 +494,6 @@ class BoxSearch:
         free = self.likelihood.likelihood.free
         j = free.names.index(name)
         low, high = box.intervals[name]
-        near = _SIDE * (high - low)
+        near = SAME * (high - low)
         below = x > low + near or low <= free.lower[j] + near
         return bool(below and (x < high - near or high >= free.upper[j] - near))

@@ -26,7 +26,7 @@ from rankone.inference.calibration.records import (
 from rankone.inference.estimation.experiments import Trial, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import FreeParameters
+from rankone.inference.estimation.free_parameters import ROUNDING, FreeParameters
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
@@ -270,7 +270,6 @@ def check_bounds(parameters: Sequence[Parameter]) -> None:
 _SPREAD = 2.0  # Around a nominal value, of the box that the problem is compiled over
 _SETTLE = 1e8  # Longest time to a steady state, in horizons
 _LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same
-_SAME_RATES = 1e-9  # Their change, over the largest rate of change of any state
 COARSE = 1e-3
 """Relative tolerance of trajectories of searches, and of those that tell sizes of states."""
 _SMALL_STATE = 1e-3  # Share of its size down to which a state has relative accuracy
@@ -494,7 +493,7 @@ class _Point:
         horizon, columns = self.system.horizon[1], (state[:, None], self.inputs[:, None])
         rates = [self.system.rhs(at, *columns) for at in (0.0, *(f * horizon for f in _LATER))]
         sizes = np.abs(state).max(initial=0.0) / horizon
-        if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > _SAME_RATES * sizes:
+        if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > ROUNDING * sizes:
             raise ProblemError(
                 "rates at a steady state depend on the time",
                 remedy="give a condition before the start in which nothing depends on the time",

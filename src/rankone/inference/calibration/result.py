@@ -14,7 +14,7 @@ from rankone.inference.estimation.fit import Fit, one_sided
 from rankone.inference.estimation.free_parameters import ends_at_bounds
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import quantile_of
-from rankone.inference.estimation.least_squares import Descent, Expandable, Expansion
+from rankone.inference.estimation.least_squares import SAME_COST, Descent, Expandable, Expansion
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
@@ -103,9 +103,6 @@ def compared(
 
 # -----------------------------------------------------------------------------
 # What a calibration found, from how many starts, and whether to believe it.
-
-
-_SAME = 0.1  # Difference of log-likelihoods below which starts ended at the same optimum
 
 
 class Start(NamedTuple):
@@ -258,7 +255,7 @@ class Calibration(Labelled):
     @property
     def agreeing(self) -> int:
         """How many starts ended within 0.1 of the best log-likelihood."""
-        return sum(s.log_likelihood >= self.log_likelihood - _SAME for s in self.starts)
+        return sum(s.log_likelihood >= self.log_likelihood - 0.5 * SAME_COST for s in self.starts)
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
@@ -322,7 +319,7 @@ class Calibration(Labelled):
         if not any(self.limits.values()):
             header, rows = header[:-1], [row[:-1] for row in rows]
         verdict = f"{'success' if self.success else 'no success'}: {self.message}"
-        starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {_SAME:g}"
+        starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {0.5 * SAME_COST:g}"
         return Table(
             f"Calibration: log-likelihood {self.log_likelihood:.6g}, {starts}",
             header,

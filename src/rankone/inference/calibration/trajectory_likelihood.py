@@ -29,10 +29,16 @@ from rankone.inference.calibration.result import (
 from rankone.inference.estimation.experiments import Experiment, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import Bounds, ends_at_bounds
-from rankone.inference.estimation.identification import between
+from rankone.inference.estimation.free_parameters import SAME, TINY, Bounds, ends_at_bounds
+from rankone.inference.estimation.identification import MOST_REFINEMENTS, between
 from rankone.inference.estimation.intervals import quantile_of
-from rankone.inference.estimation.least_squares import Expansion, bounded_step, minima
+from rankone.inference.estimation.least_squares import (
+    LARGEST_RADIUS,
+    LEAST_RADIUS,
+    Expansion,
+    bounded_step,
+    minima,
+)
 from rankone.inference.estimation.likelihood import (
     START_ROUNDS,
     Held,
@@ -186,7 +192,7 @@ class OfExperiments:
             here = values[trial.observations.of(i)]
             scale = np.ones(here.size) if noise.logarithmic else here / noise.spread
             squares += float(scale @ scale)
-        return max(_RESOLVED**2 * squares, 1e-300)
+        return max(_RESOLVED**2 * squares, TINY)
 
     @property
     def _freedom(self) -> int:
@@ -299,10 +305,6 @@ def _finite(z: Array, cost: float, residuals: Array, jacobian: Array) -> Expansi
 
 
 _CLOSE = 1e-2  # How close an end comes to the limit, in shares of half the interval: two digits
-_MOST_POINTS = 12  # Most places of a parameter at which the others go down, for one end
-_MOST_STEPS = 12  # Most steps of each way down
-_RADIUS = 0.1  # Half the width of the first box of trust
-_LEAST_RADIUS = 1e-6
 _MOST_GROWTH = 3.0  # Most growth of a distance in one step outwards
 _HELD = 0.1  # Share of the rise at an end that bounds of others make, from which they are named
 
@@ -377,8 +379,8 @@ def _end(
     at_bound = set(ends_at_bounds(problem.names, best.z))
     last = beyond = point
     distance = inner[0] + problem.quantile * math.sqrt(covariance[j, j]) * (1.0 - inner[1])
-    distance = min(max(distance, 1e-6), room)
-    for turn in range(_MOST_POINTS):
+    distance = min(max(distance, SAME), room)
+    for turn in range(MOST_REFINEMENTS):
         start = np.clip(point.z + (distance - inner[0]) * along, 0.0, 1.0)
         start[j] = np.clip(best.z[j] + sign * distance, 0.0, 1.0)
         last = _settled(problem, start, j, _CLOSE * limit)
@@ -396,7 +398,7 @@ def _end(
         if math.isinf(outer[0]):
             beyond = last
             growth = min(max(1.0 / max(root, 0.1), 1.1), _MOST_GROWTH)
-            distance = min(max(growth * distance, 1e-6), room)
+            distance = min(max(growth * distance, SAME), room)
         else:
             distance = between(inner, outer, turn)
     else:  # not as close: a place beyond the limit, unless trajectories fail there
@@ -438,12 +440,12 @@ def _beyond_bounds(problem: OfExperiments, at: Expansion, j: int, limit: float) 
 def _settled(problem: OfExperiments, z: Array, j: int, enough: float) -> Expansion:
     """The best point with one coordinate held, from z (n,)."""
     held = np.arange(z.size) == j
-    at, radius = problem.expanded(z, held), _RADIUS
-    for _ in range(_MOST_STEPS):
+    at, radius = problem.expanded(z, held), LARGEST_RADIUS
+    for _ in range(MOST_REFINEMENTS):
         if not np.isfinite(at.cost):
             break
         step, promised = bounded_step(at, np.where(held, 0.0, radius))
-        if promised <= enough or radius <= _LEAST_RADIUS:
+        if promised <= enough or radius <= LEAST_RADIUS:
             break
         trial = problem.expanded(np.clip(at.z + np.where(held, 0.0, step), 0.0, 1.0), held)
         better = trial.cost < at.cost

@@ -20,7 +20,8 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
-from rankone.support.arrays import Array, bisected
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING
+from rankone.support.arrays import HALVINGS, Array, bisected
 from rankone.support.errors import optional_module, with_remedy
 
 Density = Callable[[Array], Array]
@@ -29,22 +30,37 @@ Density = Callable[[Array], Array]
 _NODES = {1: 10, 2: 7, 3: 5}  # Gauss nodes of a cell in each direction, by dimension
 # Sum of the errors of the integrals over all cells, in shares of the whole, by dimension
 _TOLERANCE = {1: 1e-8, 2: 1e-5, 3: 3e-4}
-_LEAST_SHARES = 50  # Least number of equal shares into which the tolerance is divided among cells
-# Evaluations of the density after which no cell is halved, to bound time and memory
-_MOST_POINTS = 2_000_000
-_MOST_ROUNDS = 60  # Most halvings of a cell: below 2**-52 there are no numbers between its ends
+
+
+@dataclass(frozen=True)
+class CubeTuning:
+    """Tuning of cells, and of Markov chains."""
+
+    least_shares: int = 50
+    """Least number of equal shares into which the tolerance is divided among cells."""
+    most_points: int = 2_000_000
+    """Evaluations of the density after which no cell is halved, to bound time and memory."""
+    most_first_cells: int = 4000
+    """Number of cells above which the first cells are not cut again."""
+    ceiling_ratio: float = 1.3
+    """Ceiling of the density on a cell, over its largest value at the nodes."""
+    walkers_each: int = 16
+    """Walkers for each parameter."""
+    least_walkers: int = 32
+    """Least number of walkers, also for few parameters."""
+    long_enough: float = 40.0
+    """Least length of a chain, in autocorrelation times, at which its integrals are trusted."""
+    most_reduction: float = 1.05
+    """Factor up to which chains agree."""
+    discarded_times: float = 5.0
+    """Autocorrelation times at the start of a chain that are discarded."""
+
+
+TUNING = CubeTuning()
+
 _FIRST_CELLS = {1: 16, 2: 8, 3: 4}  # Cells in each direction to begin with, by dimension
 # Width of the first cells where the density is large, in its standard deviations
 _FIRST_DEVIATIONS = {1: 2.0, 2: 2.0, 3: 4.0}
-_MOST_FIRST_CELLS = 4000  # Number of cells above which the first cells are not cut again
-_BISECTIONS = 60  # Bisections for a quantile: more than a number has binary digits
-_CEILING_RATIO = 1.3  # Ceiling of the density on a cell, over its largest value at the nodes
-_WALKERS_EACH = 16  # Walkers for each parameter
-_LEAST_WALKERS = 32  # Least number of walkers, also for few parameters
-# Least length of a chain, in autocorrelation times, at which its integrals are trusted
-_LONG_ENOUGH = 40.0
-_MOST_REDUCTION = 1.05  # Factor up to which chains agree
-_DISCARDED_TIMES = 5.0  # Autocorrelation times at the start of a chain that are discarded
 
 
 class CubeDistribution(Protocol):
@@ -107,13 +123,13 @@ class Cells:
     def quantile(self, j: int, shares: Array) -> Array:
         """Quantiles of coordinate j at shares (k,) of the probability."""
         low, high = np.zeros(shares.shape), np.ones(shares.shape)
-        low, high = bisected(low, high, lambda z: self.cumulative(j, z) < shares, _BISECTIONS)
+        low, high = bisected(low, high, lambda z: self.cumulative(j, z) < shares)
         return np.asarray(0.5 * (low + high))
 
     def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:
         """Random points (count, n), by rejection on cells; ``density`` is normalised."""
         flat = self.densities.reshape(len(self.densities), -1)
-        ceiling = _CEILING_RATIO * flat.max(axis=1)
+        ceiling = TUNING.ceiling_ratio * flat.max(axis=1)
         share = ceiling * np.prod(self.width, axis=1)
         share = share / share.sum()
         blocks: list[Array] = []
@@ -159,7 +175,7 @@ def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, 
     points, whole, error = logs.size, 0.0, 0.0
     top = float(max(logs.max(), np.max(log_density(likely))))
     done: list[tuple[Array, Array, Array]] = []
-    for turn in range(_MOST_ROUNDS):
+    for turn in range(HALVINGS):
         halves = _halved(lower, width, np.exp(logs - top))
         finer = _evaluated(log_density, *halves)
         points += finer.size
@@ -169,8 +185,8 @@ def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, 
         fine = _integrals(halves[1], finer, top).reshape(2, -1).sum(axis=0)
         errors = np.abs(_integrals(width, logs, top) - fine)
         tolerance = _TOLERANCE[lower.shape[1]] * (whole + float(fine.sum()))
-        good = errors <= tolerance / max(len(errors), _LEAST_SHARES)
-        if points > _MOST_POINTS or turn == _MOST_ROUNDS - 1:
+        good = errors <= tolerance / max(len(errors), TUNING.least_shares)
+        if points > TUNING.most_points or turn == HALVINGS - 1:
             good[:] = True
         whole, error = whole + float(fine[good].sum()), error + float(errors[good].sum())
         both = np.tile(good, 2)
@@ -195,13 +211,13 @@ def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
     count = _FIRST_CELLS[n]
     lower = np.array(list(itertools.product(range(count), repeat=n))) / count
     width = np.full(lower.shape, 1.0 / count)
-    narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, 1e-12)
+    narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, LAST_DIGITS)
     for _ in range(200):
         inside = np.zeros(len(lower), dtype=bool)
         for k in np.flatnonzero((width > narrow).any(axis=1)):
             between = (likely >= lower[k]) & (likely <= lower[k] + width[k])
             inside[k] = bool(between.all(axis=1).any())
-        if not inside.any() or len(lower) > _MOST_FIRST_CELLS:
+        if not inside.any() or len(lower) > TUNING.most_first_cells:
             break
         widest = np.argmax(width[inside] / narrow, axis=1)
         cut_lower, cut_width = _cut(lower[inside], width[inside], widest)
@@ -296,11 +312,11 @@ class Chain:
     @property
     def success(self) -> bool:
         """Whether the chains are many autocorrelation times long, and agree."""
-        return self._is_long and self.reduction <= _MOST_REDUCTION
+        return self._is_long and self.reduction <= TUNING.most_reduction
 
     @property
     def _is_long(self) -> bool:
-        return bool(self.length >= _LONG_ENOUGH * self.autocorrelation)
+        return bool(self.length >= TUNING.long_enough * self.autocorrelation)
 
     @property
     def message(self) -> str:
@@ -341,10 +357,12 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
         "pip install emcee, or fix parameters",
     )
     n = likely.shape[1]
-    count = max(_LEAST_WALKERS, _WALKERS_EACH * n)
+    count = max(TUNING.least_walkers, TUNING.walkers_each * n)
     generator = np.random.default_rng(seed)
     chosen = likely[generator.integers(0, len(likely), count)]
-    start = np.clip(chosen + 1e-4 * generator.standard_normal(chosen.shape), 1e-9, 1.0 - 1e-9)
+    start = np.clip(
+        chosen + 1e-4 * generator.standard_normal(chosen.shape), ROUNDING, 1.0 - ROUNDING
+    )
 
     def inside_cube(z: Array) -> Array:
         inside = ((z >= 0.0) & (z <= 1.0)).all(axis=1)
@@ -359,5 +377,5 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     sampler.run_mcmc(emcee.State(start, random_state=state), steps)
     time = float(np.max(sampler.get_autocorr_time(tol=0)))
     time = time if np.isfinite(time) else float(steps)
-    burn = int(min(_DISCARDED_TIMES * time, 0.5 * steps))
+    burn = int(min(TUNING.discarded_times * time, 0.5 * steps))
     return Chain(sampler.get_chain(discard=burn, flat=True), time, steps)

@@ -18,7 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from rankone.inference.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import Formula, value_of
-from rankone.inference.estimation.free_parameters import Range, free_parameters
+from rankone.inference.estimation.free_parameters import (
+    ROUNDING,
+    SAME,
+    TINY,
+    Range,
+    free_parameters,
+)
 from rankone.inference.estimation.intervals import checked_level, quantile_of
 from rankone.inference.estimation.likelihood import Likelihood, vanishing_noise
 from rankone.inference.estimation.noise import Noise
@@ -40,15 +46,24 @@ from rankone.support.options import checked_number
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
-_CANDIDATES = 201  # Even times over the horizon, where no candidates are given
-_MOST_TIMES = 200  # Most times of a design
-_STARTS = 24  # Starts of exchanges
-_MOST_ROUNDS = 200  # Most rounds of exchanges: each improves the criterion
-_SEED = 5  # Of the starts: a call repeats itself
-_EQUAL = 1e-6  # Difference of criteria at which searches agree
-_SAME = 1e-9  # Difference of criteria that counts as none
-# Least eigenvalue of the scaled information, relative to its largest, that counts as identified
-_LEAST_EIGENVALUE = 1e-10
+
+@dataclass(frozen=True)
+class DesignTuning:
+    """Tuning of the search for sampling times."""
+
+    candidates: int = 201
+    """Even times over the horizon, where no candidates are given."""
+    most_times: int = 200
+    """Most times of a design."""
+    starts: int = 24
+    """Starts of exchanges."""
+    most_rounds: int = 200
+    """Most rounds of exchanges: each improves the criterion."""
+    seed: int = 5
+    """Of the starts: a call repeats itself."""
+
+
+TUNING = DesignTuning()
 
 
 @dataclass(frozen=True, repr=False)
@@ -233,10 +248,10 @@ def design(
         If a candidate is outside the horizon, or a value outside the box.
     """
     self._evaluator  # noqa: B018 - raises if nothing was solved
-    times = checked_number("times", times, 1, _MOST_TIMES)
+    times = checked_number("times", times, 1, TUNING.most_times)
     if criterion not in ("D", "A", "E"):
         raise OptionError(f"criterion={shown(criterion)} is unknown", remedy='choose "D"')
-    clock = np.linspace(*self.time, _CANDIDATES) if candidates is None else candidates
+    clock = np.linspace(*self.time, TUNING.candidates) if candidates is None else candidates
     clock = np.unique(checked_times(self, clock))
     if after is not None and not isinstance(after, Fit):
         raise OptionError(f"{shown(after)} is not a Fit", term=after)
@@ -252,7 +267,7 @@ def design(
     more = score(whole[:, None] + blocks.each).mean(axis=0)
     gain = more - best if math.isfinite(best) else np.full(more.shape, np.nan)
     success = bool(_identified(whole).all())
-    message = f"{agreeing} of {_STARTS} searches among {count(len(clock), 'candidate')} agree"
+    message = f"{agreeing} of {TUNING.starts} searches among {count(len(clock), 'candidate')} agree"
     if not success:
         message = with_remedy(
             "these measurements cannot identify all parameters, whatever the times",
@@ -321,8 +336,8 @@ def _interest(interest: object, names: tuple[str, ...]) -> list[str]:
 def _identified(information: Array) -> Array:
     """Whether all directions of information matrices (..., p, p) are seen."""
     eigenvalues = np.linalg.eigvalsh(information)
-    largest = np.maximum(eigenvalues[..., -1], 1e-300)
-    return np.asarray(eigenvalues[..., 0] > _LEAST_EIGENVALUE * largest)
+    largest = np.maximum(eigenvalues[..., -1], TINY)
+    return np.asarray(eigenvalues[..., 0] > ROUNDING * largest)
 
 
 @dataclass(frozen=True)
@@ -348,11 +363,11 @@ class Criterion:
 
 def _chosen(blocks: Candidates, times: int, criterion: Criterion) -> tuple[NDArray[np.intp], int]:
     """The best positions of candidates (n,), and how many searches end equally good."""
-    generator = np.random.default_rng(_SEED)
-    starts = generator.integers(0, blocks.each.shape[1], (_STARTS, times))
+    generator = np.random.default_rng(TUNING.seed)
+    starts = generator.integers(0, blocks.each.shape[1], (TUNING.starts, times))
     ends = [_exchanged(blocks, start, criterion) for start in starts]
     top = max(score for score, _ in ends)
-    agreeing = sum(score >= top - _EQUAL for score, _ in ends)
+    agreeing = sum(score >= top - SAME for score, _ in ends)
     return max(ends, key=lambda end: end[0])[1], agreeing
 
 
@@ -361,15 +376,15 @@ def _exchanged(
 ) -> tuple[float, NDArray[np.intp]]:
     """The criterion and positions (n,) that no exchange of one time improves."""
     indices, best = start.copy(), -math.inf
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(TUNING.most_rounds):
         before = best
         for i in range(indices.size):
             rest = blocks.base + blocks.each[:, np.delete(indices, i)].sum(axis=1)
             scores = criterion(_ridged(rest[:, None] + blocks.each)).mean(axis=0)
             k = int(np.argmax(scores))
-            if scores[k] > best + _SAME:
+            if scores[k] > best + ROUNDING:
                 indices[i], best = k, float(scores[k])
-        if best <= before + _SAME:
+        if best <= before + ROUNDING:
             break
     return best, indices
 
@@ -378,7 +393,7 @@ def _ridged(information: Array) -> Array:
     """The information with a ridge just above what counts as identified: searches have a way."""
     size = information.shape[-1]
     trace = np.trace(information, axis1=-2, axis2=-1)[..., None, None]
-    return np.asarray(information + 2.0 * _LEAST_EIGENVALUE * trace * np.eye(size))
+    return np.asarray(information + 2.0 * ROUNDING * trace * np.eye(size))
 
 
 # -----------------------------------------------------------------------------

@@ -13,7 +13,8 @@ import scipy
 
 from rankone.inference.estimation.experiments import Trial
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.identification import Best, Identification, Jump
+from rankone.inference.estimation.free_parameters import TINY
+from rankone.inference.estimation.identification import USED_RATIO, Best, Identification, Jump
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
 from rankone.inference.estimation.noise import normal_scores, terms
 from rankone.inference.estimation.observations import Observations
@@ -68,7 +69,7 @@ def leverages_of(problem: Likelihood, jacobian: Array) -> Array:
         rows[here] = True
     location = np.where(rows[:, None], jacobian, 0.0)[:, others]
     left, singular, _ = np.linalg.svd(location, full_matrices=False)
-    seen = singular > 1e-7 * max(float(singular.max(initial=0.0)), 1e-300)
+    seen = singular > USED_RATIO * max(float(singular.max(initial=0.0)), TINY)
     return np.asarray(np.sum(left[:, seen] ** 2, axis=1))
 
 

@@ -13,6 +13,7 @@ import scipy
 
 from rankone.inference.estimation.experiments import Trial, failures_of
 from rankone.inference.estimation.formulas import formula_of
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, SAME
 from rankone.inference.estimation.intervals import Intervals
 from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
@@ -181,7 +182,6 @@ class Fit(Intervals, Labelled):
 
 _NEGLIGIBLE = 0.1  # Residuals below this, in standard deviations, are no noise
 _LEAST = 8  # Least number of data of an observable for patterns among them
-_ALONE = 1e-6  # What a fit leaves of the variance of a datum that alone decides on a parameter
 
 
 def residual_checks(
@@ -258,9 +258,9 @@ def _apart(name: str, r: Array, times: Array, spare: Array) -> Iterator[str]:
     freedom = float(spare.sum()) - 1.0
     if freedom < 1.0:
         return
-    shared = spare > _ALONE
+    shared = spare > SAME
     own = np.divide(r**2, spare, out=np.zeros(r.size), where=shared)
-    others = np.maximum(np.sum(r**2) - own, 1e-12 * np.sum(r**2)) / freedom
+    others = np.maximum(np.sum(r**2) - own, LAST_DIGITS * np.sum(r**2)) / freedom
     sizes = np.sqrt(own / others)
     worst = int(np.argmax(sizes))
     chance = 2.0 * float(scipy.stats.t.sf(sizes[worst], freedom)) * r.size
@@ -312,7 +312,7 @@ def _growing(name: str, r: Array, p: Array) -> Iterator[str]:
 
 _UNLIKELY = 1e-3  # Probability of residuals this large below which the model is rejected
 # Accepted shift of an estimate by the error of the solution, in its standard deviations
-_MODEL_SHARE = 0.5
+MODEL_SHARE = 0.5
 
 
 def findings_of(fit: Intervals) -> Iterator[str]:
@@ -413,7 +413,7 @@ def _error_of_solution(fit: Intervals) -> Iterator[str]:
             if name in told or not error.size or np.isnan(error).any():
                 continue
             shares = np.divide(error, noise, out=np.zeros(error.size), where=noise > 0.0)
-            if math.sqrt(float(np.sum(shares**2))) > _MODEL_SHARE:
+            if math.sqrt(float(np.sum(shares**2))) > MODEL_SHARE:
                 told.add(name)
                 yield with_remedy(
                     f"the error of the solution, {float(np.median(error)):.2g} in {quote(name)}, "

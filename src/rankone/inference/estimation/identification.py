@@ -21,40 +21,59 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import BOUND_TOLERANCE
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING, SAME, TINY
 from rankone.inference.estimation.least_squares import minima
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
-from rankone.support.arrays import Array
+from rankone.support.arrays import HALVINGS, Array
 
 # Points of a profile, in shares of the way to the bound: closer where it begins
 _PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])
 # Points of a profile in standard deviations: around the ends of usual intervals
 _PATH_DEVIATIONS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
-# Most refinements of an end: a bound on the work where the rise is not smooth
-_MOST_REFINEMENTS = 12
-_END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its root: four digits
-# Length in widths of the box above which an interval that the box ends says nothing, and half of
-# one by the data alone, linearised, above which its profile is looked at
-_SUSPICIOUS_WIDTH = 0.25
-_ROUNDING = 1e-13  # Share of the largest singular value that is rounding
-_ENDLESS_PRECISION = 1e-9  # Of one without bounds: far below what any data say
-_LOST = 1e-3  # Share of the data in a variance below which they say nothing of a direction
+MOST_REFINEMENTS = 12
+"""Most refinements of an end: a bound on the work where the rise is not smooth."""
+
+
+@dataclass(frozen=True)
+class IdentificationTuning:
+    """Tuning of profiles, and of what counts as identified."""
+
+    end_tolerance: float = 1e-4
+    """How close an end comes to the limit, in shares of its root: four digits."""
+    suspicious_width: float = 0.25
+    """Length in widths of the box above which an interval that the box ends says nothing, and half
+    of one by the data alone, linearised, above which its profile is looked at."""
+    lost: float = 1e-3
+    """Share of the data in a variance below which they say nothing of a direction."""
+    fraction_tolerance: float = 0.04
+    """How far a power may be from a simple fraction: half of the way from 1/4 to 1/3."""
+    largest_denominator: int = 4
+    """Largest denominator of a simple fraction."""
+    used_change: float = 0.5
+    """Change of the residuals from one end of the cube to the other, in standard deviations, above
+    which a direction is fitted to the data."""
+    path_rise: float = 0.25
+    """Share of the limit up to which a profile is along the flat direction."""
+    named_variation: float = 0.1
+    """Variation of a combination along a path above which it is not identified."""
+    constant_variation: float = 0.02
+    """Variation of a product along a path, in shares of the variation of its factors, below which
+    it counts as constant."""
+    steps: int = 40
+    """Steps along an interval."""
+    jump: float = 0.3
+    """Change of a prediction in one step, beyond what its derivative says, that is a jump: in
+    standard deviations of the datum."""
+
+
+TUNING = IdentificationTuning()
+
 UNIFORM_PRECISION = 12.0
 """Precision of a parameter that may be anywhere in the unit cube, without data."""
 BOX_SHARE = 0.5
 """Share of a variance from the box above which the data do not determine it."""
-# How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
-_FRACTION_TOLERANCE = 0.04
-_LARGEST_DENOMINATOR = 4  # Largest denominator of a simple fraction
-# Change of the residuals from one end of the cube to the other, in standard deviations, above which
-# a direction is fitted to the data
-_USED_CHANGE = 0.5
-_USED_RATIO = 1e-7  # The same over the change along the steepest direction: above rounding
-_PATH_RISE = 0.25  # Share of the limit up to which a profile is along the flat direction
-_NAMED_VARIATION = 0.1  # Variation of a combination along a path above which it is not identified
-# Variation of a product along a path, in shares of the variation of its factors, below which it
-# counts as constant
-_CONSTANT_VARIATION = 0.02
+USED_RATIO = 1e-7
+"""Change along a direction over that along the steepest one above which it is fitted."""
 
 
 class Stop(Enum):
@@ -167,9 +186,9 @@ class _Branch:
         k = self.above()
         if k == len(self.rise):
             return True
-        near = abs(np.sqrt(self.rise[[k - 1, k]] / self.limit) - 1.0).min() <= _END_TOLERANCE
+        near = abs(np.sqrt(self.rise[[k - 1, k]] / self.limit) - 1.0).min() <= TUNING.end_tolerance
         z = self.path[[k - 1, k], self.index]
-        return bool(near or abs(z[1] - z[0]) <= 1e-12)
+        return bool(near or abs(z[1] - z[0]) <= LAST_DIGITS)
 
     def between(self, turn: int) -> float:
         """A place between the points below and above."""
@@ -186,7 +205,7 @@ class _Branch:
         share = float((np.sqrt(self.limit) - pair[0]) / (pair[1] - pair[0]))
         z = self.path[k - 1] + share * (self.path[k] - self.path[k - 1])
         free = np.delete(self.path[k], self.index)
-        at_bound = (free <= BOUND_TOLERANCE) | (free >= 1.0 - BOUND_TOLERANCE)
+        at_bound = (free <= ROUNDING) | (free >= 1.0 - ROUNDING)
         return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
 
 
@@ -203,7 +222,7 @@ def between(inside: tuple[float, float], beyond: tuple[float, float], turn: int)
 
 def _refine(problem: Likelihood, best: Best, branches: list[_Branch], held: Sequence[int]) -> None:
     """Refine where the rise reaches the limit, on all branches at once."""
-    for turn in range(_MOST_REFINEMENTS):
+    for turn in range(MOST_REFINEMENTS):
         waiting = [branch for branch in branches if not branch.settled()]
         if not waiting:
             return
@@ -222,7 +241,7 @@ def _places(best: Best, index: int, sign: float) -> Array:
     way = z if sign < 0.0 else 1.0 - z
     deviation = np.linalg.norm(best.root[index])
     steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * deviation])
-    steps = np.unique(steps[(steps > 1e-12) & (steps <= way)])
+    steps = np.unique(steps[(steps > LAST_DIGITS) & (steps <= way)])
     return np.asarray(np.clip(z + sign * steps, 0.0, 1.0))
 
 
@@ -232,7 +251,7 @@ def _line(best: Best, columns: Array, places: Array, held: Sequence[int]) -> Arr
     Parameters that are ``held`` do not move.
     """
     covariance = best.root @ best.root.T
-    ways = covariance[columns] / np.maximum(np.diag(covariance)[columns], 1e-300)[:, None]
+    ways = covariance[columns] / np.maximum(np.diag(covariance)[columns], TINY)[:, None]
     ways[:, list(held)] = 0.0
     points = np.clip(best.z + (places - best.z[columns])[:, None] * ways, 0.0, 1.0)
     points[np.arange(len(places)), columns] = places
@@ -279,7 +298,7 @@ class Identification:
     def deviation(self, slope: Array) -> float:
         """The standard deviation of a quantity with derivatives (n,), by the data alone."""
         seen, lost = (float(np.linalg.norm(slope @ root)) for root in (self.seen, self.lost))
-        return np.inf if lost**2 > _LOST * seen**2 else seen
+        return np.inf if lost**2 > TUNING.lost * seen**2 else seen
 
     def boxed(self, slope: Array) -> bool:
         """Whether the box decides how sure a quantity with derivatives (n,) is.
@@ -305,7 +324,7 @@ def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> flo
     if not problem.unit_known:
         unit = float(np.sqrt(cost / max(problem.size - len(moving), 1)))
     left, singular, _ = np.linalg.svd(jacobian[:, moving], full_matrices=False)
-    used = left[:, singular > max(_USED_CHANGE * unit, _USED_RATIO * singular[0])]
+    used = left[:, singular > max(TUNING.used_change * unit, USED_RATIO * singular[0])]
     by_priors = float(np.sum(used[len(used) - len(problem.priors) :] ** 2))
     return float(problem.size - used.shape[1] + by_priors)
 
@@ -319,31 +338,35 @@ def identify(
     deviation of the scaled residuals.
     """
     free, box = problem.free, np.full(best.z.size, UNIFORM_PRECISION)
-    box[list(free.endless)] = _ENDLESS_PRECISION
+    box[list(free.endless)] = ROUNDING
     rows = jacobian[len(jacobian) - len(problem.priors) :]
     for measure, row in zip(problem.priors, rows, strict=True):
         j = free.names.index(measure.name)
         box[j] = max(UNIFORM_PRECISION - row[j] ** 2, 0.0)
-    rounding = _ROUNDING * max(float(np.linalg.norm(jacobian)), 1e-300)
+    rounding = LAST_DIGITS * max(float(np.linalg.norm(jacobian)), TINY)
     sigma = max(sigma, rounding)
     rows = np.concatenate([jacobian / sigma, np.diag(np.sqrt(box))])
     _, singular, right = np.linalg.svd(rows, full_matrices=False)
     root = right.T / np.maximum(singular, rounding / sigma)
     shares, turned = np.linalg.eigh(root.T @ (box[:, None] * root))
-    lost = shares > 1.0 - _LOST
+    lost = shares > 1.0 - TUNING.lost
     seen = root @ turned[:, ~lost] / np.sqrt(1.0 - shares[~lost])
     plain = Identification((), root, box, seen, root @ turned[:, lost])
     unit = np.eye(best.z.size)
     half = quantile * np.array([plain.deviation(slope) for slope in unit])
-    limit = max((quantile * sigma) ** 2, 1e-12 * best.cost)
+    limit = max((quantile * sigma) ** 2, LAST_DIGITS * best.cost)
     uncertain = [
-        j for j in np.flatnonzero(half > _SUSPICIOUS_WIDTH).tolist() if j not in problem.levels
+        j
+        for j in np.flatnonzero(half > TUNING.suspicious_width).tolist()
+        if j not in problem.levels
     ]
     curves = profiles(
         problem, replace(best, root=root), dict.fromkeys(uncertain, limit), problem.levels
     )
     plain = replace(plain, profiles=curves)
-    long = [p for p in curves.values() if p.width > _SUSPICIOUS_WIDTH or p.index in free.endless]
+    long = [
+        p for p in curves.values() if p.width > TUNING.suspicious_width or p.index in free.endless
+    ]
     boxed = [p for p in long if p.boxed and plain.boxed(unit[p.index])]
     if not boxed:
         return plain
@@ -364,7 +387,7 @@ def _combinations(
 ) -> tuple[str, ...]:
     """Texts of the combinations of flat parameters that are constant along flat directions."""
     names = [problem.free.names[i] for i in flat]
-    inside = [p.path[p.rise <= _PATH_RISE * limit] for p in boxed]
+    inside = [p.path[p.rise <= TUNING.path_rise * limit] for p in boxed]
     paths = [problem.free.values(points)[:, list(flat)] for points in inside]
     slopes = jacobian / problem.free.slopes(z)
     linear = _reduced(slopes, flat, q)
@@ -377,9 +400,9 @@ def _combinations(
     if (signs == signs[:1]).all() and signs.all():
         logarithms = [np.log(np.where(in_factors, np.abs(path), 1.0)) for path in paths]
         in_powers = _variation(logarithms, powers)
-        if in_powers <= max(_CONSTANT_VARIATION, min(in_sums, _NAMED_VARIATION)):
+        if in_powers <= max(TUNING.constant_variation, min(in_sums, TUNING.named_variation)):
             return tuple(_product(names, row) for row in powers)
-    return tuple(_sum(names, row) for row in linear) if in_sums <= _NAMED_VARIATION else ()
+    return tuple(_sum(names, row) for row in linear) if in_sums <= TUNING.named_variation else ()
 
 
 def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
@@ -388,7 +411,7 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
     scale = np.where(scale > 0.0, scale, 1.0)
     _, _, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
     _, singular, rows = np.linalg.svd(right[-q:, list(flat)])
-    rank = int(np.count_nonzero(singular > 1e-6 * singular[0]))
+    rank = int(np.count_nonzero(singular > SAME * singular[0]))
     rows = rows[rank:] * scale[list(flat)]
     for k in range(len(rows)):  # reduced row echelon form: few parameters in each row
         pivot = int(np.argmax(np.abs(rows[k])))
@@ -396,7 +419,7 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
         for i in range(len(rows)):
             if i != k:
                 rows[i] -= rows[i, pivot] * rows[k]
-    rows[np.abs(rows) < _FRACTION_TOLERANCE] = 0.0
+    rows[np.abs(rows) < TUNING.fraction_tolerance] = 0.0
     return rows
 
 
@@ -404,7 +427,7 @@ def _variation(paths: Sequence[Array], rows: Array) -> float:
     """Largest variation of a combination along any path, over the largest of its terms."""
     whole = np.max([np.ptp(path @ rows.T, axis=0) for path in paths], axis=0)
     terms = np.max([np.abs(rows) @ np.ptp(path, axis=0) for path in paths], axis=0)
-    return float(np.max(whole / np.maximum(terms, 1e-300)))
+    return float(np.max(whole / np.maximum(terms, TINY)))
 
 
 def _scaled(row: Array) -> list[tuple[int, str]]:
@@ -412,9 +435,11 @@ def _scaled(row: Array) -> list[tuple[int, str]]:
     used = row[row != 0.0]
     row = row * np.sign(used[0]) / np.abs(used).max()
     for scale in (np.abs(used).max() / np.abs(used).min(), 1.0):
-        near = [Fraction(float(v * scale)).limit_denominator(_LARGEST_DENOMINATOR) for v in row]
+        near = [
+            Fraction(float(v * scale)).limit_denominator(TUNING.largest_denominator) for v in row
+        ]
         pairs = zip(near, row * scale, strict=True)
-        if all(abs(float(simple) - v) <= _FRACTION_TOLERANCE * abs(v) for simple, v in pairs):
+        if all(abs(float(simple) - v) <= TUNING.fraction_tolerance * abs(v) for simple, v in pairs):
             texts = [f"{abs(v)}" if v.denominator == 1 else f"({abs(v)})" for v in near]
             return [((v > 0) - (v < 0), text) for v, text in zip(near, texts, strict=True)]
     return [(int(np.sign(v)), f"{abs(v):.3g}") for v in row]
@@ -446,13 +471,6 @@ def _sum(names: Sequence[str], row: Array) -> str:
 # Where predictions jump inside the intervals of a fit: an event passes a time of the data.
 
 
-_STEPS = 40  # Steps along an interval
-# Change of a prediction in one step, beyond what its derivative says, that is a jump: in standard
-# deviations of the datum
-_JUMP = 0.3
-_BISECTIONS = 20  # Of such a step, after which what is smooth changes by a millionth as much
-
-
 class Jump(NamedTuple):
     """A parameter, and the time of the data at which a prediction jumps in its interval."""
 
@@ -476,16 +494,16 @@ def jumps_within(problem: Likelihood, z: Array, root: Array, jacobian: Array) ->
         if not 0.0 < length < np.inf:
             continue
         way = root @ root[j] / length
-        line = np.clip(z + np.linspace(-1.0, 1.0, _STEPS + 1)[:, None] * way, 0.0, 1.0)
+        line = np.clip(z + np.linspace(-1.0, 1.0, TUNING.steps + 1)[:, None] * way, 0.0, 1.0)
         change = np.abs(np.diff(problem.standardised(line), axis=0))
         expected = np.abs(jacobian[rows] @ np.diff(line, axis=0).T).T
         steep = np.nan_to_num(change - expected, nan=0.0)
-        data = np.flatnonzero(steep.max(axis=0) > _JUMP)
+        data = np.flatnonzero(steep.max(axis=0) > TUNING.jump)
         if not data.size:
             continue
         steps = np.argmax(steep[:, data], axis=0)
         sizes = _sizes(problem, line[steps], line[steps + 1], data)
-        if sizes.max() > _JUMP:
+        if sizes.max() > TUNING.jump:
             jumps.append(Jump(name, float(times[data[int(np.argmax(sizes))]])))
     return tuple(jumps)
 
@@ -497,7 +515,7 @@ def _sizes(problem: Likelihood, a: Array, b: Array, data: NDArray[np.intp]) -> A
     end.
     """
     at_a, at_b = (_of_data(problem, each, data) for each in (a, b))
-    for _ in range(_BISECTIONS):
+    for _ in range(HALVINGS):
         middle = 0.5 * (a + b)
         at = _of_data(problem, middle, data)
         first = np.abs(at - at_a) >= np.abs(at_b - at)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from rankone.inference.estimation.estimates import Estimates
 from rankone.inference.estimation.experiments import Seeds, Trial, trial_of
 from rankone.inference.estimation.formulas import quantity, with_shape
+from rankone.inference.estimation.free_parameters import TINY
 from rankone.inference.estimation.identification import Profile, Stop, profiles
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.noise import Noise
@@ -179,7 +180,7 @@ class Intervals(Estimates):
         variance = np.sum(self._identification.seen[j] ** 2) * self._problem.free.logarithms[j] ** 2
         dof = 0.5 * share / variance
         tails = scipy.stats.chi2.ppf([0.5 + 0.5 * level, 0.5 - 0.5 * level], dof)
-        ends = self._problem.free.values(self._z)[j] * np.sqrt(dof / np.maximum(tails, 1e-300))
+        ends = self._problem.free.values(self._z)[j] * np.sqrt(dof / np.maximum(tails, TINY))
         return float(ends[0]), float(ends[1])
 
     def interval_of(self, given: object, level: float | None = None) -> Interval:

@@ -17,35 +17,78 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import BOUND_TOLERANCE
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING, SAME, TINY
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
 from rankone.support.arrays import Array, bisected
 from rankone.support.budget import limited
 from rankone.support.tasks import ExecutorLike, Shared, open_pool
 
-_MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where it does not settle
-# Promised decrease, in shares of the sum of squares, below which a search ends: rounding
-_SETTLED_SHARE = 1e-13
-# Promised share below which a search also ends if the step did not decrease the cost
-_ROUNDING_SHARE = 1e-9
-# Promised decrease, in mean squares of the residuals, below which a search that creeps has arrived
-_NEGLIGIBLE = 1e-6
-# Change of the residuals across the cube, in units of their mean, that counts as zero
-_UNSEEN_CHANGE = 1e-2
-# Damping at the start, in squares of the largest singular value: close to a Newton step
-_FIRST_DAMPING = 1e-3
-_LEAST_DAMPING = 1e-14  # Least damping: below it nothing is damped, by rounding
-_LARGEST_DAMPING = 1e10  # Damping above which a search ends: its steps are rounding
-# Promised decrease, in mean squares of the residuals, above which a search that cannot go on stands
-# at a jump: estimates would move by a tenth of their standard deviation
-_STUCK_SHARE = 1e-2
-# Decrease, in shares of the promised one, of a search that creeps up to a jump
-_SLOW_SHARE = 1e-3
-_EXACT = 1e-9  # Residuals, in shares of the data, that are rounding: nobody is stuck among these
-# Lengths of steps across a jump, in widths of the cube, and how often they are tried
+
+@dataclass(frozen=True)
+class SearchTuning:
+    """Tuning of searches for minima, measured over fits and calibrations."""
+
+    most_iterations: int = 80
+    """Most iterations of a search: a bound on the work where it does not settle."""
+    unseen_change: float = 1e-2
+    """Change of the residuals across the cube, in units of their mean, that counts as zero."""
+    first_damping: float = 1e-3
+    """Damping at the start, in squares of the largest singular value: close to a Newton step."""
+    largest_damping: float = 1e10
+    """Damping above which a search ends: its steps are rounding."""
+    stuck_share: float = 1e-2
+    """Promised decrease, in mean squares of the residuals, above which a search that cannot go on
+    stands at a jump: estimates would move by a tenth of their standard deviation."""
+    slow_share: float = 1e-3
+    """Decrease, in shares of the promised one, of a search that creeps up to a jump."""
+    hop_rounds: int = 3
+    """How often steps across a jump are tried."""
+    replacements: int = 20
+    """Points that are tried for each start whose trajectories do not reach the data."""
+    agreeing_share: float = 0.5
+    """Share of the starts at the same optimum from which it is believed."""
+    hops: int = 2
+    """Hops in vain after which they end, for each start."""
+    most_work: float = 5e10
+    """Operations of all hops."""
+    hop_iterations: int = 40
+    """Most iterations of the way down from a hop."""
+    hop_gain: float = 0.01
+    """Decrease of -2 log L from which a hop is worth while."""
+    drawn: int = 4
+    """Places of which a hop takes the best."""
+    passed_shares: tuple[float, float, float] = (0.25, 0.5, 0.75)
+    """Shares of the coordinates that another end passes on."""
+    drawn_coordinates: tuple[float, float, float] = (0.0, 1.0, 3.0)
+    """Coordinates that are drawn anew, beside one."""
+    most_ends: int = 10
+    """Ends that are crossed."""
+    least_promise: float = 1.0
+    """Decrease of -2 log L below which a start is on a plateau."""
+    more: int = 3
+    """Ways that begin, for each that goes on where points are screened."""
+    first_leg: int = 8
+    """Iterations of these."""
+    poor: float = 0.25
+    """Share of the promised decrease below which the box shrinks."""
+    good: float = 0.75
+    """Share above which it grows."""
+    shrinking: float = 0.25
+    """Factor on the box where it shrinks."""
+    growing: float = 2.0
+    """Factor where it grows."""
+    settled: float = 1e-4
+    """Promised decrease of -2 log L below which a descent has arrived."""
+    stalled: float = 1e-2
+    """Decrease of -2 log L over some iterations below which it gets nowhere."""
+    stall_length: int = 20
+    """Iterations over which it is looked at whether a descent gets anywhere."""
+
+
+TUNING = SearchTuning()
+
+# Lengths of steps across a jump, in widths of the cube
 _HOP_LENGTHS = np.array([0.003, 0.01, 0.03, 0.1, 0.3])
-_HOP_ROUNDS = 3
-_BISECTIONS = 40  # Bisections of the last step before a jump
 
 
 class Squares(Protocol):
@@ -91,10 +134,10 @@ def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
     """
     kept = np.zeros(starts.shape, dtype=bool) if held is None else held
     z, cost, residuals, jacobian = problem.linearised(np.clip(starts, 0.0, 1.0), kept)
-    damping = np.full(len(z), _FIRST_DAMPING)
+    damping = np.full(len(z), TUNING.first_damping)
     converged, stuck = np.zeros(len(z), dtype=bool), np.zeros(len(z), dtype=bool)
     going = np.flatnonzero(np.isfinite(cost))
-    for turn in range(_MOST_ITERATIONS if going.size else 0):
+    for turn in range(TUNING.most_iterations if going.size else 0):
         squares = squares_of(residuals[going])
         step, promised = _step(
             z[going], residuals[going], jacobian[going], kept[going], damping[going]
@@ -103,19 +146,19 @@ def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
         before = cost[going]
         better = trial.cost < before
         small = np.abs(trial.z - z[going]).max(axis=1) <= 1e-14
-        ended = (promised <= _SETTLED_SHARE * squares) | small
-        rounding = promised <= _ROUNDING_SHARE * squares
-        ended |= ~better & (rounding | (damping[going] > _LARGEST_DAMPING))
-        last = turn == _MOST_ITERATIONS - 1
-        ended |= last & (promised <= _NEGLIGIBLE * squares / problem.size)
+        ended = (promised <= LAST_DIGITS * squares) | small
+        rounding = promised <= ROUNDING * squares
+        ended |= ~better & (rounding | (damping[going] > TUNING.largest_damping))
+        last = turn == TUNING.most_iterations - 1
+        ended |= last & (promised <= SAME * squares / problem.size)
         at = going[better]
         z[at], cost[at] = trial.z[better], trial.cost[better]
         residuals[at], jacobian[at] = trial.residuals[better], trial.jacobian[better]
-        down = np.maximum(damping[going] * 0.1, _LEAST_DAMPING)
-        damping[going] = np.where(better, down, np.maximum(damping[going], 1e-6) * 8.0)
-        exact = squares <= _EXACT**2 * problem.magnitude
-        more = ~exact & (promised > _STUCK_SHARE * squares / problem.size)
-        slow = ~better | (before - cost[going] <= _SLOW_SHARE * promised)
+        down = np.maximum(damping[going] * 0.1, LAST_DIGITS)
+        damping[going] = np.where(better, down, np.maximum(damping[going], SAME) * 8.0)
+        exact = squares <= ROUNDING**2 * problem.magnitude
+        more = ~exact & (promised > TUNING.stuck_share * squares / problem.size)
+        slow = ~better | (before - cost[going] <= TUNING.slow_share * promised)
         blocked = more & ((ended & ~better) | (slow & last))
         converged[going[ended & ~blocked]], stuck[going[blocked]] = True, True
         going = going[~ended]
@@ -130,14 +173,14 @@ def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
     Those that do not get below the end go up to the jump.
     """
     ends = last = minima(problem, starts)
-    for _ in range(_HOP_ROUNDS):
+    for _ in range(TUNING.hop_rounds):
         rows = np.flatnonzero(last.stuck)
         if not rows.size:
             break
         stuck = last.selected(rows)
         free = np.zeros(stuck.z.shape, dtype=bool)
         step, _ = _step(stuck.z, stuck.residuals, stuck.jacobian, free, np.zeros(rows.size))
-        way = step / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)
+        way = step / np.maximum(np.abs(step).max(axis=1, keepdims=True), TINY)
         beyond = stuck.z[:, None] + _HOP_LENGTHS[:, None] * way[:, None]
         last = minima(problem, beyond.reshape(-1, starts.shape[1]))
         ends = ends.joined(last)
@@ -166,12 +209,12 @@ def _jump_ahead(
     def before(points: Array) -> NDArray[np.bool_]:
         return np.asarray(problem.costs(points)[1] <= stuck.cost)[:, None]
 
-    near, far = bisected(z, np.clip(z + step, 0.0, 1.0), before, _BISECTIONS)
+    near, far = bisected(z, np.clip(z + step, 0.0, 1.0), before)
     rise = problem.costs(far)[1] - problem.costs(near)[1]
     gain = stuck.cost - problem.costs(0.5 * (z + near))[1]
     unit = squares_of(stuck.residuals) / problem.size
-    jumps = rise > _STUCK_SHARE * unit
-    return near, jumps, ~jumps & (gain <= _NEGLIGIBLE * unit)
+    jumps = rise > TUNING.stuck_share * unit
+    return near, jumps, ~jumps & (gain <= SAME * unit)
 
 
 def _at_jump(problem: Likelihood, near: Array) -> Minima:
@@ -192,14 +235,14 @@ def _step(
 ) -> tuple[Array, Array]:
     """Damped steps (K, n), and the decrease (K,) that undamped steps promise."""
     slope = np.einsum("kmn,km->kn", jacobian, residuals)
-    lower, upper = z <= BOUND_TOLERANCE, z >= 1.0 - BOUND_TOLERANCE
+    lower, upper = z <= ROUNDING, z >= 1.0 - ROUNDING
     stays = held | (lower & (slope > 0.0)) | (upper & (slope < 0.0))
     moving = np.where(stays[:, None, :], 0.0, jacobian)
     left, singular, right = np.linalg.svd(moving, full_matrices=False)
     along = np.einsum("kmi,km->ki", left, residuals)
     largest = singular[:, :1]
     mean = np.sqrt(np.mean(residuals**2, axis=1, keepdims=True))
-    visible = singular > np.maximum(1e-10 * largest, _UNSEEN_CHANGE * mean)
+    visible = singular > np.maximum(ROUNDING * largest, TUNING.unseen_change * mean)
     along = np.where(visible, along, 0.0)
     below = np.where(visible, singular**2 + damping[:, None] * largest**2, 1.0)
     step = -np.einsum("kin,ki->kn", right, along * singular / below)
@@ -216,20 +259,8 @@ MOST_STARTS = 10_000
 """Most random starts."""
 # Starts that go on, the best of those before, and for how many iterations more at most
 _LEGS = ((MOST_STARTS, 40), (5, 60), (3, 200))
-_REPLACEMENTS = 20  # Points that are tried for each start whose trajectories do not reach the data
-_SAME_COST = 0.2  # Difference of -2 log L below which starts ended at the same optimum
-_AGREEING_SHARE = 0.5  # Share of the starts at the same optimum from which it is believed
-_HOPS = 2  # Hops in vain after which they end, for each start
-_MOST_WORK = 5e10  # Operations of all hops
-_HOP_ITERATIONS = 40
-_HOP_GAIN = 0.01  # Decrease of -2 log L from which a hop is worth while
-_DRAWN = 4  # Places of which a hop takes the best
-_PASSED_SHARES = (0.25, 0.5, 0.75)  # Shares of the coordinates that another end passes on
-_DRAWN_COORDINATES = (0.0, 1.0, 3.0)  # Coordinates that are drawn anew, beside one
-_MOST_ENDS = 10  # Ends that are crossed
-_LEAST_PROMISE = 1.0  # Decrease of -2 log L below which a start is on a plateau
-_MORE = 3  # Ways that begin, for each that goes on where points are screened
-_FIRST_LEG = 8  # Their iterations
+SAME_COST = 0.2
+"""Difference of -2 log L below which starts ended at the same optimum."""
 
 
 def random_starts(count: int, n: int, seed: int) -> Array:
@@ -257,7 +288,7 @@ def descents(
     """
     generator = np.random.default_rng(seed)
     points = random_starts(count * screened, len(problem.names), seed)
-    replacements = _REPLACEMENTS if screened == 1 else 0
+    replacements = TUNING.replacements if screened == 1 else 0
     with nullcontext() if executor is None else open_pool(executor) as pool:
         shared = Shared("what is calibrated", problem, pool)
         first = shared.map(_expanded, [(z,) for z in points])
@@ -267,9 +298,9 @@ def descents(
         else:
             ways = [_way(at) for at in tried]
         _go_on(shared, ways)
-        agree = sum(way.at.cost <= ways[0].at.cost + _SAME_COST for way in ways)
-        if np.isfinite(ways[0].at.cost) and agree < _AGREEING_SHARE * count:
-            _hop(problem, ways, generator, _HOPS * count)
+        agree = sum(way.at.cost <= ways[0].at.cost + SAME_COST for way in ways)
+        if np.isfinite(ways[0].at.cost) and agree < TUNING.agreeing_share * count:
+            _hop(problem, ways, generator, TUNING.hops * count)
             _go_on(shared, ways)
     return ways
 
@@ -293,12 +324,12 @@ def _promising(
     shared: Shared[Expandable], problem: Expandable, tried: Sequence[Expansion], count: int
 ) -> list[Descent]:
     """So many ways that led lowest in a few iterations, of more that began apart."""
-    ways = [_way(at) for at in _apart(problem, tried)[: _MORE * count]]
-    ways = shared.map(_after, [(way, _FIRST_LEG) for way in ways])
+    ways = [_way(at) for at in _apart(problem, tried)[: TUNING.more * count]]
+    ways = shared.map(_after, [(way, TUNING.first_leg) for way in ways])
     ways.sort(key=lambda way: way.at.cost)
     costs = np.array([way.at.cost for way in ways])
     above = np.concatenate([[np.inf], np.diff(np.nan_to_num(costs, posinf=1e300))])
-    again = (above < _SAME_COST) & (costs > costs[0] + _SAME_COST)
+    again = (above < SAME_COST) & (costs > costs[0] + SAME_COST)
     ended = [bool(same and way.arrived) for same, way in zip(again, ways, strict=True)]
     order = sorted(range(len(ways)), key=lambda k: ended[k])
     return [ways[k] for k in order[:count]]
@@ -327,7 +358,7 @@ def _rank(problem: Expandable) -> Callable[[Expansion], tuple[bool, float]]:
 
     def rank(at: Expansion) -> tuple[bool, float]:
         radius = np.where(problem.nested, 1.0, FIRST_RADIUS)
-        flat = not np.isfinite(at.cost) or bounded_step(at, radius)[1] < _LEAST_PROMISE
+        flat = not np.isfinite(at.cost) or bounded_step(at, radius)[1] < TUNING.least_promise
         return flat, at.cost
 
     return rank
@@ -353,15 +384,15 @@ def _hop(
     """
     best, ends = ways[0], [way.at for way in ways if np.isfinite(way.at.cost)]
     with limited() as account:
-        in_vain, last = 0, account.done + _MOST_WORK
+        in_vain, last = 0, account.done + TUNING.most_work
         while in_vain < most and account.done < last:
-            drawn = [_crossed(best.at, ends, generator) for _ in range(_DRAWN)]
+            drawn = [_crossed(best.at, ends, generator) for _ in range(TUNING.drawn)]
             other = _way(min(map(problem.expanded, drawn), key=_rank(problem)))
-            other.go(problem, _HOP_ITERATIONS)
+            other.go(problem, TUNING.hop_iterations)
             best.iterations += other.iterations + 1
             gain = best.at.cost - other.at.cost
-            in_vain = 0 if gain > _SAME_COST else in_vain + 1
-            if gain > _HOP_GAIN:
+            in_vain = 0 if gain > SAME_COST else in_vain + 1
+            if gain > TUNING.hop_gain:
                 best.continue_from(other)
             if np.isfinite(other.at.cost):
                 ends = _different([*ends, other.at])
@@ -370,9 +401,9 @@ def _hop(
 def _crossed(best: Expansion, ends: Sequence[Expansion], generator: np.random.Generator) -> Array:
     """A place (n,) between the best end and another one."""
     z, n = best.z.copy(), best.z.size
-    passed = generator.random(n) < generator.choice(_PASSED_SHARES)
+    passed = generator.random(n) < generator.choice(TUNING.passed_shares)
     z[passed] = ends[int(generator.integers(len(ends)))].z[passed]
-    drawn = generator.random(n) < generator.choice(_DRAWN_COORDINATES) / n
+    drawn = generator.random(n) < generator.choice(TUNING.drawn_coordinates) / n
     drawn[generator.integers(n)] = True
     z[drawn] = generator.random(int(drawn.sum()))
     return z
@@ -382,9 +413,9 @@ def _different(ends: Sequence[Expansion]) -> list[Expansion]:
     """The best ends, one of each cost."""
     kept = list[Expansion]()
     for at in sorted(ends, key=lambda at: at.cost):
-        if not kept or at.cost > kept[-1].cost + _SAME_COST:
+        if not kept or at.cost > kept[-1].cost + SAME_COST:
             kept.append(at)
-    return kept[:_MOST_ENDS]
+    return kept[: TUNING.most_ends]
 
 
 def _usable(
@@ -409,16 +440,10 @@ def _usable(
 
 FIRST_RADIUS = 0.05
 """Half the width of the first box of trust, in widths of the bounds."""
-_LARGEST_RADIUS = 0.1
-_LEAST_RADIUS = 1e-7  # Half a width below which nothing moves any more
-_RIDGE = 1e-9  # Weight of the square of a first step, in squares of the largest column
-# Shares of the promised decrease below which the box shrinks, and above which it grows
-_POOR, _GOOD = 0.25, 0.75
-_SHRINKING, _GROWING = 0.25, 2.0
-_SETTLED = 1e-4  # Promised decrease of -2 log L below which a descent has arrived
-_STALLED = 1e-2  # Decrease of -2 log L over some iterations below which it gets nowhere
-_STALL_LENGTH = 20  # These iterations
-_TINY_STEP = 1e-12
+LARGEST_RADIUS = 0.1
+"""The same of the largest one."""
+LEAST_RADIUS = 1e-7
+"""Half a width below which nothing moves any more."""
 
 
 class Expansion(NamedTuple):
@@ -456,7 +481,7 @@ class Descent:
     at: Expansion
     start: Array
     radius: float = FIRST_RADIUS
-    largest: float = _LARGEST_RADIUS
+    largest: float = LARGEST_RADIUS
     iterations: int = 0
     arrived: bool = False
     costs: list[float] = field(default_factory=list)
@@ -478,20 +503,22 @@ class Descent:
         step, promised = bounded_step(at, np.where(problem.nested, 1.0, self.radius))
         self.iterations += 1
         length = float(np.abs(step[~problem.nested]).max(initial=0.0))
-        if promised <= _SETTLED or length <= _TINY_STEP:
+        if promised <= TUNING.settled or length <= LAST_DIGITS:
             self.arrived = True
             return
         trial = problem.expanded(np.clip(at.z + step, 0.0, 1.0))
         share = (at.cost - trial.cost) / promised if np.isfinite(trial.cost) else -np.inf
-        if share < _POOR:
-            self.radius = _SHRINKING * min(length, self.radius)
-        elif share > _GOOD and length >= 0.99 * self.radius:
-            self.radius = min(_GROWING * self.radius, self.largest)
+        if share < TUNING.poor:
+            self.radius = TUNING.shrinking * min(length, self.radius)
+        elif share > TUNING.good and length >= 0.99 * self.radius:
+            self.radius = min(TUNING.growing * self.radius, self.largest)
         if share > 0.0:
             self.at = trial
         self.costs.append(self.at.cost)
-        before = self.costs[-_STALL_LENGTH] if len(self.costs) >= _STALL_LENGTH else np.inf
-        self.arrived = self.radius <= _LEAST_RADIUS or before - self.at.cost <= _STALLED
+        before = (
+            self.costs[-TUNING.stall_length] if len(self.costs) >= TUNING.stall_length else np.inf
+        )
+        self.arrived = self.radius <= LEAST_RADIUS or before - self.at.cost <= TUNING.stalled
 
 
 def bounded_step(at: Expansion, radius: float | Array) -> tuple[Array, float]:
@@ -501,10 +528,10 @@ def bounded_step(at: Expansion, radius: float | Array) -> tuple[Array, float]:
     """
     scale = float(np.linalg.norm(at.jacobian, axis=0).max(initial=0.0)) or 1.0
     n = at.z.size
-    rows = np.concatenate([at.jacobian, np.sqrt(_RIDGE) * scale * np.eye(n)])
+    rows = np.concatenate([at.jacobian, np.sqrt(ROUNDING) * scale * np.eye(n)])
     right = np.concatenate([-at.residuals, np.zeros(n)])
-    lower = np.minimum(np.maximum(-radius, -at.z), -_TINY_STEP)
-    upper = np.maximum(np.minimum(radius, 1.0 - at.z), _TINY_STEP)
+    lower = np.minimum(np.maximum(-radius, -at.z), -LAST_DIGITS)
+    upper = np.maximum(np.minimum(radius, 1.0 - at.z), LAST_DIGITS)
     step = scipy.optimize.lsq_linear(rows, right, (lower, upper), method="bvls").x
     step = np.clip(at.z + step, 0.0, 1.0) - at.z
     after = at.residuals + at.jacobian @ step

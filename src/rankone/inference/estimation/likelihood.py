@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import Predicted, Seeds, Trial, failures_of
 from rankone.inference.estimation.formulas import linear_names, value_of, with_shape
-from rankone.inference.estimation.free_parameters import BOUND_TOLERANCE, FreeParameters, Range
+from rankone.inference.estimation.free_parameters import ROUNDING, SAME, TINY, FreeParameters, Range
 from rankone.inference.estimation.noise import Terms, log_likelihood, terms
 from rankone.inference.estimation.observations import MISSPELT, check_levels
 from rankone.support.arrays import Array
@@ -22,11 +22,10 @@ from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.distributions import Measure
 
 # Rounds of linear parameters and levels of noise in turn, where states are known
+# Step of second differences of a prior, in widths of the interval: truncation near rounding
+_PRIOR_STEP = float(np.finfo(float).eps ** 0.25)
 START_ROUNDS = 6  # For a start
 _STEP_ROUNDS = 2  # After a step of a search, which begins close
-# Step of differences of a prior, in widths of the interval: truncation near rounding
-_PRIOR_STEP = 1e-4
-_LEAST_CURVATURE = 1e-8  # Least curvature of a prior, in units of 1/width^2: it may be uniform
 Held = NDArray[np.bool_] | None
 """Coordinates (K, n) that keep their values."""
 
@@ -258,7 +257,7 @@ class Likelihood:
         values = self.free.values(z)
         if self.unit_known:
             return self.log_likelihood(values)
-        variance = max(cost / self.size, 1e-300)
+        variance = max(cost / self.size, TINY)
         unit = self.log_likelihood(values) + 0.5 * cost
         return unit - 0.5 * self.size * (math.log(variance) + 1.0)
 
@@ -306,7 +305,7 @@ class Likelihood:
                     self._move_linear(values, states, kept, linear)
                 if self.groups:
                     self._move_levels(values, states, kept)
-                if not self.groups or np.allclose(values, before, rtol=BOUND_TOLERANCE, atol=0.0):
+                if not self.groups or np.allclose(values, before, rtol=ROUNDING, atol=0.0):
                     break
         return values
 
@@ -375,7 +374,7 @@ class Likelihood:
             logs = measure.distribution.logpdf(self.free.unclipped(ends)[..., j])
             slope = -(logs[2] - logs[0]) / (2.0 * _PRIOR_STEP)
             bend = -(logs[2] - 2.0 * logs[1] + logs[0]) / _PRIOR_STEP**2
-            root = np.sqrt(np.where(np.isfinite(bend), np.maximum(bend, _LEAST_CURVATURE), 1.0))
+            root = np.sqrt(np.where(np.isfinite(bend), np.maximum(bend, ROUNDING), 1.0))
             rho[:, q] = np.where(np.isfinite(slope), slope, 0.0) / root
             rows[:, q, j] = root
         return rho, rows
@@ -462,12 +461,11 @@ def level_uncertainty(
 
 
 # Levels of noise that are looked for, in shares of the size of the data
-_LEAST_LEVEL, _LARGEST_LEVEL = 1e-6, 10.0
+_LARGEST_LEVEL = 10.0
 # Share of the screened points, the best, whose linear parameters say how large these are
 _GOOD_SHARE = 0.25
-# Rise of -2 log L without a level of noise below which the data do not need it
-_IDLE_RISE = 0.02
-_NOTHING = 1e-9  # Predictions and noise below this share of the largest ones are none
+UNNOTICED = 0.02
+"""Change of -2 log L that says nothing against it."""
 _MARGIN = 2.0  # Margin of their interval to both sides, in lengths of what those points have
 
 
@@ -541,7 +539,7 @@ def _level_range(name: str, trials: Sequence[Trial]) -> Range:
                 relative |= name in noise.relative
                 absolute |= name not in noise.relative or len(noise.relative) == len(noise.levels)
     sizes = [1.0] * relative + [size or 1.0] * absolute
-    return Range(_LEAST_LEVEL * min(sizes), _LARGEST_LEVEL * max(sizes), True)
+    return Range(SAME * min(sizes), _LARGEST_LEVEL * max(sizes), True)
 
 
 def _check_spelling(name: str, trial: Trial) -> None:
@@ -606,7 +604,7 @@ def vanishing_noise(trial: Trial, i: int, one: Predicted, data: Array) -> NDArra
         sizes = np.abs(np.broadcast_to(rows, (len(rows), data.size)))
         largest = sizes.max(axis=1, keepdims=True)
         shares = np.divide(sizes, largest, out=np.zeros(sizes.shape), where=largest > 0.0)
-        return np.asarray(shares.max(axis=0) <= max(_NOTHING, error))
+        return np.asarray(shares.max(axis=0) <= max(ROUNDING, error))
 
     silent = none(value_of(one.sigma)) | none(data[None])
     return none(value_of(one.value)) & silent
@@ -629,7 +627,7 @@ def idle_levels(
                 continue
             lowest = z.copy()
             lowest[j] = 0.0
-            if problem.costs(lowest[None])[1][0] <= cost + _IDLE_RISE:
+            if problem.costs(lowest[None])[1][0] <= cost + UNNOTICED:
                 idle[free.names[j]] = 0.0
                 break
     return idle

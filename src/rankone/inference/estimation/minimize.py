@@ -17,12 +17,15 @@ from scipy.spatial import cKDTree
 from rankone.inference.estimation.experiments import failure_of
 from rankone.inference.estimation.fitted_models import model_of
 from rankone.inference.estimation.free_parameters import (
+    SAME,
+    STEP,
     Bounds,
     FreeParameters,
     ParameterValues,
     free_parameters,
 )
 from rankone.inference.estimation.observations import checked_times, state_name
+from rankone.inference.estimation.search import DISTINCT_DISTANCE
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.budget import NORMAL, operations_for
@@ -31,27 +34,41 @@ from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
 from rankone.support.wording import count, quote, shown
 
-# Points all over the box at which the objective is evaluated first, for normal effort
-_SCREENED_POINTS = 1024
-_MOST_SCREENED_POINTS = 2**17  # Most of these points, whatever the effort
-_MOST_CORNERS = 64  # Most corners of the box among these points
-_MOST_STARTS = 256  # Most searches from basins, whatever the effort
-# Searches from basins of the sample, for each search from the last generation
-_FIRST_PER_SECOND_SEARCH = 2
-_GENERATIONS = 30  # Generations of differential evolution, for normal effort
-_POPULATION = 32  # Points of a generation
-# Range of the factors of differences, around the 0.5 to 0.8 that Storn and Price advise
-_DIFFERENCE_FACTORS = (0.4, 0.9)
-_CROSSED_SHARE = 0.6  # Share of the coordinates that are exchanged
-_SEED = 7  # Of the shifted Sobol sequence and of differential evolution: a call repeats itself
-_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which points are in different basins
-# Difference of objectives, in shares of their range over the box, that counts as none
-_SAME_OBJECTIVE = 1e-6
-_MISSED_WEIGHT = 1e3  # Weight of constraints that are missed, beside the scaled objective
-# How far a constraint may be missed, in units of the spread of its unknown over the box
-_FEASIBLE_MISS = 1e-6
-_TOLERANCES = (1e-12, 1e-9, 1e-7)  # Tolerances of the scaled objective, one after the other
-_MOST_ITERATIONS = 300  # Most iterations of one search with one tolerance
+
+@dataclass(frozen=True)
+class MinimizeTuning:
+    """Tuning of the search for the best parameters of a box."""
+
+    screened_points: int = 1024
+    """Points all over the box at which the objective is evaluated first, for normal effort."""
+    most_screened_points: int = 2**17
+    """Most of these points, whatever the effort."""
+    most_corners: int = 64
+    """Most corners of the box among these points."""
+    most_starts: int = 256
+    """Most searches from basins, whatever the effort."""
+    first_per_second_search: int = 2
+    """Searches from basins of the sample, for each search from the last generation."""
+    generations: int = 30
+    """Generations of differential evolution, for normal effort."""
+    population: int = 32
+    """Points of a generation."""
+    difference_factors: tuple[float, float] = (0.4, 0.9)
+    """Range of the factors of differences, around the 0.5 to 0.8 that Storn and Price advise."""
+    crossed_share: float = 0.6
+    """Share of the coordinates that are exchanged."""
+    seed: int = 7
+    """Of the shifted Sobol sequence and of differential evolution: a call repeats itself."""
+    missed_weight: float = 1e3
+    """Weight of constraints that are missed, beside the scaled objective."""
+    tolerances: tuple[int, int, int] = (1e-12, 1e-9, 1e-7)
+    """Tolerances of the scaled objective, one after the other."""
+    most_iterations: int = 300
+    """Most iterations of one search with one tolerance."""
+
+
+TUNING = MinimizeTuning()
+
 _GLOBAL = "; it is the best of the box as far as it was sampled"
 _LOCAL = "; it may be a local one"
 _LOCAL_REMEDY = "raise effort, or narrow the bounds"
@@ -167,7 +184,7 @@ def minimize(
     if sense not in ("min", "max"):
         raise OptionError(f"sense={sense!r} is unknown", remedy='choose "min" or "max"')
     free = free_parameters([self], fixed, bounds, start)
-    starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
+    starts = checked_number("starts", starts, 0 if start is not None else 1, TUNING.most_starts)
     times, one = checked_times(self, t), t is None or np.ndim(t) == 0
     function = objective if is_function(objective) else None
     names = [state_name(self, objective)] if function is None else list(self.states)
@@ -180,10 +197,10 @@ def minimize(
     sign = 1.0 if sense == "min" else -1.0
     goal = Objective(States(self, names, times, free), function, sign, one)
     factor = operations_for(effort) / NORMAL
-    starts = min(math.ceil(factor * starts), _MOST_STARTS)
-    screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
+    starts = min(math.ceil(factor * starts), TUNING.most_starts)
+    screened = min(math.ceil(factor * TUNING.screened_points), TUNING.most_screened_points)
     points = _screened(screened, len(free.names))
-    limits = constraints_of(self, constraints, t, free, points[:_MOST_STARTS])
+    limits = constraints_of(self, constraints, t, free, points[: TUNING.most_starts])
     objectives = goal.many(points)
     usable = np.isfinite(objectives)
     if not usable.any():
@@ -197,8 +214,8 @@ def minimize(
     if starts:
         ends = np.array([minimum.z for minimum in minima])
         pool = np.concatenate([ends, points]), np.concatenate([merit(ends), merits])
-        descendants = _evolved(merit, *pool, math.ceil(factor * _GENERATIONS))
-        most = -(-starts // _FIRST_PER_SECOND_SEARCH)
+        descendants = _evolved(merit, *pool, math.ceil(factor * TUNING.generations))
+        most = -(-starts // TUNING.first_per_second_search)
         minima += [merit.search(point) for point in descendants[:most]]
     best = _optimum(merit, minima, len(lowest) <= starts)
     if self.success:
@@ -219,7 +236,7 @@ class _Minimum:
 
     def as_good_as(self, best: _Minimum) -> bool:
         """Whether a search ended at a minimum that is as good as the best one."""
-        equal = self.objective <= best.objective + _SAME_OBJECTIVE
+        equal = self.objective <= best.objective + SAME
         return self.missed <= best.missed and equal
 
 
@@ -235,7 +252,7 @@ class _Merit:
         objectives = self.goal.many(points) if objectives is None else objectives
         merits = self.goal.sign * objectives / self.goal.scale
         for limit in self.limits:
-            merits = merits + _MISSED_WEIGHT * limit.missed(points)
+            merits = merits + TUNING.missed_weight * limit.missed(points)
         return np.where(np.isfinite(merits), merits, np.inf)
 
     def search(self, start: Array) -> _Minimum:
@@ -244,7 +261,7 @@ class _Merit:
         If rounding stops it early, it goes on with a tolerance that it can meet.
         """
         inequalities = [{"type": "ineq", "fun": c.margins, "jac": c.slopes} for c in self.limits]
-        for tolerance in _TOLERANCES:
+        for tolerance in TUNING.tolerances:
             end = scipy_minimize(
                 self.goal,
                 start,
@@ -252,13 +269,13 @@ class _Merit:
                 method="SLSQP",
                 bounds=[(0.0, 1.0)] * start.size,
                 constraints=inequalities,
-                options={"ftol": tolerance, "maxiter": _MOST_ITERATIONS},
+                options={"ftol": tolerance, "maxiter": TUNING.most_iterations},
             )
             z = start = np.clip(end.x, 0.0, 1.0)
             if end.success:
                 break
         missed = max((float(-limit.margins(z).min()) for limit in self.limits), default=0.0)
-        missed = missed if missed > _FEASIBLE_MISS else 0.0
+        missed = missed if missed > SAME else 0.0
         objective = float(end.fun) if math.isfinite(end.fun) else math.inf
         return _Minimum(z, objective, missed, bool(end.success), str(end.message))
 
@@ -314,9 +331,9 @@ def _message(merit: _Merit, best: _Minimum, ended: str, is_global: bool) -> str:
 
 def _screened(count: int, d: int) -> Array:
     """Points (N, d) of the unit cube: centre, corners, and ``count`` of a shifted Sobol points."""
-    corners = itertools.islice(itertools.product((0.0, 1.0), repeat=d), _MOST_CORNERS)
+    corners = itertools.islice(itertools.product((0.0, 1.0), repeat=d), TUNING.most_corners)
     sequence = scipy.stats.qmc.Sobol(d, scramble=False).random_base2(max(count - 1, 1).bit_length())
-    shifted = (sequence[:count] + np.random.default_rng(_SEED).random(d)) % 1.0
+    shifted = (sequence[:count] + np.random.default_rng(TUNING.seed).random(d)) % 1.0
     return np.concatenate([np.full((1, d), 0.5), np.array(list(corners)), shifted])
 
 
@@ -339,14 +356,14 @@ def _evolved(
 
     The best of the points (N, d), by their merits (N,), are the first generation.
     """
-    generator = np.random.default_rng(_SEED)
-    chosen = np.argsort(merits, kind="stable")[:_POPULATION]
+    generator = np.random.default_rng(TUNING.seed)
+    chosen = np.argsort(merits, kind="stable")[: TUNING.population]
     population, best_merits = points[chosen], merits[chosen]
     m, d = population.shape
     for _ in range(generations):
         base, plus, minus = (population[generator.permutation(m)] for _ in range(3))
-        trial = base + generator.uniform(*_DIFFERENCE_FACTORS, (m, 1)) * (plus - minus)
-        crossed = generator.random((m, d)) < _CROSSED_SHARE
+        trial = base + generator.uniform(*TUNING.difference_factors, (m, 1)) * (plus - minus)
+        crossed = generator.random((m, d)) < TUNING.crossed_share
         crossed[np.arange(m), generator.integers(0, d, m)] = True
         outside = (trial < 0.0) | (trial > 1.0)
         trial = np.where(outside, generator.random((m, d)), trial)
@@ -357,7 +374,7 @@ def _evolved(
         best_merits = np.where(better, trial_merits, best_merits)
     apart: list[Array] = []
     for point in population[np.argsort(best_merits, kind="stable")]:
-        if all(np.abs(point - end).max() > _DISTINCT_DISTANCE for end in apart):
+        if all(np.abs(point - end).max() > DISTINCT_DISTANCE for end in apart):
             apart.append(point)
     return apart
 
@@ -374,8 +391,6 @@ Limits = Mapping[Any, Sequence[ArrayLike | None]] | None
 """For unknowns, names or symbols, lower and upper limits, and perhaps times."""
 
 _NUMBERS_AT_ONCE = 2_000_000  # Numbers of states that are held together, 16 MB
-# Step of differences along a tangent, in widths of the cube: truncation near rounding
-_DIFFERENCE_STEP = 1e-6
 
 
 class States:
@@ -477,11 +492,11 @@ class Objective:
         gradient = np.empty(z.size)
         for j in range(z.size):  # along the tangent: the unknowns move with the parameter
             step = np.zeros(z.size)
-            step[j] = _DIFFERENCE_STEP
-            change = slopes[:, :, j] * _DIFFERENCE_STEP
+            step[j] = STEP
+            change = slopes[:, :, j] * STEP
             ahead = self.at(states + change, z + step, inside=False)
             behind = self.at(states - change, z - step, inside=False)
-            gradient[j] = (ahead - behind) / (2.0 * _DIFFERENCE_STEP)
+            gradient[j] = (ahead - behind) / (2.0 * STEP)
         return factor * self.at(states, z), factor * gradient
 
 

@@ -26,6 +26,7 @@ from rankone.inference.estimation.formulas import (
     slope_of,
     value_of,
 )
+from rankone.inference.estimation.free_parameters import ROUNDING
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, quote, shown
@@ -49,7 +50,6 @@ NOISES = tuple(_STANDARD_DEVIATIONS)
 """The kinds of noise that ``noise=`` takes."""
 # Factors by which levels change to see whether the standard deviation changes as much
 _HOMOGENEITY_FACTOR = 2.0
-_HOMOGENEITY_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Noise:
             for name, x in at.items()
         }
         ratio = float(self.formula(more)) / float(self.formula(at))
-        return abs(ratio - _HOMOGENEITY_FACTOR) < _HOMOGENEITY_TOLERANCE
+        return abs(ratio - _HOMOGENEITY_FACTOR) < ROUNDING
 
     def selected(self, present: NDArray[np.bool_]) -> Noise:
         """The noise of some of the data."""

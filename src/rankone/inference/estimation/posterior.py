@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 from rankone.inference.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
 from rankone.inference.estimation.experiments import trial_of
 from rankone.inference.estimation.fit import Fit
-from rankone.inference.estimation.free_parameters import Bounds, FreeParameters
+from rankone.inference.estimation.free_parameters import (
+    LAST_DIGITS,
+    ROUNDING,
+    TINY,
+    Bounds,
+    FreeParameters,
+)
 from rankone.inference.estimation.least_squares import minima_across_jumps
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.observations import Measurements, Sigma
@@ -31,20 +37,32 @@ from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.distributions import Distribution, Measure, from_text
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
 
-_MOST_STEPS = 10**6  # Most steps of a chain
-_MOST_CHAINS = 1000  # More chains than this are a mistake
-_POINTS_AT_ONCE = 8192  # Points at which the density is evaluated at once, by one worker
-# Most parameters for quadrature: the number of cells grows with its power
-_MOST_QUADRATURE_PARAMETERS = 3
-_ACCURATE = 1e-3  # Error of integrals up to which the quadrature counts as exact
-# Change of the data by smaller ranks, in standard deviations of the noise: below notice
-_UNNOTICED_CHANGE = 1e-4
-_MODE_STARTS = 24  # Starts of searches for modes
-# Depth below the best mode at which other modes are left out, in standard deviations
-_MODE_DEPTH = 6.0
-_DRAWN_POINTS = 400  # Random points around the modes that guide the first cells
-# Distance from the ends of an interval, in widths: a density may be infinite there
-_END_DISTANCE = 1e-9
+
+@dataclass(frozen=True)
+class PosteriorTuning:
+    """Tuning of posteriors, and the largest numbers that they take."""
+
+    most_steps: int = 10**6
+    """Most steps of a chain."""
+    most_chains: int = 1000
+    """More chains than this are a mistake."""
+    points_at_once: int = 8192
+    """Points at which the density is evaluated at once, by one worker."""
+    most_quadrature_parameters: int = 3
+    """Most parameters for quadrature: the number of cells grows with its power."""
+    accurate: float = 1e-3
+    """Error of integrals up to which the quadrature counts as exact."""
+    unnoticed_change: float = 1e-4
+    """Change of the data by smaller ranks, in standard deviations of the noise: below notice."""
+    mode_starts: int = 24
+    """Starts of searches for modes."""
+    mode_depth: float = 6.0
+    """Depth below the best mode at which other modes are left out, in standard deviations."""
+    drawn_points: int = 400
+    """Random points around the modes that guide the first cells."""
+
+
+TUNING = PosteriorTuning()
 
 
 @dataclass(frozen=True)
@@ -64,12 +82,12 @@ class LogPosterior:
         _, costs = self.problem.costs(z)
         logs = -0.5 * costs
         if not self.problem.unit_known:
-            logs = -0.5 * self.problem.size * np.log(np.maximum(costs, 1e-300))
+            logs = -0.5 * self.problem.size * np.log(np.maximum(costs, TINY))
         free = self.problem.free
         points, slopes = free.values(z), free.slopes(z)
         for j, measure in enumerate(self.measures):
             if measure.distribution is not None:
-                near = _END_DISTANCE * (measure.upper - measure.lower)
+                near = ROUNDING * (measure.upper - measure.lower)
                 at = np.clip(points[:, j], measure.lower + near, measure.upper - near)
                 with np.errstate(divide="ignore"):
                     logs = logs + measure.distribution.logpdf(at)
@@ -282,8 +300,8 @@ def posterior(
         If emcee is needed and not installed.
     """
     seed = checked_number("seed", seed, 0)
-    steps = checked_number("steps", steps, 100, _MOST_STEPS)
-    chains = checked_number("chains", chains, 1, _MOST_CHAINS)
+    steps = checked_number("steps", steps, 100, TUNING.most_steps)
+    chains = checked_number("chains", chains, 1, TUNING.most_chains)
     best = fit(
         self,
         times,
@@ -320,8 +338,8 @@ def posterior_of(
     if not isinstance(fit, Fit):
         raise OptionError(f"{shown(fit)} is not a Fit", term=fit, remedy="give what a fit returned")
     seed = checked_number("seed", seed, 0)
-    steps = checked_number("steps", steps, 100, _MOST_STEPS)
-    chains = checked_number("chains", chains, 1, _MOST_CHAINS)
+    steps = checked_number("steps", steps, 100, TUNING.most_steps)
+    chains = checked_number("chains", chains, 1, TUNING.most_chains)
     wanted = None if executor is None else checked_executor("executor", executor)
     priors = by_name("prior", prior, fit._problem.free.order)
     log_density = LogPosterior(_without_fixed(fit), _priors(fit, priors))
@@ -331,7 +349,7 @@ def posterior_of(
     boxed = limits if names else ""
     with nullcontext() if wanted is None else open_pool(wanted) as pool:
         shared = Shared("the posterior density", log_density, pool)
-        if len(log_density.measures) > _MOST_QUADRATURE_PARAMETERS:
+        if len(log_density.measures) > TUNING.most_quadrature_parameters:
             seeds = [seed, *np.random.SeedSequence(seed).generate_state(chains - 1).tolist()]
             tasks = [(likely, each, steps) for each in seeds]
             links = Chain.of(shared.map(chain, tasks))
@@ -339,11 +357,11 @@ def posterior_of(
             return Posterior(fit, "mcmc", math.nan, links.success, message, log_density, links)
 
         def logs(z: Array) -> Array:
-            blocks = np.array_split(z, len(z) // _POINTS_AT_ONCE + 1)
+            blocks = np.array_split(z, len(z) // TUNING.points_at_once + 1)
             return np.concatenate(shared.map(LogPosterior.__call__, [(each,) for each in blocks]))
 
         cells, evidence = adapted(logs, likely, extents)
-    success = bool(cells.error <= _ACCURATE)
+    success = bool(cells.error <= TUNING.accurate)
     message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:
         remedy = "restrict the box to where the density is, or fix parameters"
@@ -388,7 +406,7 @@ def _without_fixed(fit: Fit) -> Likelihood:
         plain = all(formula.is_name for formula in trial.observations.formulas)
         if plain and alone.rows == tuple((f.names[0],) for f in trial.observations.formulas):
             scale = np.divide(1.0, noise, out=np.ones(noise.size), where=noise > 0.0)
-            model = alone.model.thinned(scale, _UNNOTICED_CHANGE)
+            model = alone.model.thinned(scale, TUNING.unnoticed_change)
             alone = replace(alone, model=model)
         trials.append(alone)
     return replace(fit._problem, trials=tuple(trials), priors=())
@@ -398,19 +416,19 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
     """Points where the posterior is large (k, n), and its extents there (n,), others held."""
     problem, n = log_density.problem, len(log_density.measures)
     generator = np.random.default_rng(11)
-    unit = max(fit._unit, 1e-12) if math.isfinite(fit._unit) else 1.0
-    starts = np.vstack([fit._best.z, spread(_MODE_STARTS, n, generator)])
+    unit = max(fit._unit, LAST_DIGITS) if math.isfinite(fit._unit) else 1.0
+    starts = np.vstack([fit._best.z, spread(TUNING.mode_starts, n, generator)])
     minima = minima_across_jumps(problem, starts)
-    good = minima.cost <= minima.cost.min() + _MODE_DEPTH**2 * unit**2
+    good = minima.cost <= minima.cost.min() + TUNING.mode_depth**2 * unit**2
     near, extents = [], np.ones(n)
     for z, jacobian in zip(minima.z[good], minima.jacobian[good], strict=True):
-        slopes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+        slopes = np.maximum(np.linalg.norm(jacobian, axis=0), LAST_DIGITS)
         extents = np.minimum(extents, unit / slopes)
         _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-        root = right.T * np.minimum(unit / np.maximum(singular, 1e-12), 1.0)
-        normal = generator.standard_normal((_DRAWN_POINTS // good.sum(), len(root.T)))
+        root = right.T * np.minimum(unit / np.maximum(singular, LAST_DIGITS), 1.0)
+        normal = generator.standard_normal((TUNING.drawn_points // good.sum(), len(root.T)))
         near.append(z + normal @ root.T)
-    wide = generator.random((8 * _DRAWN_POINTS, n))
+    wide = generator.random((8 * TUNING.drawn_points, n))
     centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in log_density.measures]
     prior = problem.free.places(np.array(centres).T)
     points = np.vstack([minima.z[good], np.clip(np.vstack(near), 0.0, 1.0), prior, wide])
@@ -426,4 +444,4 @@ def _spreads(measures: tuple[Measure, ...], free: FreeParameters) -> Array:
     ends = np.array([measure.sample(np.array([0.16, 0.84])) for measure in measures]).T
     low, high = free.places(ends)
     informed = np.array([measure.distribution is not None for measure in measures])
-    return np.where(informed, np.maximum(0.5 * (high - low), 1e-12), 1.0)
+    return np.where(informed, np.maximum(0.5 * (high - low), LAST_DIGITS), 1.0)

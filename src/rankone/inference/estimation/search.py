@@ -13,6 +13,7 @@ from rankone.inference.estimation.estimates import leverages_of
 from rankone.inference.estimation.experiments import Experiment, Trial, failures_of, trials_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.free_parameters import (
+    ROUNDING,
     Bounds,
     ParameterValues,
     free_parameters,
@@ -374,7 +375,8 @@ def _starts(problem: Likelihood, starts: int, points: Array) -> Array:
 # The minimum that a fit reports, and what is said of it.
 
 
-_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which minima are different ones
+DISTINCT_DISTANCE = 1e-2
+"""Distance in the cube above which minima are different ones."""
 _EQUAL_COST_SHARE = 1e-3  # Difference of costs, in shares of the mean square, that counts as none
 _SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 _LEAST_FREEDOM = 0.5  # Least degrees of freedom of a level of noise that is corrected for them
@@ -497,10 +499,10 @@ def _others(
     """
     chosen = [ends.z[k]]
     values = [j for j in range(len(problem.free.names)) if j not in problem.levels]
-    margin = max(limit, 1e-9 * abs(float(ends.cost[k])))
+    margin = max(limit, ROUNDING * abs(float(ends.cost[k])))
     for z, cost, ended in zip(ends.z, ends.cost, ends.converged, strict=True):
         apart = all(
-            np.abs(z - minimum)[values].max(initial=0.0) > _DISTINCT_DISTANCE for minimum in chosen
+            np.abs(z - minimum)[values].max(initial=0.0) > DISTINCT_DISTANCE for minimum in chosen
         )
         if ended and apart and cost <= ends.cost[k] + margin:
             chosen.append(z)

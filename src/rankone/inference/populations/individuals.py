@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.formulas import Dual, Operand, value_of, with_shape
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING
 from rankone.inference.estimation.noise import terms
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
@@ -23,13 +24,29 @@ from rankone.support.arrays import Array
 
 MOST_STEPS = 60
 """Most steps of the search for the random effects."""
-_STEPS_TOGETHER = 4  # Steps after which subjects that have converged are left out
-_LEAST_DECREMENT = 1e-10  # Squared length of a step, in standard deviations of eta, that ends
-_DAMPING_FACTOR = 6.0
-_LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
-_ROUNDING = 1e-12  # Relative increase of the sum that is rounding
-_TRUSTED_CURVATURES = (0.2, 20.0)  # Second derivatives, in units of the expected ones
-_LEAST_COSINE = 1e-8  # Of the angle between a step and what a secant update adds
+
+
+@dataclass(frozen=True)
+class EffectTuning:
+    """Tuning of the search for random effects."""
+
+    steps_together: int = 4
+    """Steps after which subjects that have converged are left out."""
+    least_decrement: float = 1e-10
+    """Squared length of a step, in standard deviations of eta, that ends."""
+    damping_factor: float = 6.0
+    """Factor on the damping after a step in vain."""
+    least_damping: float = 1e-3
+    """Damping below which there is none."""
+    most_damping: float = 1e9
+    """Largest damping."""
+    trusted_curvatures: tuple[float, float] = (0.2, 20.0)
+    """Second derivatives, in units of the expected ones."""
+    least_cosine: float = 1e-8
+    """Of the angle between a step and what a secant update adds."""
+
+
+TUNING = EffectTuning()
 
 
 class Start(NamedTuple):
@@ -199,10 +216,10 @@ class EmpiricalBayes:
         go on without the others.
         """
         descent = _Descent(self, psi, start)
-        for _ in range(min(steps, _STEPS_TOGETHER)):
+        for _ in range(min(steps, TUNING.steps_together)):
             if not descent.advance():
                 return descent.individuals
-        individuals, rest = descent.individuals, steps - _STEPS_TOGETHER
+        individuals, rest = descent.individuals, steps - TUNING.steps_together
         which = np.flatnonzero(~individuals.converged.all(axis=0))
         if rest <= 0:
             return individuals
@@ -215,7 +232,7 @@ class EmpiricalBayes:
         """For each subject and parameter -1 or 1 at an end of the box, else 0: (n, E)."""
         place = self.layout.typical(psi[None])[0]
         place[:, list(self.layout.random)] += eta
-        slack = 1e-9 * (self.upper - self.lower)
+        slack = ROUNDING * (self.upper - self.lower)
         at_upper, at_lower = place >= self.upper - slack, place <= self.lower + slack
         return np.asarray(at_upper.astype(int) - at_lower.astype(int))
 
@@ -254,12 +271,12 @@ class _Descent:
     def advance(self) -> bool:
         """Take a step where it lowers the sum; False once all have converged."""
         step, whitened, decrement = self._step()
-        self.converged |= (decrement < _LEAST_DECREMENT) & np.isfinite(self.here.cost)
+        self.converged |= (decrement < TUNING.least_decrement) & np.isfinite(self.here.cost)
         if self.converged.all():
             return False
         there = self._at(self.eta + step)
         before = self.here.cost + _squared(self.whitened)
-        better = there.cost + _squared(whitened) <= before + _ROUNDING * np.abs(before)
+        better = there.cost + _squared(whitened) <= before + LAST_DIGITS * np.abs(before)
         better &= np.isfinite(there.cost)
         change = (there.gradient - self.here.gradient)[..., self.random]
         self.correction = _secant(
@@ -268,8 +285,12 @@ class _Descent:
         self.eta = np.where(better[..., None], self.eta + step, self.eta)
         self.whitened = np.where(better[..., None], whitened, self.whitened)
         self.here = _chosen(better, there, self.here)
-        eased = np.where(self.damping > _LEAST_DAMPING, self.damping / _DAMPING_FACTOR**2, 0.0)
-        raised = np.clip(self.damping * _DAMPING_FACTOR, _LEAST_DAMPING, _MOST_DAMPING)
+        eased = np.where(
+            self.damping > TUNING.least_damping, self.damping / TUNING.damping_factor**2, 0.0
+        )
+        raised = np.clip(
+            self.damping * TUNING.damping_factor, TUNING.least_damping, TUNING.most_damping
+        )
         self.damping = np.where(better, eased, raised)
         return True
 
@@ -349,7 +370,7 @@ def _solved(fisher: Array, correction: Array, damping: Array, right: Array) -> t
     root = np.linalg.cholesky(fisher)
     across = np.linalg.solve(root, np.linalg.solve(root, correction).swapaxes(-1, -2))
     curvatures, vectors = np.linalg.eigh(np.eye(fisher.shape[-1]) + across)
-    curvatures = np.clip(curvatures, *_TRUSTED_CURVATURES)
+    curvatures = np.clip(curvatures, *TUNING.trusted_curvatures)
     along = (vectors.swapaxes(-1, -2) @ np.linalg.solve(root, right[..., None]))[..., 0]
     damped = (along / (curvatures + damping[..., None]))[..., None]
     solution = np.linalg.solve(root.swapaxes(-1, -2), vectors @ damped)[..., 0]
@@ -369,7 +390,7 @@ def _secant(
         along = (lacking * step).sum(axis=-1)
         lengths = np.linalg.norm(lacking, axis=-1) * np.linalg.norm(step, axis=-1)
         update = lacking[..., :, None] * lacking[..., None, :] / along[..., None, None]
-        sound = taken & (np.abs(along) > _LEAST_COSINE * lengths)
+        sound = taken & (np.abs(along) > TUNING.least_cosine * lengths)
         sound &= np.asarray(np.isfinite(update).all(axis=(-1, -2)))
     return np.where(sound[..., None, None], correction + update, correction)
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import failure_of
+from rankone.inference.estimation.free_parameters import ROUNDING, TINY
 from rankone.inference.populations.individuals import (
     MOST_STEPS,
     EmpiricalBayes,
@@ -29,7 +30,46 @@ from rankone.support.arrays import Array, spread
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import quote
 
-_POINTS_AT_ONCE = 256  # Population parameters that are evaluated together, to bound memory
+
+@dataclass(frozen=True)
+class PopulationTuning:
+    """Tuning of the marginal likelihood and of the search for its optimum."""
+
+    points_at_once: int = 256
+    """Population parameters that are evaluated together, to bound memory."""
+    step: float = 1e-3
+    """Displacements in standard deviations of a coordinate, or of logarithms of levels."""
+    least_curvature: float = 1e-3
+    """Of second derivatives, in units of the expected ones."""
+    screened_points: int = 512
+    """Points of the box that are tried for each subject."""
+    farthest_datum: float = 1e8
+    """Squared distance of data in estimated deviations that no curve explains."""
+    expectations: int = 12
+    """Steps of expectation and maximisation."""
+    steps_each: int = 4
+    """Steps of the random effects in each of them."""
+    start_spread: float = 0.15
+    """Standard deviation of random effects at the start, in widths of the box."""
+    start_relative: float = 0.2
+    """Levels of noise at the start, in shares of the data."""
+    least_spread: float = 1e-3
+    """Least standard deviation of a random effect in the first steps."""
+    most_iterations: int = 40
+    """Most quasi-Newton steps."""
+    converged: float = 1e-8
+    """Expected gain in -2 log L that ends the search."""
+    hessian_step: float = 0.05
+    """Displacements in standard errors."""
+    first_steps: float = 0.1
+    """Standard errors of all population parameters that are assumed at first."""
+    longest_step: float = 3.0
+    """Longest step in standard errors of any parameter."""
+    curvature_floor: float = 1e-4
+    """Least curvature in a step, in units of the expected ones."""
+
+
+TUNING = PopulationTuning()
 
 
 @dataclass(frozen=True)
@@ -45,8 +85,10 @@ class Marginal:
 
     def values(self, psi: Array, start: Start) -> Array:
         """-2 log L (K,) at psi (K, P), block after block."""
-        blocks = range(0, len(psi), _POINTS_AT_ONCE)
-        return np.concatenate([self.at(psi[k : k + _POINTS_AT_ONCE], start)[0] for k in blocks])
+        blocks = range(0, len(psi), TUNING.points_at_once)
+        return np.concatenate(
+            [self.at(psi[k : k + TUNING.points_at_once], start)[0] for k in blocks]
+        )
 
     def slopes(self, psi: Array, individuals: Individuals) -> Slopes:
         """The derivatives at psi (K, P), where the random effects are at their modes."""
@@ -55,7 +97,7 @@ class Marginal:
     def gradients(self, psi: Array, start: Start) -> Array:
         """The derivatives (K, P) of -2 log L at psi (K, P), from a start for each of these."""
         layout = self.search.layout
-        step = max(_POINTS_AT_ONCE // (2 * len(layout.names) + 2 * len(layout.levels)), 1)
+        step = max(TUNING.points_at_once // (2 * len(layout.names) + 2 * len(layout.levels)), 1)
         gradients = []
         for here in (slice(k, k + step) for k in range(0, len(psi), step)):
             individuals = self.search(psi[here], start._replace(eta=start.eta[here]))
@@ -109,10 +151,6 @@ class Marginal:
 # mode minimises. So d eta / d psi = -H^-1 dg/dpsi with H = dg/deta (Almquist, Leander & Jirstrand,
 # J. Pharmacokinet. Pharmacodyn. 42, 2015). The part of the data in g and in the Fisher information
 # is differentiated by differences in the coordinates of subjects, so no other mode is searched for.
-
-
-_STEP = 1e-3  # Displacements in standard deviations of a coordinate, or of logarithms of levels
-_LEAST_CURVATURE = 1e-3  # Of second derivatives, in units of the expected ones
 
 
 @dataclass(frozen=True)
@@ -249,13 +287,13 @@ def _of_data(point: _Point) -> _OfData:
     h = _displacements(point)
     places = np.tile(place, (2, count, 1, 1, 1))
     psi = np.tile(point.psi, (2, count, 1, 1))
-    distances = np.full((count, *place.shape[:2]), 2.0 * _STEP)
+    distances = np.full((count, *place.shape[:2]), 2.0 * TUNING.step)
     for e, (lower, upper) in enumerate(zip(point.search.lower, point.search.upper, strict=True)):
         sides = place[..., e] + h[..., e], place[..., e] - h[..., e]
         places[:, e, ..., e] = np.clip(sides, lower, upper)
         distances[e] = places[0, e, ..., e] - places[1, e, ..., e]
     for s in range(count - width):
-        psi[:, width + s, :, layout.noise.start + s] += np.array([[_STEP], [-_STEP]])
+        psi[:, width + s, :, layout.noise.start + s] += np.array([[TUNING.step], [-TUNING.step]])
     flat = psi.reshape(-1, layout.size), places.reshape(-1, *place.shape[1:])
     ends = linearised(point.search.subjects, layout, *flat)
 
@@ -277,7 +315,7 @@ def _displacements(point: _Point) -> Array:
     variances = (point.factor**2).sum(axis=-1)
     precision[..., point.random] += 1.0 / variances
     width = point.search.upper - point.search.lower
-    return np.asarray(_STEP / np.sqrt(np.maximum(precision, width**-2.0)))
+    return np.asarray(TUNING.step / np.sqrt(np.maximum(precision, width**-2.0)))
 
 
 def _effects(point: _Point, data: _OfData, correction: Array) -> Array:
@@ -309,7 +347,7 @@ def _inverse_roots(expected: Array, correction: Array) -> Array:
     across = np.linalg.solve(root, correction).swapaxes(-1, -2)
     across = np.linalg.solve(root, across)
     curvatures, vectors = np.linalg.eigh(np.eye(expected.shape[-1]) + across)
-    scale = np.sqrt(np.maximum(curvatures, _LEAST_CURVATURE))[..., None, :]
+    scale = np.sqrt(np.maximum(curvatures, TUNING.least_curvature))[..., None, :]
     return np.asarray(np.linalg.solve(root.swapaxes(-1, -2), vectors) / scale)
 
 
@@ -360,20 +398,7 @@ def _of_determinants(point: _Point, changes: Array, moved: Array) -> Array:
 # its derivatives end the search.
 
 
-_SCREENED_POINTS = 512  # Points of the box that are tried for each subject
-_FARTHEST_DATUM = 1e8  # Squared distance of data in estimated deviations that no curve explains
-_EXPECTATIONS = 12  # Steps of expectation and maximisation
-_STEPS_EACH = 4  # Steps of the random effects in each of them
-_START_SPREAD = 0.15  # Standard deviation of random effects at the start, in widths of the box
-_START_RELATIVE = 0.2  # Levels of noise at the start, in shares of the data
-_LEAST_SPREAD = 1e-3  # Least standard deviation of a random effect in the first steps
-_MOST_ITERATIONS = 40
-_CONVERGED = 1e-8  # Expected gain in -2 log L that ends the search
-_HESSIAN_STEP = 0.05  # Displacements in standard errors
-_FIRST_STEPS = 0.1  # Standard errors of all population parameters that are assumed at first
 _SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 1e-3])  # Shares of a step that are tried
-_LONGEST_STEP = 3.0  # Longest step in standard errors of any parameter
-_CURVATURE_FLOOR = 1e-4
 
 
 @dataclass(frozen=True)
@@ -396,7 +421,7 @@ def start_of(
     ``given`` are coordinates of means by position.
     """
     layout = search.layout
-    shares = spread(_SCREENED_POINTS, len(layout.names), np.random.default_rng(7))
+    shares = spread(TUNING.screened_points, len(layout.names), np.random.default_rng(7))
     places = search.lower + shares * (search.upper - search.lower)
     for position, coordinate in given.items():
         places[:, position] = coordinate
@@ -414,7 +439,7 @@ def start_of(
         # What all subjects share is too late or early for some
         own[:] = psi[: middle.size] = places[np.argmin(screened.cost.sum(axis=1))]
     width = (search.upper - search.lower)[list(layout.random)]
-    psi[layout.factors] = layout.factored(np.diag((_START_SPREAD * width) ** 2))
+    psi[layout.factors] = layout.factored(np.diag((TUNING.start_spread * width) ** 2))
     random = list(layout.random)
     return psi, Start.at(own[:, random] - layout.typical(psi[None])[0][:, random])
 
@@ -427,7 +452,7 @@ def _check_deviations(
     Proportional noise has none where the prediction is zero. A start may limit the places.
     """
     least = np.take_along_axis(squares, np.argmin(cost, axis=0)[None], axis=0)[0]
-    far = least > _FARTHEST_DATUM if layout.levels else np.zeros(least.size, dtype=bool)
+    far = least > TUNING.farthest_datum if layout.levels else np.zeros(least.size, dtype=bool)
     impossible = np.flatnonzero(far | ~np.isfinite(cost).any(axis=0))
     if impossible.size:
         where = "with the start that was given" if started else "in the box"
@@ -453,7 +478,7 @@ def _noise_start(subjects: Subjects, layout: Layout) -> Array:
         typical = float(np.median(np.abs(one.data[one.present]))) or 1.0
         for name in one.noise.levels:
             relative = name in one.noise.relative
-            levels[name] = np.log(_START_RELATIVE * (1.0 if relative else typical))
+            levels[name] = np.log(TUNING.start_relative * (1.0 if relative else typical))
     return np.array([levels[name] for name in layout.levels])
 
 
@@ -463,13 +488,13 @@ def expectation_steps(marginal: Marginal, psi: Array, start: Start) -> tuple[Arr
     Steps are shortened until they lower -2 log L: whole ones may lead to where predictions vanish,
     and proportional noise with them.
     """
-    value, individuals = marginal.at(psi[None], start, _STEPS_EACH)
-    for _ in range(_EXPECTATIONS):
+    value, individuals = marginal.at(psi[None], start, TUNING.steps_each)
+    for _ in range(TUNING.expectations):
         step, change = _maximised(marginal, psi, individuals)
         here = individuals.eta[0], individuals.correction[0], individuals.damping[0]
         for share in _SHARES:
             begin = Start(here[0] + share * change, *here[1:])
-            lower, tried = marginal.at((psi + share * step)[None], begin, _STEPS_EACH)
+            lower, tried = marginal.at((psi + share * step)[None], begin, TUNING.steps_each)
             if lower[0] < value[0]:
                 psi, value, individuals = psi + share * step, lower, tried
                 break
@@ -498,7 +523,7 @@ def _maximised(marginal: Marginal, psi: Array, individuals: Individuals) -> tupl
     shift = layout.typical(moved[None])[0][:, random] - layout.typical(at)[0][:, random]
     eta = eta - shift
     omega = np.einsum("nq,nr->qr", eta, eta) / len(eta) + covariance.mean(axis=0)
-    moved[layout.factors] = layout.factored(omega + _LEAST_SPREAD**2 * np.eye(len(random)))
+    moved[layout.factors] = layout.factored(omega + TUNING.least_spread**2 * np.eye(len(random)))
     moved[layout.noise] += _noise_step(marginal, individuals, covariance)
     return moved - psi, -shift
 
@@ -513,7 +538,7 @@ def _mean_step(marginal: Marginal, psi: Array, individuals: Individuals) -> Arra
     pull = whole[..., random] @ (covariance @ working[:, random, None])
     right = np.einsum("nep,ne->p", layout.designs, working - pull[..., 0])
     information = marginal.information_of_means(psi, individuals)[0]
-    return -np.asarray(np.linalg.lstsq(information, right, rcond=1e-10)[0])
+    return -np.asarray(np.linalg.lstsq(information, right, rcond=ROUNDING)[0])
 
 
 def _noise_step(marginal: Marginal, individuals: Individuals, covariance: Array) -> Array:
@@ -534,11 +559,11 @@ def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
     value, individuals = marginal.at(psi[None], start)
     least = float(value[0])
     slopes = marginal.slopes(psi[None], individuals)
-    hessian = hessian_of(marginal, psi, slopes, np.full(psi.size, _FIRST_STEPS))
+    hessian = hessian_of(marginal, psi, slopes, np.full(psi.size, TUNING.first_steps))
     fresh, converged = True, False
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(TUNING.most_iterations):
         step, gain = _newton_step(hessian, slopes.gradient[0])
-        if gain < _CONVERGED:
+        if gain < TUNING.converged:
             converged = True
             break
         moves = _SHARES[:, None] * step
@@ -546,7 +571,7 @@ def minimum(marginal: Marginal, psi: Array, start: Start) -> Optimum:
         k = int(np.argmin(values))
         if values[k] >= least:
             if fresh:
-                converged = gain < 1e3 * _CONVERGED
+                converged = gain < 1e3 * TUNING.converged
                 break
             hessian, fresh = hessian_of(marginal, psi, slopes, standard_steps(hessian)), True
             continue
@@ -569,7 +594,7 @@ def hessian_of(marginal: Marginal, psi: Array, slopes: Slopes, scale: Array) -> 
 
     They are one-sided where the likelihood ends on the other side.
     """
-    h = _HESSIAN_STEP * scale
+    h = TUNING.hessian_step * scale
     moves = np.concatenate([np.diag(h), -np.diag(h)])
     gradients = marginal.gradients(psi + moves, slopes.start(moves))
     lost = np.isnan(gradients[:, 0])
@@ -585,11 +610,11 @@ def _newton_step(hessian: Array, gradient: Array) -> tuple[Array, float]:
     """A step downhill (P,) and the gain that it promises."""
     scale = standard_steps(hessian)
     eigenvalues, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
-    curvatures = np.maximum(np.abs(eigenvalues), _CURVATURE_FLOOR)
+    curvatures = np.maximum(np.abs(eigenvalues), TUNING.curvature_floor)
     along = vectors.T @ (gradient * scale)
     step = -vectors @ (along / curvatures)
     gain = 0.5 * float(np.sum(along**2 / curvatures))
-    step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+    step *= min(1.0, TUNING.longest_step / max(float(np.abs(step).max()), TINY))
     return step * scale, gain
 
 

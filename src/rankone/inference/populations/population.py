@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import Experiment
-from rankone.inference.estimation.free_parameters import ParameterValues
+from rankone.inference.estimation.free_parameters import SAME, ParameterValues
 from rankone.inference.estimation.intervals import checked_level
+from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.observations import Sigma
 from rankone.inference.estimation.tables import columns_of, doses_in, is_empty, is_table
 from rankone.inference.populations.individuals import EmpiricalBayes, Start
@@ -37,8 +38,6 @@ from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
 _FAR_SMALLER = 3.0  # Change of a logarithm that makes a standard deviation practically zero
-_UNNOTICED = 1e-2  # Change of -2 log L that says nothing against it
-_BETTER = 1e-6  # Gain of a subject in -2 log L that another search has to show
 _MOST_RESTARTS = 3
 
 
@@ -216,7 +215,7 @@ def _settled(marginal: Marginal, psi: Array, start: Start) -> Optimum:
         here = optimum.individuals
         _, other = marginal.at(optimum.psi[None], Start.at(np.zeros(start.eta.shape)))
         gain = here.at.cost + here.penalty - other.at.cost - other.penalty
-        better = gain[0] > _BETTER
+        better = gain[0] > SAME
         if not better.any():
             break
         eta = np.where(better[:, None], other.eta[0], here.eta[0])
@@ -255,7 +254,7 @@ def _first_idle(
         psi = np.array([trial.psi for trial in trials])
         values = marginal.values(psi, optimum.individuals.start())
         for trial, value in zip(trials, values, strict=True):
-            if value <= optimum.value + _UNNOTICED:
+            if value <= optimum.value + UNNOTICED:
                 return trial.name, trial.layout, trial.kept
     return None, layout, np.arange(layout.size)
 

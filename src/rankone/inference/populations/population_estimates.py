@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rankone.inference.estimation.formulas import value_of
+from rankone.inference.estimation.free_parameters import LAST_DIGITS, SAME, STEP, TINY
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.noise import terms
@@ -25,7 +26,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
-_SPREAD_STEP = 1e-5  # Displacement for derivatives of spreads with respect to their coordinates
 # Share of the largest component of a flat direction from which a parameter moves along it
 _FLAT_SHARE = 0.1
 
@@ -211,9 +211,9 @@ class PopulationEstimates:
         """Derivatives (F, F) of the coordinates of spreads, in columns, by the entries of L."""
         layout = self._layout
         factors = self._psi[layout.factors]
-        steps = _SPREAD_STEP * np.eye(factors.size)
+        steps = STEP * np.eye(factors.size)
         changes = [_spreads(layout, factors + h) - _spreads(layout, factors - h) for h in steps]
-        return np.array(changes) / (2.0 * _SPREAD_STEP)
+        return np.array(changes) / (2.0 * STEP)
 
     def _spread_coordinates(self) -> Iterator[tuple[str, float, float]]:
         """For each spread its name, the correction of its coordinate, and the variance of that."""
@@ -415,9 +415,6 @@ def _fisher(correlation: float, shift: float, variance: float, level: float) -> 
 _STEP = 0.1  # Displacements in standard errors for differences
 _LARGEST_CORRECTION = 0.5  # Largest change of the logarithm of a standard deviation
 _LEAST_FREEDOM = 1.0
-# Ratio of eigenvalues of the scaled information below which a direction is not identified
-_FLAT = 1e-6
-_NO_BOX = 1e-12  # Precision of a direction that no box ends: above rounding
 
 
 @dataclass(frozen=True)
@@ -518,12 +515,12 @@ def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
     """
     whole = (precision + np.diag(box)) * scale[:, None] * scale
     eigenvalues, vectors = np.linalg.eigh(whole)
-    steep = eigenvalues > _FLAT * max(float(eigenvalues.max()), 1e-300)
+    steep = eigenvalues > SAME * max(float(eigenvalues.max()), TINY)
     root = vectors[:, steep] * scale[:, None] / np.sqrt(eigenvalues[steep])
     shares, turns = np.linalg.eigh(root.T @ (box[:, None] * root))
     lost, root = shares > BOX_SHARE, root @ turns
     seen = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
-    endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(_NO_BOX)
+    endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(LAST_DIGITS)
     return seen, np.concatenate([root[:, lost], endless], axis=1)
 
 
@@ -535,7 +532,7 @@ def _of_means(information: Array, box: Array, scale: Array) -> tuple[Array, Arra
     """
     unit = scale[: information.shape[-1]]
     whole = (information + np.diag(box[: unit.size])) * unit[:, None] * unit
-    whole = whole + _NO_BOX * np.eye(unit.size)
+    whole = whole + LAST_DIGITS * np.eye(unit.size)
     variances = np.diagonal(np.linalg.inv(whole), 0, 1, 2) * unit**2
     return np.linalg.slogdet(whole)[1], np.asarray(variances)
 

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rankone.inference.estimation.experiments import failure_of
+from rankone.inference.estimation.fit import MODEL_SHARE
 from rankone.inference.populations import predictive_check as _check
 from rankone.inference.populations.population_estimates import PopulationEstimates
 from rankone.support.errors import with_remedy
@@ -19,8 +20,6 @@ from rankone.support.wording import count, listing, quote
 _MOST_NAMED = 4  # Subjects that a message names
 # Standard deviations of the random effects that a box should hold to either side
 _BOX_SPREADS = 3.0
-# Accepted shift of an estimate by the error of the solution, in its standard deviations
-_MODEL_SHARE = 0.5
 _HIGH_SHRINKAGE = 0.3  # Above it the estimates of subjects say little of the population
 
 
@@ -118,7 +117,7 @@ class PopulationFit(PopulationEstimates, Labelled):
             if one.noise.distribution == "log-normal":
                 noise = noise * np.abs(prediction[one.present])
             shares = np.divide(error, noise, out=np.zeros(noise.size), where=noise > 0.0)
-            if math.sqrt(float(np.sum(shares**2))) > _MODEL_SHARE:
+            if math.sqrt(float(np.sum(shares**2))) > MODEL_SHARE:
                 yield with_remedy(
                     f"the error of the solution, {float(np.median(error)):.2g} in "
                     f"{quote(one.name)}, is not small beside the noise, "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from rankone.inference.estimation.formulas import formula_of
+from rankone.inference.estimation.free_parameters import ROUNDING, TINY
 from rankone.inference.estimation.tables import label_of, numbers_of
 from rankone.inference.populations.subjects import SUBJECT, Subjects
 from rankone.support.arrays import Array
@@ -217,7 +218,7 @@ def _of_subject(subject: str, rows: Array, given: object) -> float:
             term=given,
             remedy="fill its cells, or leave the subject out",
         )
-    if np.ptp(own) > 1e-9 * np.abs(own).max():
+    if np.ptp(own) > ROUNDING * np.abs(own).max():
         raise OptionError(
             f"covariates: {quote(given)} changes within the subject {quote(subject)}",
             term=given,
@@ -228,7 +229,7 @@ def _of_subject(subject: str, rows: Array, given: object) -> float:
 
 def _check_varied(given: object, x: Array) -> None:
     """Raise an OptionError for a covariate that is the same for all subjects."""
-    if x.size > 1 and np.ptp(x) <= 1e-9 * max(float(np.abs(x).max()), 1e-300):
+    if x.size > 1 and np.ptp(x) <= ROUNDING * max(float(np.abs(x).max()), TINY):
         raise OptionError(
             f"covariates: {quote(given)} is {x[0]:g} for all {count(x.size, 'subject')}",
             term=given,
