@@ -227,7 +227,7 @@ def test_units_of_the_data_do_not_matter(scale, search):
 
 
 def test_every_start_has_boxes_of_its_own(monkeypatch):
-    monkeypatch.setattr(boxes, "_MOST_BOXES", 4)
+    monkeypatch.setattr(boxes, "TUNING", boxes.BoxTuning(most_boxes=4))
     calibration = decaying(1.0, search="boxes")
     assert len(calibration.boxes) > 4
     assert all(start.arrived and start.iterations for start in calibration.starts)

@@ -52,7 +52,8 @@ def differences(rows):
 def test_derivatives_are_those_of_searches(ends, options, monkeypatch):
     """A step away from the optimum, where no derivative is zero."""
     # differences divide what a search leaves by H: here it goes on to rounding
-    monkeypatch.setattr(individuals, "_LEAST_DECREMENT", 1e-14)
+    tuning = individuals.EffectTuning(least_decrement=1e-14)
+    monkeypatch.setattr(individuals, "TUNING", tuning)
     fit = oral().restrict(ka=ends).fit_population(table_of(3, 8), noise="combined", **options)
     marginal, optimum = fit._marginal, fit._optimum
     psi = optimum.psi + 0.05 * np.random.default_rng(1).standard_normal(optimum.psi.size)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.fit import Fit, one_sided
 from rankone.inference.estimation.free_parameters import ends_at_bounds
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
@@ -18,7 +19,7 @@ from rankone.inference.estimation.least_squares import SAME_COST, Descent, Expan
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.labelled import Table, Variables
 from rankone.support.wording import count, listing, quote
 from rankone.tensors.bases.joint_distribution import LEVEL
 
@@ -163,7 +164,7 @@ class Calibrated(Expandable, Protocol):
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration(Labelled):
+class Calibration(results.Judged):
     """Parameters from data far from any first guess, from several random starts.
 
     Attributes
@@ -247,6 +248,13 @@ class Calibration(Labelled):
             **further,
         )
 
+    _done, _itself = "the starts agree", "them"
+
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """Why there is no box around the optimum, if so."""
+        return (self.remark,) if self.remark else ()
+
     @property
     def iterations(self) -> int:
         """Iterations from all starts; each evaluates the likelihood with its derivatives."""
@@ -294,16 +302,6 @@ class Calibration(Labelled):
             sentences.append(f"the fit around the optimum is no success: {self.fit.message}")
         return tuple(sentences)
 
-    @property
-    def success(self) -> bool:
-        """Whether there are no :attr:`findings`."""
-        return not self.findings
-
-    @property
-    def message(self) -> str:
-        """The findings in one text, or that there are none."""
-        return "; ".join(self.findings) or "the starts agree, and nothing speaks against them"
-
     # --- display -------------------------------------------------------------------------------
 
     def _table(self) -> Table:
@@ -312,37 +310,35 @@ class Calibration(Labelled):
         for name, x in self.x.items():
             cell = "not identified" if name in self.not_identified else ""
             if name in self.intervals:
-                low, high = self.intervals[name]
-                cell = f"[{low:.6g}, {high:.6g}]"
+                cell = results.interval_text(self.intervals[name])
             rows.append([name, f"{x:.6g}", cell, self.limits.get(name, "")])
         header = ["parameter", "estimate", "95 % interval", "limited by"]
         if not any(self.limits.values()):
             header, rows = header[:-1], [row[:-1] for row in rows]
-        verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         starts = f"{self.agreeing} of {count(len(self.starts), 'start')} within {0.5 * SAME_COST:g}"
         return Table(
             f"Calibration: log-likelihood {self.log_likelihood:.6g}, {starts}",
             header,
             rows,
-            [verdict, *([f"note: {self.remark}"] if self.remark else [])],
+            self._remarks,
         )
 
     def _variables(self) -> Variables:
         """Estimates, and the log-likelihoods of the starts."""
         names = list(self.x)
         ends = [self.intervals.get(name, (np.nan, np.nan)) for name in names]
-        columns = {
-            "estimate": np.array([self.x[name] for name in names]),
-            "lower": np.array([low for low, _ in ends]),
-            "upper": np.array([high for _, high in ends]),
-            "identified": np.array([name not in self.not_identified for name in names]),
-            "limited": np.array([self.limits.get(name, "") for name in names], dtype=object),
+        columns: dict[str, list[Any]] = {
+            "estimate": [self.x[name] for name in names],
+            "lower": [low for low, _ in ends],
+            "upper": [high for _, high in ends],
+            "identified": [name not in self.not_identified for name in names],
+            "limited": [self.limits.get(name, "") for name in names],
         }
-        arrays = {name: (("parameter",), column) for name, column in columns.items()}
+        arrays, labels = results.by_parameter(columns, names)
         likelihoods = np.array([start.log_likelihood for start in self.starts])
         return Variables(
             {**arrays, "log_likelihood": (("start",), likelihoods)},
-            {"parameter": names, "start": list(range(len(self.starts)))},
+            {**labels, "start": list(range(len(self.starts)))},
         )
 
 

@@ -23,6 +23,7 @@
 - ``observations``: measured data at times, checked and put in a row, and what was measured
 - ``posterior``: posterior distributions of parameters: by quadrature, or by a Markov chain beyond
   three
+- ``results``: what fits, calibrations, posteriors, designs and populations share: a verdict, tables
 - ``search``: parameters of solutions from data, by least squares or maximum likelihood
 - ``tables``: tables of measurements and doses: columns by name, cut into their experiments
 """

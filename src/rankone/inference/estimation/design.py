@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import Formula, value_of
@@ -165,28 +166,22 @@ class Design(Labelled):
             if not self.success:
                 expected = ["not identified", ""]
             elif name in intervals:
-                low, high = intervals[name]
-                expected = [f"{deviation:.4g}", f"[{low:.6g}, {high:.6g}]"]
+                expected = [f"{deviation:.4g}", results.interval_text(intervals[name])]
             rows.append([name, *expected])
         listed = ", ".join(f"{time:.6g}" for time in self.times)
         return Table(
             f"{self.criterion}-optimal design: {count(len(self.times), 'time')}, {listed}",
             ["parameter", "expected std", f"{100 * self.level:g} % interval"],
             rows,
-            [f"{'success' if self.success else 'no success'}: {self.message}"],
+            [results.verdict(self)],
         )
 
     def _variables(self) -> Variables:
         """Expected deviations and covariance; the gain at the candidates."""
-        names = list(self.parameters)
-        return Variables(
-            {
-                "std": (("parameter",), np.array(list(self.std.values()))),
-                "covariance": (("parameter", "other"), self.covariance),
-                "gain": (("time",), self.gain),
-            },
-            {"parameter": names, "other": names, "time": self.candidates},
-        )
+        columns = {"std": list(self.std.values())}
+        arrays, labels = results.by_parameter(columns, self.parameters, self.covariance)
+        gain = {"gain": (("time",), self.gain)}
+        return Variables({**arrays, **gain}, {**labels, "time": self.candidates})
 
 
 def design(

@@ -11,20 +11,21 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import Trial, failures_of
 from rankone.inference.estimation.formulas import formula_of
 from rankone.inference.estimation.free_parameters import LAST_DIGITS, SAME
 from rankone.inference.estimation.intervals import Intervals
 from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.labelled import Table, Variables
 from rankone.support.wording import count, listing, quote
 from rankone.tensors.bases.distributions import Distribution
 from rankone.tensors.bases.joint_distribution import Known
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Intervals, Labelled):
+class Fit(Intervals, results.Judged):
     """Parameters from data: best values, intervals, and whether to believe them.
 
     Attributes
@@ -56,25 +57,20 @@ class Fit(Intervals, Labelled):
         """Reasons not to trust the fit, a sentence each."""
         return tuple(findings_of(self))
 
-    @property
-    def success(self) -> bool:
-        """Whether there are no :attr:`findings`."""
-        return not self.findings
-
-    @property
-    def message(self) -> str:
-        """The findings in one text, or that there are none."""
-        return "; ".join(self.findings) or "the fit converged, and nothing speaks against it"
+    @cached_property
+    def odd(self) -> tuple[str, ...]:
+        """What is odd about the residuals, a sentence each; see the guide to fits."""
+        predicted = [row.predicted for row in self._rows]
+        rows = self.trials, self.standardised, predicted, self._spare
+        return tuple(residual_checks(*rows, self.unit_known))
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """What is worth knowing and no reason to distrust the fit, a sentence each.
 
-        Most are about the residuals, see the guide to fits.
+        Most are about the residuals, see :attr:`odd`.
         """
-        predicted = [row.predicted for row in self._rows]
-        rows = self.trials, self.standardised, predicted, self._spare
-        sentences = [*residual_checks(*rows, self.unit_known)]
+        sentences = [*self.odd]
         levels = {name for trial in self.trials for name in trial.observations.levels}
         for name in levels & set(self.fixed):
             if self.fixed[name] == 0.0:
@@ -138,39 +134,29 @@ class Fit(Intervals, Labelled):
             of += f" in {len(self.trials)} experiments"
         rows = []
         for name, (low, high) in self.interval().items():
-            cells = [f"{self.x[name]:.6g}", f"[{low:.6g}, {high:.6g}]", self.limits[name]]
+            cells = [f"{self.x[name]:.6g}", results.interval_text((low, high)), self.limits[name]]
             rows.append([name, *(cells if self.identifiable[name] else ["not identified", "", ""])])
         for name in self.combinations:
-            low, high = self.interval_of(name)
-            rows.append([name, f"{self.value_of(name):.6g}", f"[{low:.6g}, {high:.6g}]", ""])
+            ends = results.interval_text(self.interval_of(name))
+            rows.append([name, f"{self.value_of(name):.6g}", ends, ""])
         header = ["parameter", "estimate", f"{100 * self.level:g} % interval", "limited by"]
         if not any(row[-1] for row in rows):
             header, rows = header[:-1], [row[:-1] for row in rows]
-        verdict = f"{'success' if self.success else 'no success'}: {self.message}"
-        return Table(
-            f"Fit to {of}: {noise}, {self.dof:.4g} degrees of freedom",
-            header,
-            rows,
-            [verdict, *(f"note: {check}" for check in self.checks)],
-        )
+        summary = f"Fit to {of}: {noise}, {self.dof:.4g} degrees of freedom"
+        return Table(summary, header, rows, self._remarks)
 
     def _variables(self) -> Variables:
         """Estimates with deviations and intervals, and the covariance."""
         low, high = np.array(list(self.interval().values())).T
         columns = {
-            "estimate": np.array(list(self.x.values())),
-            "std": np.array(list(self.std.values())),
+            "estimate": list(self.x.values()),
+            "std": list(self.std.values()),
             "lower": low,
             "upper": high,
-            "identified": np.array(list(self.identifiable.values())),
-            "limits": np.array(list(self.limits.values()), dtype=object),
+            "identified": list(self.identifiable.values()),
+            "limits": list(self.limits.values()),
         }
-        arrays = {name: (("parameter",), column) for name, column in columns.items()}
-        names = list(self.parameters)
-        return Variables(
-            {**arrays, "covariance": (("parameter", "other"), self.covariance)},
-            {"parameter": names, "other": names},
-        )
+        return results.by_parameter(columns, self.parameters, self.covariance)
 
 
 # -----------------------------------------------------------------------------
@@ -311,8 +297,6 @@ def _growing(name: str, r: Array, p: Array) -> Iterator[str]:
 
 
 _UNLIKELY = 1e-3  # Probability of residuals this large below which the model is rejected
-# Accepted shift of an estimate by the error of the solution, in its standard deviations
-MODEL_SHARE = 0.5
 
 
 def findings_of(fit: Intervals) -> Iterator[str]:
@@ -412,11 +396,6 @@ def _error_of_solution(fit: Intervals) -> Iterator[str]:
             error, noise = errors[here], sigma[here]
             if name in told or not error.size or np.isnan(error).any():
                 continue
-            shares = np.divide(error, noise, out=np.zeros(error.size), where=noise > 0.0)
-            if math.sqrt(float(np.sum(shares**2))) > MODEL_SHARE:
+            for sentence in results.error_beside_noise(name, error, noise):
                 told.add(name)
-                yield with_remedy(
-                    f"the error of the solution, {float(np.median(error)):.2g} in {quote(name)}, "
-                    f"is not small beside the noise, {float(np.median(noise)):.2g}",
-                    "solve with a smaller rtol",
-                )
+                yield sentence

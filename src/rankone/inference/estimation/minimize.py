@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize as scipy_minimize
 from scipy.spatial import cKDTree
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import failure_of
 from rankone.inference.estimation.fitted_models import model_of
 from rankone.inference.estimation.free_parameters import (
@@ -61,7 +62,7 @@ class MinimizeTuning:
     """Of the shifted Sobol sequence and of differential evolution: a call repeats itself."""
     missed_weight: float = 1e3
     """Weight of constraints that are missed, beside the scaled objective."""
-    tolerances: tuple[int, int, int] = (1e-12, 1e-9, 1e-7)
+    tolerances: tuple[float, float, float] = (1e-12, 1e-9, 1e-7)
     """Tolerances of the scaled objective, one after the other."""
     most_iterations: int = 300
     """Most iterations of one search with one tolerance."""
@@ -117,7 +118,7 @@ class Optimum(Labelled):
     def _table(self) -> Table:
         """The free parameters; the others and the values there are below."""
         rows = [[name, f"{x:.6g}"] for name, x in self.x.items()]
-        remarks = [f"{'success' if self.success else 'no success'}: {self.message}"]
+        remarks = [results.verdict(self)]
         held = {name: x for name, x in self.parameters.items() if name not in self.x}
         if held:
             fixed = ", ".join(f"{name} = {x:.6g}" for name, x in held.items())
@@ -125,8 +126,7 @@ class Optimum(Labelled):
         return Table(f"Optimum: {self.fun:.6g}", ["parameter", "best"], rows, remarks)
 
     def _variables(self) -> Variables:
-        best = np.array(list(self.x.values()))
-        return Variables({"best": (("parameter",), best)}, {"parameter": list(self.x)})
+        return results.by_parameter({"best": list(self.x.values())}, list(self.x))
 
 
 def minimize(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
 from rankone.inference.estimation.experiments import trial_of
 from rankone.inference.estimation.fit import Fit
@@ -216,32 +217,25 @@ class Posterior(Labelled):
         ends, deviations = self.interval(), self.std
         rows = []
         for name, mean in self.mean.items():
-            low, high = ends[name]
-            rows.append(
-                [name, f"{mean:.6g}", f"{deviations[name]:.2g}", f"[{low:.6g}, {high:.6g}]"]
-            )
+            ends_of = results.interval_text(ends[name])
+            rows.append([name, f"{mean:.6g}", f"{deviations[name]:.2g}", ends_of])
         return Table(
             f"Posterior of {', '.join(self.parameters)} by {self.method}",
             ["parameter", "mean", "std", "95 % interval"],
             rows,
-            [f"{'success' if self.success else 'no success'}: {self.message}"],
+            [results.verdict(self)],
         )
 
     def _variables(self) -> Variables:
         """Means with deviations and intervals, and the covariance."""
         low, high = np.array(list(self.interval().values())).T
         columns = {
-            "mean": np.array(list(self.mean.values())),
-            "std": np.array(list(self.std.values())),
+            "mean": list(self.mean.values()),
+            "std": list(self.std.values()),
             "lower": low,
             "upper": high,
         }
-        arrays = {name: (("parameter",), column) for name, column in columns.items()}
-        names = list(self.parameters)
-        return Variables(
-            {**arrays, "covariance": (("parameter", "other"), self.covariance)},
-            {"parameter": names, "other": names},
-        )
+        return results.by_parameter(columns, self.parameters, self.covariance)
 
 
 def posterior(

@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
+from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import failure_of
-from rankone.inference.estimation.fit import MODEL_SHARE
 from rankone.inference.populations import predictive_check as _check
 from rankone.inference.populations.population_estimates import PopulationEstimates
 from rankone.support.errors import with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.labelled import Table, Variables
 from rankone.support.wording import count, listing, quote
 
 _MOST_NAMED = 4  # Subjects that a message names
@@ -24,7 +24,7 @@ _HIGH_SHRINKAGE = 0.3  # Above it the estimates of subjects say little of the po
 
 
 @dataclass(frozen=True, repr=False)
-class PopulationFit(PopulationEstimates, Labelled):
+class PopulationFit(PopulationEstimates, results.Judged):
     """Means and variances of a population from data of several subjects.
 
     Attributes
@@ -41,16 +41,6 @@ class PopulationFit(PopulationEstimates, Labelled):
     def findings(self) -> tuple[str, ...]:
         """Reasons not to trust the fit, a sentence each."""
         return tuple(self._findings())
-
-    @property
-    def success(self) -> bool:
-        """Whether there are no :attr:`findings`."""
-        return not self.findings
-
-    @property
-    def message(self) -> str:
-        """The findings in one text, or that there are none."""
-        return "; ".join(self.findings) or "the fit converged, and nothing speaks against it"
 
     def _findings(self) -> Iterator[str]:
         if not self.solution.success:
@@ -116,14 +106,7 @@ class PopulationFit(PopulationEstimates, Labelled):
             noise = sigma[one.present]
             if one.noise.distribution == "log-normal":
                 noise = noise * np.abs(prediction[one.present])
-            shares = np.divide(error, noise, out=np.zeros(noise.size), where=noise > 0.0)
-            if math.sqrt(float(np.sum(shares**2))) > MODEL_SHARE:
-                yield with_remedy(
-                    f"the error of the solution, {float(np.median(error)):.2g} in "
-                    f"{quote(one.name)}, is not small beside the noise, "
-                    f"{float(np.median(noise)):.2g}",
-                    "solve with a smaller rtol",
-                )
+            yield from results.error_beside_noise(one.name, error, noise)
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
@@ -171,13 +154,12 @@ class PopulationFit(PopulationEstimates, Labelled):
             )
             if not self.identifiable[name]:
                 rows[-1][1:4] = ["not identified", "", ""]
-        verdict = f"{'success' if self.success else 'no success'}: {self.message}"
         return Table(
             f"Population of {count(len(self.subjects), 'subject')}: {count(self.size, 'value')} of "
             f"{observed}, log-likelihood {self.log_likelihood:.5g}",
             ["parameter", "estimate", "std error", f"{100 * self.level:g} % interval", "shrinkage"],
             rows,
-            [verdict, *(f"note: {check}" for check in self.checks)],
+            self._remarks,
         )
 
     def _variables(self) -> Variables:
@@ -185,11 +167,10 @@ class PopulationFit(PopulationEstimates, Labelled):
         intervals = self.interval()
         low, high = np.array(list(intervals.values())).T
         columns = {
-            "estimate": np.array([self.x[name] for name in intervals]),
-            "std": np.array([self.std[name] for name in intervals]),
+            "estimate": [self.x[name] for name in intervals],
+            "std": [self.std[name] for name in intervals],
             "lower": low,
             "upper": high,
-            "identified": np.array([self.identifiable[name] for name in intervals]),
+            "identified": [self.identifiable[name] for name in intervals],
         }
-        arrays = {name: (("parameter",), column) for name, column in columns.items()}
-        return Variables(arrays, {"parameter": list(intervals)})
+        return results.by_parameter(columns, list(intervals))
