@@ -51,6 +51,7 @@ def test_log_is_loguniform(solution):
     assert same.metadata.distributions == solution.metadata.distributions
 
 
+@pytest.mark.slow
 def test_it_is_shown(solution, tmp_path):
     assert "k in [0.01, 10] (log)" in repr(decay((1e-2, 10, "log")))
     assert "k in [0.01, 10] (log)" in repr(solution)

@@ -132,6 +132,7 @@ def test_what_no_table_holds_is_compiled_from_equations(changed):
     assert np.isfinite(ro.compile(problem).system.initial(np.ones((3, 1)))).all()
 
 
+@pytest.mark.slow
 def test_numbers_for_parameters_keep_the_table():
     n = FEWEST_TABULATED
     problem = chain(n)
@@ -156,7 +157,10 @@ def test_numbers_for_parameters_keep_the_table():
     assert problem.set({C: 0.0}).table is None  # terms vanish
 
 
-@pytest.mark.parametrize("law", ["k*x{0}/(h + x{0})", "k*x{0}*x{1}", "tanh(k*x{0} - h)"])
+@pytest.mark.parametrize(
+    "law",
+    ["k*x{0}/(h + x{0})", "k*x{0}*x{1}", pytest.param("tanh(k*x{0} - h)", marks=pytest.mark.slow)],
+)
 def test_numbers_in_texts_keep_the_table(law, tmp_path):
     n = FEWEST_TABULATED
     rates = {f"x{i}": f"{law.format((i + 1) % n, i)} - x{i}" for i in range(n)}

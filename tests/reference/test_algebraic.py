@@ -74,6 +74,7 @@ def of_pendulum(times, m, a, L):
     return {"x": L * np.sin(angle), "y": -L * np.cos(angle), "lam": force}
 
 
+@pytest.mark.slow
 def test_a_pendulum_in_cartesian_coordinates():
     check(pendulum(), of_pendulum)
 

@@ -10,7 +10,6 @@ DIAGNOSES = {diagnosis.key: diagnosis for diagnosis in [*diagnoses(), *further_d
 CHEAP = (
     *("event inside", "outlier", "misfit", "at an end", "growing", "too few values"),
     *(
-        "minimize: solution",
         "solution",
         "covariate constant",
         "one subject",

@@ -112,6 +112,7 @@ def alone():
     python.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["body_temperature", pytest.param("rate_16", marks=pytest.mark.slow)]
 )

@@ -86,6 +86,7 @@ def test_unknowns_of_one_unit_count_relative_to_the_largest(method):
     assert solution.errors["x29"] < 1e-3 * plain.errors["x29"]
 
 
+@pytest.mark.slow
 def test_an_atol_of_zero_asks_for_the_size_of_the_unknown_itself():
     solution, plain = shared(atol={"x29": 0}), shared(units=None)
     exact = plain(t=0.5, k=1.5)[29]
@@ -133,6 +134,7 @@ def test_events_take_them():
     assert solution.errors["y"] <= 2e-9 / (1e-6 / RTOL)
 
 
+@pytest.mark.slow
 def test_files_pickles_and_exports_keep_them(tmp_path):
     compiled = ro.compile(pickle.loads(pickle.dumps(problem({y: 1e-6}))))
     solution = compiled.solve(rtol=RTOL)

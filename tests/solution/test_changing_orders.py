@@ -342,6 +342,7 @@ def test_one_time_across_branches():
         solution.at(2.2)
 
 
+@pytest.mark.slow
 def test_outputs_where_guards_decide():
     """The dissipated work, by the closed form of each swing."""
     output = rubbing().output({"work": "mu*integral(v**2, 0, 6)"})

@@ -111,6 +111,7 @@ def test_other_problems_and_options_are_refused(tmp_path, other, options, text):
         solve_many(other, [{}], **{"rtol": 1e-4, **options}, checkpoint=tmp_path)
 
 
+@pytest.mark.slow
 def test_more_memory_solves_what_lacked_it_and_nothing_else(tmp_path, solved):
     """The limit may change: solutions are kept, and what failed for lack of memory is tried."""
     rates = {f"x{i}": f"k*x{i - 1} - k*x{i}" if i else "-k*x0" for i in range(400)}
@@ -291,6 +292,7 @@ DIGEST = """
 """
 
 
+@pytest.mark.slow
 def test_closures_are_the_same_in_two_processes():
     """With other hashes, and other addresses; sets and functions that call themselves included."""
 

@@ -322,6 +322,7 @@ def test_events_that_accumulate_are_refused():
         ro.solve(ball, 1e-3)
 
 
+@pytest.mark.slow
 def test_accumulation_is_told_of_where_it_comes_first():
     """Behind the horizon bounces of the other trajectories accumulate as well."""
     bounce = {**BOUNCE, "then": {"y": 0, "v": "-0.7*v"}}
@@ -395,6 +396,7 @@ def test_the_first_order_system_prints_its_events():
     assert text.splitlines()[-1] == "  bounce: where y falls through 0: y -> 0, v -> -e*v"
 
 
+@pytest.mark.slow
 def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
     start = {"when": "t - 0.5", "direction": "rising", "then": {"s": 1}, "name": "start"}
     runaway = problem({"x": "s*x**2", "s": "0"}, {"x": "k", "s": 0}, {"k": (0.5, 2)}, 1.2, [start])
@@ -414,6 +416,7 @@ def test_a_blow_up_after_a_dose_is_named_with_its_own_time():
     assert when == pytest.approx(lag + 1 / (0.1 / (1 - 0.1 * lag) + k), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_blow_up_behind_the_horizon_is_said_to_be_there():
     """Trajectories go on to events that others meet inside."""
     mark = {"when": "x - a", "direction": "rising", "then": {"y": "y"}, "name": "mark"}

@@ -150,7 +150,12 @@ def test_outputs_that_might_be_narrow_are_solved_for(output):
 
 
 @pytest.mark.parametrize(
-    "output", ["sin(pi*x)**10000000", "exp(-((x - 0.4)/1e-5)**2)", "exp(1e9*(cos(x - 0.4) - 1))"]
+    "output",
+    [
+        pytest.param("sin(pi*x)**10000000", marks=pytest.mark.slow),
+        "exp(-((x - 0.4)/1e-5)**2)",
+        pytest.param("exp(1e9*(cos(x - 0.4) - 1))", marks=pytest.mark.slow),
+    ],
 )
 def test_an_output_too_narrow_for_samples_has_no_success(output):
     problem = ro.Problem.from_strings(*DECAY)

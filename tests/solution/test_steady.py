@@ -160,7 +160,9 @@ LORENZ = {x: 10 * (y - x), y: x * (a - z) - y, z: x * y - 2 * z}
     [
         ("fold", {x: a + x**2 - x}, {a: (0.1, 0.3)}, {x: 0}, 0.25),
         ("Hopf", BRUSSELATOR, {a: (1.2, 2.5)}, {x: 1, y: 1}, 2),
-        ("Hopf", BRUSSELATOR, {a: (1.8, 2.9)}, {x: 1.1, y: 2}, 2),
+        pytest.param(
+            "Hopf", BRUSSELATOR, {a: (1.8, 2.9)}, {x: 1.1, y: 2}, 2, marks=pytest.mark.slow
+        ),
         ("transcritical", {x: a * x - x**2, y: x - y}, {a: (-0.5, 1)}, {x: 1, y: 0}, 0),
         ("transcritical", {x: y * x - 2 * x, y: a - y - x * y}, {a: (1, 2.7)}, {x: 1, y: 0}, 2),
         ("pitchfork", {x: a * x - x**3}, {a: (-1, 0.6)}, {x: 1}, 0),
@@ -168,7 +170,9 @@ LORENZ = {x: 10 * (y - x), y: x * (a - z) - y, z: x * y - 2 * z}
         ("pitchfork", LORENZ, {a: (0.2, 1.6)}, {x: 1, y: 1, z: 0}, 1),
         # at the centre of the box, where nothing settles
         ("fold", {x: a + x**2}, {a: (-1, 1)}, {x: -0.5}, 0),
-        ("Hopf", BRUSSELATOR, {a: (1.5, 2.5)}, {x: 1.1, y: 2}, 2),
+        pytest.param(
+            "Hopf", BRUSSELATOR, {a: (1.5, 2.5)}, {x: 1.1, y: 2}, 2, marks=pytest.mark.slow
+        ),
         ("transcritical", {x: a * x - x**2}, {a: (-1, 1)}, {x: 1}, 0),
         ("pitchfork", {x: a * x - x**3}, {a: (-1, 1)}, {x: 1}, 0),
     ],
@@ -190,6 +194,7 @@ def test_the_frequency_of_a_hopf_point_is_that_of_the_oscillation():
     assert caught.value.bifurcation.state == pytest.approx({"x": 1, "y": 2}, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_slow_settling_is_no_bifurcation():
     """Perturbations decay at 1e-3 in all of the box: a longer time is the remedy, and works."""
     slow = problem({x: k - x, y: (x - y) / 1000}, {k: (1, 2)}, {x: 0, y: 0})
@@ -200,6 +205,7 @@ def test_slow_settling_is_no_bifurcation():
     assert ro.steady_state(slow, settle=settle)(k=1.5) == pytest.approx([1.5, 1.5])
 
 
+@pytest.mark.slow
 def test_the_time_to_settle_is_that_of_the_slowest_part_of_the_box():
     slow = problem({x: k - x, y: (x - y) * (k - 1) / 200}, {k: (1.1, 3)}, {x: 0, y: 0})
     with pytest.raises(ro.ConvergenceError, match=r"elsewhere at 0\.0005") as caught:
@@ -224,6 +230,7 @@ def test_steady_states_at_zero(share):
     assert steady(k=1.1) == pytest.approx([0, 0, share], rel=1e-6, abs=1e-18)
 
 
+@pytest.mark.slow
 def test_a_continuum_of_steady_states_is_said():
     """Any share of the susceptible may be left of an epidemic without births."""
     epidemic = problem(
@@ -314,6 +321,7 @@ def test_a_start_among_the_parameters_is_left_as_it_is():
     assert start.tolist() == [1.5, 1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_finer_solves_for_gradients_share_one_patience():
     """Next to a fold the gradients of a solve within the tolerance are not."""
     near = problem({x: a * x * (1 - x) - b}, {a: (1, 1.5), b: (0.1, 0.2499)}, {x: 1})

@@ -56,7 +56,7 @@ def rested(model, conditions, start, point):
     ("model", "conditions", "start"),
     [
         (receptor(), {dose: k / 10}, [1, 0]),
-        (network(), {off: 3}, [1, 2, 0, 0]),
+        pytest.param(network(), {off: 3}, [1, 2, 0, 0], marks=pytest.mark.slow),
         (gene(0), {k: 1.02 * k}, [0]),
         (gene(3), {k: 1.02 * k}, [3]),
     ],
@@ -134,6 +134,7 @@ def test_exported_solvers_start_there_too(tmp_path, monkeypatch):
     np.testing.assert_allclose(solution([0, 5], k=1.3, off=0.3), expected, rtol=5e-6)
 
 
+@pytest.mark.slow
 def test_functions_of_unknowns_mechanics_events_and_no_parameters():
     rest = ro.SteadyState({dose: 1}, start={x: 1})
     lifted = problem({x: dose - k * sp.log(x) - x}, {k: (1, 2)}, rest,

@@ -37,7 +37,11 @@ def test_the_next_engine_is_tried_where_the_first_one_fails():
 
 @pytest.mark.parametrize(
     "method",
-    ["auto", "train", *(pytest.param(m, marks=pytest.mark.slow) for m in ("cross", "greedy"))],
+    [
+        "auto",
+        pytest.param("train", marks=pytest.mark.slow),
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("cross", "greedy")),
+    ],
 )
 def test_a_budget_of_work_holds(method):
     effort = 0.03

@@ -98,8 +98,17 @@ def imported(path, monkeypatch):
     return module
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_what_is_saved_and_exported_jumps_too(name, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        pytest.param(
+            name, method, marks=[pytest.mark.slow] * ((name, method) != ("doses", "cross"))
+        )
+        for name in PROBLEMS
+        for method in ("cross", "train")
+    ],
+)
+def test_what_is_saved_and_exported_jumps_too(name, method, tmp_path, monkeypatch):
     problem = PROBLEMS[name]()
     compiled = ro.compile(problem)
     solution = compiled.solve(1e-5)
@@ -109,11 +118,10 @@ def test_what_is_saved_and_exported_jumps_too(name, tmp_path, monkeypatch):
     model = imported(tmp_path / "model.py", monkeypatch)
     where = {"t": TIMES, "k": np.full(TIMES.size, 0.77), "dose": np.full(TIMES.size, 0.31)}
     np.testing.assert_allclose(model.value(where), solution(where), rtol=1e-12)
-    for method in ("cross", "train"):
-        compiled.export(tmp_path / f"{method}.py", method=method)
-        again = imported(tmp_path / f"{method}.py", monkeypatch).solve(rtol=1e-5)
-        assert again.success
-        assert largest_error(again, name) < 5e-5
+    compiled.export(tmp_path / f"{method}.py", method=method)
+    again = imported(tmp_path / f"{method}.py", monkeypatch).solve(rtol=1e-5)
+    assert again.success
+    assert largest_error(again, name) < 5e-5
 
 
 def test_the_canonical_form_jumps_too():
@@ -172,7 +180,14 @@ def decaying(jumps, box=None, time=(0, 4), **initial):
     )
 
 
-@pytest.mark.parametrize("method", ["auto", "train", "greedy"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "auto",
+        pytest.param("train", marks=pytest.mark.slow),
+        pytest.param("greedy", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize(
     ("value", "where", "change"),
     [

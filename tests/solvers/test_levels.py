@@ -24,6 +24,7 @@ def points(count=4):
     return ends[:, 0] + np.ptp(ends, axis=1) * np.random.default_rng(8).random((count, len(ends)))
 
 
+@pytest.mark.slow
 def test_a_counter_that_goes_up_at_each_level():
     counter = problem(-k * x + sp.floor(y), c, (0, 0.1))
     solution = ro.solve(counter, RTOL)
@@ -40,7 +41,9 @@ def test_a_counter_that_goes_up_at_each_level():
     ("rate", "slope", "start", "level"),
     [
         (k / 2 - sp.floor(x), lambda rate: rate / 2, 0.4, 1.0),
-        (STEPS(x + 1) - k / 2, lambda rate: 1 - rate / 2, -0.9, -0.8),
+        pytest.param(
+            STEPS(x + 1) - k / 2, lambda rate: 1 - rate / 2, -0.9, -0.8, marks=pytest.mark.slow
+        ),
     ],
     ids=["floor", "table"],
 )

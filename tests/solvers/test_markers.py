@@ -42,6 +42,7 @@ def test_markers_of_the_user_keep_ranks_low():
     np.testing.assert_allclose(states[0], 3.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_events_that_change_nothing_bring_trajectories_in_step():
     """Whatever function of the states they are of; samples go on as over their last period."""
     made = problem(24, events=[{"when": "x*y - 3", "name": "mark"}])

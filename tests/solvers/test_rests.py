@@ -92,6 +92,7 @@ def test_a_dose_ends_a_rest():
         np.testing.assert_allclose(solution["S"](t=times, k=k), exact(times, k), atol=3 * RTOL)
 
 
+@pytest.mark.slow
 def test_it_leaves_a_limit_when_time_says_so():
     rate = "Piecewise((0, (x >= 1) & (cos(t) > 0)), (k*cos(t), True))"
     clipped = ro.Problem.from_strings({"x": rate}, {"x": 0}, {"k": (1.2, 2)}, (0, 4))
@@ -107,7 +108,9 @@ def test_it_leaves_a_limit_when_time_says_so():
         np.testing.assert_allclose(solution["x"](t=times, k=k), exact(times, k), atol=3 * RTOL)
 
 
-@pytest.mark.parametrize("full", ["0, (h >= 1) & (net > 0)", "Min(0, net), h >= 1"])
+@pytest.mark.parametrize(
+    "full", ["0, (h >= 1) & (net > 0)", pytest.param("Min(0, net), h >= 1", marks=pytest.mark.slow)]
+)
 def test_a_tank_overflows_until_less_flows_in_than_out(full):
     tank = ro.Problem.from_strings(
         {"h": f"Piecewise(({full}), (net, True))"},

@@ -167,6 +167,7 @@ def test_what_does_not_separate_over_stretches_is_named():
         ro.solve(forced, 1e-3, method="train")
 
 
+@pytest.mark.slow
 def test_a_march_that_stops_between_events_solves_nothing():
     solution = ro.solve(PROBLEMS["dose"], RTOL, method="train", max_slabs=2)
     assert not solution.success

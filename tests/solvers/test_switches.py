@@ -214,8 +214,10 @@ def test_where_it_sticks_in_some_order_the_error_says_why_that_failed():
 @pytest.mark.parametrize(
     "bump",
     [
-        "Max(0, 1 - 1e7*(x - 0.7)**2)",
-        "(Abs(1 - 1e7*(x - 0.7)**2) + 1 - 1e7*(x - 0.7)**2)/2",
+        pytest.param("Max(0, 1 - 1e7*(x - 0.7)**2)", marks=pytest.mark.slow),
+        pytest.param(
+            "(Abs(1 - 1e7*(x - 0.7)**2) + 1 - 1e7*(x - 0.7)**2)/2", marks=pytest.mark.slow
+        ),
         "Max(0, 1e7*(x - 0.7 + 1e-7**0.5)*(0.7 + 1e-7**0.5 - x))",
     ],
 )

@@ -23,6 +23,7 @@ def compiled():
     return ro.compile(ro.Problem(equations, (t, 0, 1), {k: (1, 2)}, {x: 1, y: 0}))
 
 
+@pytest.mark.slow
 def test_others_do_not_count(compiled, tmp_path):
     limits = {"method": "cross", "max_nodes": 8, "max_attempts": 2, "markers": None}
     assert not compiled.solve(1e-4, **limits).success
@@ -70,7 +71,11 @@ BOX = {"k": (1, 2), "c": (0.5, 0.7)}
         ({}, {"method": "train"}),
         ({}, {"method": "greedy"}),
         ({"jumps": {1.0: {"x": "x + 1"}}}, {}),
-        ({"events": [{"when": "x - 0.5", "direction": "falling", "then": {"x": "1"}}]}, {}),
+        pytest.param(
+            {"events": [{"when": "x - 0.5", "direction": "falling", "then": {"x": "1"}}]},
+            {},
+            marks=pytest.mark.slow,
+        ),
         ({"events": [{"when": "y - 0.35", "direction": "rising", "then": {"x": "x + 1"}}]}, {}),
         ({}, {"markers": ["x - 0.5"]}),
     ],

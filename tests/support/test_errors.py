@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -61,9 +61,10 @@ def test_a_missing_package_is_named() -> None:
 def test_the_reference_names_all_errors_that_users_may_see():
     """Classes of errors by their bases, whatever module they are in."""
     source = Path(errors.__file__).parents[1]
-    trees = (ast.parse(path.read_text()) for path in source.rglob("*.py"))
-    classes = [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
-    bases = {n.name: {b.id for b in n.bases if isinstance(b, ast.Name)} for n in classes}
+    texts = (path.read_text() for path in source.rglob("*.py"))
+    classes = [each for text in texts for each in re.findall(r"^class (\w+)\((.*?)\):", text, re.M)]
+    bases = {name: set(re.findall(r"\w+", own)) for name, own in classes}
+    assert len(bases) > 100
     known = {"RankoneError"}
     while more := {name for name, own in bases.items() if own & known} - known:
         known |= more

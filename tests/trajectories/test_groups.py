@@ -180,6 +180,7 @@ def test_groups_that_fit_tell_what_all_need(system, dense):
         assert 0.7 * sum(each) < caught.value.needed < 1.3 * sum(each)
 
 
+@pytest.mark.slow
 def test_outputs_that_lose_digits_are_integrated_again_on_workers():
     """Their reference is finer than that of the states."""
     problem = ro.Problem.from_strings(
@@ -228,6 +229,7 @@ def test_references_with_events_are_followed_in_groups(states, integrator):
     np.testing.assert_allclose(there["x0"](times, **point), exact, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_an_error_of_a_group_with_events_is_that_of_this_process():
     """A trajectory that is not finite further on is named by the same point."""
     stop = {"when": "x - 2", "then": {"x": "x"}, "direction": "rising"}

@@ -42,6 +42,7 @@ def test_the_best_of_all_pieces_is_found(seed):
     assert fit.chi2 <= least + 1e-3
 
 
+@pytest.mark.slow
 def test_an_end_at_a_jump_and_a_jump_in_an_interval_are_said():
     fits = [fitted(seed)[0] for seed in range(5)]
     stuck = [fit for fit in fits if fit.stuck]
@@ -79,7 +80,12 @@ def clipped():
 
 @pytest.mark.parametrize(
     ("model", "seed", "noise", "every"),
-    [(switched, 9, 0.3, 1), (switched, 22, 0.3, 4), (clipped, 7, 0.3, 1), (clipped, 5, 0.03, 4)],
+    [
+        pytest.param(switched, 9, 0.3, 1, marks=pytest.mark.slow),
+        (switched, 22, 0.3, 4),
+        (clipped, 7, 0.3, 1),
+        pytest.param(clipped, 5, 0.03, 4, marks=pytest.mark.slow),
+    ],
 )
 def test_models_that_switch_have_no_jumps(model, seed, noise, every):
     """Steep curves and kinks are none, though the solution has stretches between switches."""

@@ -112,7 +112,7 @@ def failed():
     return ro.solve(ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 3)), 1e-8, max_rank=3)
 
 
-@pytest.mark.parametrize("output", [None, {"y": "x**2"}])
+@pytest.mark.parametrize("output", [None, pytest.param({"y": "x**2"}, marks=pytest.mark.slow)])
 def test_of_a_solution_that_is_no_success(output):
     solution = failed() if output is None else failed().output(output)
     assert not solution.success

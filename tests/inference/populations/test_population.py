@@ -283,6 +283,7 @@ def lagged_data():
     }
 
 
+@pytest.mark.slow
 def test_a_start_where_predictions_vanish_is_refused():
     options = {"random": ["ka", "CL", "V"], "noise": "proportional", "start": {"lag": 1.1}}
     with pytest.raises(ro.OptionError, match="far from all curves with the start"):

@@ -85,6 +85,7 @@ def test_branches_that_meet_where_they_change_are_extremes(written, wanted):
     assert plain == (written if wanted is None else wanted)
 
 
+@pytest.mark.slow
 def test_the_sign_of_a_sum_of_many_parameters_is_that_of_its_two_extremes():
     many = [Coordinate(s.name, s, 0.1, 0.3) for s in sp.symbols("q:40", real=True)]
     total = sp.Add(*((-1) ** i * c.symbol for i, c in enumerate(many)))

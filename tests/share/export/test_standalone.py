@@ -66,7 +66,15 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize("name", ["decay", "lotka_volterra", "kirchhoff", "robertson"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "decay",
+        "lotka_volterra",
+        pytest.param("kirchhoff", marks=pytest.mark.slow),
+        pytest.param("robertson", marks=pytest.mark.slow),
+    ],
+)
 def test_the_library_and_the_solver_agree(alone, name, tmp_path):
     compiled(name).export(tmp_path / "solver.py")
     wanted = solved(name)
@@ -133,7 +141,11 @@ def _general() -> ro.CompiledProblem:
     )
 
 
-@pytest.mark.parametrize("build", [lambda: compiled("decay"), _general], ids=["decay", "general"])
+@pytest.mark.parametrize(
+    "build",
+    [pytest.param(lambda: compiled("decay"), marks=pytest.mark.slow), _general],
+    ids=["decay", "general"],
+)
 def test_the_cross_method_is_exported_as_well(alone, build, tmp_path):
     problem = build()
     problem.export(tmp_path / "solver.py", method="cross")
@@ -267,6 +279,7 @@ def test_wrong_arguments_of_the_program(alone, folder):
         assert message in run.stderr, arguments
 
 
+@pytest.mark.slow
 def test_saved_by_the_program(alone, folder):
     file = folder / "saved.npz"
     assert started(folder, "solver.py", "--rtol", "1e-3", "--save", str(file)).returncode == 0

@@ -122,6 +122,7 @@ def test_axes_that_are_given(greedy):
             draw([figure] * count)
 
 
+@pytest.mark.slow
 def test_without_matplotlib(greedy, tmp_path):
     """Importing does not need it; plotting says what to install."""
     script = (

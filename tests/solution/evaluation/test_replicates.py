@@ -182,6 +182,7 @@ def test_half_widths_of_indices_across_events(dosed):
     assert (fewer.first_half_width > sobol.first_half_width).all()
 
 
+@pytest.mark.slow
 def test_outputs_and_main_effects_tell_their_progress(dosed):
     events, steps = [], []
     dosed.output({"m": "maximum(x)"}, progress=events.append)

@@ -464,10 +464,16 @@ GAP = "Z**2/(exp(Z) + exp(-Z) - 1)".replace("Z", "((x - k)*1e9)")
 @pytest.mark.parametrize(
     "narrow",
     [
-        "integral(1 + Piecewise((1e5, (x > k) & (x < k + 1e-5)), (0, True)))",
-        "integral(1 + 1e5*Max(0, 1 - Abs(x - k)*1e5))",
+        pytest.param(
+            "integral(1 + Piecewise((1e5, (x > k) & (x < k + 1e-5)), (0, True)))",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("integral(1 + 1e5*Max(0, 1 - Abs(x - k)*1e5))", marks=pytest.mark.slow),
         "maximum(Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
-        "maximum(1e-8*Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
+        pytest.param(
+            "maximum(1e-8*Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
+            marks=pytest.mark.slow,
+        ),
         "maximum(Max(0, 1 - Abs(x - k)*1e5))",
     ],
 )

@@ -86,6 +86,7 @@ def test_the_work_and_its_end_do_not_depend_on_workers():
     assert bits(spread) == bits(alone)
 
 
+@pytest.mark.slow
 def test_errors_of_workers_are_those_of_this_process():
     solution = ro.solve(swing(), 1e-4)
     for outputs in ({"q": "log(k - 1)"}, {"q": "first_crossing(x + 0.65)"}):

@@ -60,7 +60,15 @@ if __name__ == "__main__":
 """Starts two workers; takes a folder, and the seconds for which a worker starts."""
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+    ],
+)
 def test_workers_end_with_their_parent_in_the_middle_of_a_task(tmp_path, number):
     assert_workers_end(tmp_path, number, "works")
 

@@ -235,6 +235,7 @@ def test_a_jump_on_the_first_lines_ends_a_solve_before_it_samples_the_box(method
     assert sum(solution.work.values()) < 0.02 * NORMAL
 
 
+@pytest.mark.slow
 def test_a_front_within_a_millionth_of_the_only_interval_is_resolved():
     solution = ro.solve(problem({"x": "-k*x"}, {"x": 1}, {"k": (0, 1e7)}, 1), 1e-3, method="cross")
     assert solution.success, solution.message

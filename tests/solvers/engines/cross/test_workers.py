@@ -95,6 +95,7 @@ def test_processes_integrate_the_reference(states):
     assert processes_have_ended()
 
 
+@pytest.mark.slow
 def test_functions_of_the_user_give_the_same_bits():
     compiled = ro.compile(problem())
     assert bits(compiled.solve(1e-6, executor=1)) == bits(compiled.solve(1e-6, method="cross"))
@@ -114,7 +115,11 @@ def test_dask_gives_the_same_bits(compiled, alone):
 
 
 @pytest.mark.parametrize(
-    ("place", "name"), [(concurrent.futures, "wait"), (ProcessPoolExecutor, "submit")]
+    ("place", "name"),
+    [
+        pytest.param(concurrent.futures, "wait", marks=pytest.mark.slow),
+        (ProcessPoolExecutor, "submit"),
+    ],
 )
 def test_processes_end_when_the_solve_is_interrupted(compiled, monkeypatch, place, name):
     """While it waits for its workers, and while it starts them."""

@@ -169,7 +169,7 @@ def refused(count):
 @pytest.mark.parametrize(
     ("options", "status"),
     [
-        ({"max_rank": 2}, ro.Status.RANK_LIMIT),
+        pytest.param({"max_rank": 2}, ro.Status.RANK_LIMIT, marks=pytest.mark.slow),
         ({"max_nodes": 6}, ro.Status.NODE_LIMIT),
         ({"max_slabs": 3}, ro.Status.SLAB_LIMIT),
         ({}, ro.Status.MEMORY_LIMIT),

@@ -85,6 +85,7 @@ def test_an_oscillator_over_many_periods_and_a_wide_box():
     np.testing.assert_allclose(solution["x"](t=10.0, k=k), np.cos(10 * np.sqrt(k)), atol=5e-6)
 
 
+@pytest.mark.slow
 def test_a_hopeless_growth_ends_soon_and_says_so():
     """Corner values exceed interior ones by thirty orders of magnitude."""
     rhs = {"x": "40*a*b*c*d*e*f*x"}
