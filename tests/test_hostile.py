@@ -190,6 +190,7 @@ def test_a_spent_budget_is_named():
     assert "the budget of work was reached" in solution.message
 
 
+@pytest.mark.slow
 def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():
     """The limit of trajectories, not the error."""
     problem = ro.Problem.from_strings(
@@ -301,6 +302,7 @@ def test_the_absolute_value_of_a_remainder(where):
         assert compiled.system.rhs(0.0, u, p)[0] == pytest.approx(factor - 0.7, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_long_sums_of_text():
     """Like terms gather; sums of others are compiled up to a length that is named."""
     compiled = ro.compile(text("+".join("k*x" for _ in range(6_000))))
@@ -314,6 +316,7 @@ def test_long_sums_of_text():
     assert value == pytest.approx(2.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_sums_that_are_too_long():
     with pytest.raises(ro.ProblemError, match="equation 1: a sum has 6000 terms; at most 5000"):
         text("+".join(f"k**{i}" for i in range(1, 6001)))

@@ -57,6 +57,7 @@ def test_linear_model(script):
     assert "observed order" in module.report(found)
 
 
+@pytest.mark.slow
 def test_free_fall(script):
     module = script("free_fall")
     found = module.compute(updates=(2, 12))
@@ -109,6 +110,7 @@ def test_rigid_body(script):
     module.draw(runs)
 
 
+@pytest.mark.slow
 def test_convergence_study(script):
     module = script("convergence_study")
     study = module.compute(("decay, T = 2",), modes=(1, 4), rtols=(1e-2, 1e-5))

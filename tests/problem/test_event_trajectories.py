@@ -446,6 +446,7 @@ def test_both_crossings_of_a_shallow_dip(gap):
     assert len(trajectory.events["enter"]) == len(trajectory.events["leave"])
 
 
+@pytest.mark.slow
 def test_events_at_known_times_are_all_seen():
     """A hundred doses at times that depend on a parameter, while nothing else happens."""
     made = drift(

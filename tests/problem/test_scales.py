@@ -150,6 +150,7 @@ def test_what_is_no_scale(interval, message):
         ro.compile(decay((1, 2))).solve(parameters={k: interval})
 
 
+@pytest.mark.slow
 def test_the_exported_solver_knows_scales(tmp_path):
     import importlib.util
 

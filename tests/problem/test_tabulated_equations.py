@@ -138,6 +138,7 @@ def test_many_equations_are_shown_in_short():
     assert repr(text).splitlines()[1] == "  dy0/dt = -k*y0/(2 + y0)"
 
 
+@pytest.mark.slow
 def test_a_function_of_the_user_keeps_its_own_values():
     """It may have the name of a function of SymPy."""
     log = ro.function("log", np.log10, lambda v: 1 / (v * np.log(10)))

@@ -159,7 +159,11 @@ def test_numbers_for_parameters_keep_the_table():
 
 @pytest.mark.parametrize(
     "law",
-    ["k*x{0}/(h + x{0})", "k*x{0}*x{1}", pytest.param("tanh(k*x{0} - h)", marks=pytest.mark.slow)],
+    [
+        pytest.param("k*x{0}/(h + x{0})", marks=pytest.mark.slow),
+        "k*x{0}*x{1}",
+        pytest.param("tanh(k*x{0} - h)", marks=pytest.mark.slow),
+    ],
 )
 def test_numbers_in_texts_keep_the_table(law, tmp_path):
     n = FEWEST_TABULATED

@@ -94,6 +94,7 @@ def _fixed():
     return {m: 1, a: 1, length: 1}
 
 
+@pytest.mark.slow
 def test_a_circuit_with_a_diode():
     """The current through the diode follows from the voltage of its node by no formula."""
     R, C, Is = sp.symbols("R C I_s")
@@ -142,6 +143,7 @@ def buffer():
     )
 
 
+@pytest.mark.slow
 def test_the_equilibrium_of_a_buffer():
     def reference(times, K_a, total, q):
         base = 0.1 + q * times

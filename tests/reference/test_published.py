@@ -65,6 +65,7 @@ def test_the_statement_by_hand_is_the_symbolic_one(name):
     assert np.all(np.abs(rates[0] - rates[1]) <= 1e-10 * size)
 
 
+@pytest.mark.slow
 @each
 def test_a_success_is_right(name):
     """As docs/published.md has it; tests/benchmarks/published.py does so for other tolerances."""

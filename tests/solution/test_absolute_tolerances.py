@@ -72,7 +72,7 @@ def shared(n=30, atol=None, units="mg", **options):
     return ro.solve(ro.Problem.from_strings(*given, units=units, atol=atol), RTOL, **options)
 
 
-@pytest.mark.parametrize("method", ["cross", "train"])
+@pytest.mark.parametrize("method", [pytest.param("cross", marks=pytest.mark.slow), "train"])
 def test_unknowns_of_one_unit_count_relative_to_the_largest(method):
     solution, plain = shared(method=method), shared(units=None, method=method)
     assert solution.success
@@ -95,6 +95,7 @@ def test_an_atol_of_zero_asks_for_the_size_of_the_unknown_itself():
     assert shared(12, units=None, atol={"x3": 0}).success
 
 
+@pytest.mark.slow
 def test_a_limit_names_the_unknowns_that_cost_most():
     refused = shared(100, units=None, effort=0.01)
     assert not refused.success

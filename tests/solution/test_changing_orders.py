@@ -82,6 +82,7 @@ def values(solution, *at, **named):
         return solution(*at, **named)
 
 
+@pytest.mark.slow
 def test_two_doses_that_swap():
     solution = washed()
     assert solution.success
@@ -117,7 +118,7 @@ def cornered_exact(times, a, b, k=2.0):
 @pytest.mark.parametrize(
     "solve",
     [
-        partial(cornered, 2.0),
+        pytest.param(partial(cornered, 2.0), marks=pytest.mark.slow),
         pytest.param(partial(cornered, "k", k=(0.5, 2)), marks=pytest.mark.slow),
     ],
 )
@@ -187,6 +188,7 @@ def test_every_success_says_which_share_is_undecided(washed_in_pieces):
     assert joined.outcome.verdict.undecided == pytest.approx(0.8 * both)
 
 
+@pytest.mark.slow
 def test_where_branches_agree_nothing_is_undecided():
     second = {**WASH, "then": {"x": "x + 2"}}
     box = {"a": (1, 3), "b": (1, 3)}
@@ -250,7 +252,7 @@ def integral(function, time, k=0.4, density=lambda a, b: 0.25):
     return quad(over_a, 1.5, 3.5, points=ends, epsrel=1e-7)[0]
 
 
-@pytest.mark.parametrize("time", [2.2, 5.0])
+@pytest.mark.parametrize("time", [pytest.param(2.2, marks=pytest.mark.slow), 5.0])
 def test_statistics_go_across_branches(time):
     solution = washed().fix(k=0.4)
     mean = integral(lambda x: x, time)
@@ -306,6 +308,7 @@ def test_fits_go_across_branches():
     assert fit.x["k"] == pytest.approx(0.4, abs=0.01)
 
 
+@pytest.mark.slow
 def test_outputs_go_across_branches(tmp_path):
     solution = washed()
     dose = solution.output({"area": "integral(x, 0, 6)", "when": "event_time(dose, 0)"})
@@ -665,6 +668,7 @@ def test_points_at_which_a_branch_passes_an_event_that_its_order_lacks():
         assert exact(np.array([a]), a, b, k)[0] > 1.55
 
 
+@pytest.mark.slow
 def test_stages_count_the_search_for_orders():
     system, rtol = ro.compile(WASHED).system, 1e-3
     with limited(1e12):

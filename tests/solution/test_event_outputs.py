@@ -113,6 +113,7 @@ def test_outputs_of_the_time_that_exists():
         flight.output({"q": ro.at_event(x, "ground", side="after")})
 
 
+@pytest.mark.slow
 def test_the_stated_error_covers_the_error_of_event_times():
     problem = ro.Problem.from_strings(
         {"x": "-k*x"},

@@ -159,6 +159,7 @@ def test_values_at_an_instant_do_not_depend_on_how_it_is_asked_for():
         assert (solution["v"](times - 5e-12, box) < 0).all()
 
 
+@pytest.mark.slow
 def test_times_of_doses_are_met_to_the_last_digit():
     """Also those at a number, and where a parameter of them is fixed."""
     dosed = ro.Problem.from_strings(
@@ -305,6 +306,7 @@ def test_events_of_another_name():
         ro.solve(decay, 1e-3).event_times("bounce", k=1)
 
 
+@pytest.mark.slow
 def test_orders_that_differ_are_refused_where_an_event_is_put_off():
     events = [
         {"when": "t - a", "direction": "rising", "then": {"x": 1}, "name": "first", "delay": 0.1},
@@ -404,6 +406,7 @@ def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
         ro.solve(runaway, 1e-3)
 
 
+@pytest.mark.slow
 def test_a_blow_up_after_a_dose_is_named_with_its_own_time():
     """Others of the stack end there too, at times of their own."""
     start = {"k": (0.5, 1), "lag": (1, 2)}
@@ -450,6 +453,7 @@ def test_a_dose_may_be_at_the_start():
     )
 
 
+@pytest.mark.slow
 def test_the_error_at_equal_shares_of_a_stretch():
     solution, worst = solved("ball"), 0.0
     for point in points(solution):

@@ -194,6 +194,7 @@ def test_a_failed_piece_is_no_success(problem, pieces):
     assert "no success: pieces 1 of 3" in joined.message
 
 
+@pytest.mark.slow
 def test_events_move_from_piece_to_piece():
     """Bouncing from heights on which the number of bounces depends."""
     problem = ro.Problem.from_strings(

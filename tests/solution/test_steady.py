@@ -91,7 +91,14 @@ def lower(a, k):
 
 @pytest.mark.parametrize(
     "network",
-    [enzyme, oscillator_at_rest, epidemic, repression, switch, lambda: (gene(), lower)],
+    [
+        pytest.param(enzyme, marks=pytest.mark.slow),
+        oscillator_at_rest,
+        epidemic,
+        repression,
+        switch,
+        lambda: (gene(), lower),
+    ],
     ids=["enzyme", "oscillator_at_rest", "epidemic", "repression", "switch", "bistable gene"],
 )
 def test_networks_come_to_rest(network):
@@ -132,6 +139,7 @@ def test_totals_of_compartments_of_different_volumes_are_kept():
         np.testing.assert_allclose(steady(k=1.2, a=volume), expected, rtol=5 * RTOL)
 
 
+@pytest.mark.slow
 def test_initial_values_choose_the_branch():
     low, high = (ro.steady_state(gene(start), rtol=1e-4) for start in (0, 3))
     assert low.success
@@ -221,7 +229,7 @@ def test_rest_at_a_saddle_is_said():
         ro.steady_state(problem(rates, {k: (1, 2)}, {x: 0.5, y: 0}))
 
 
-@pytest.mark.parametrize("share", [1, 1e-9])
+@pytest.mark.parametrize("share", [1, pytest.param(1e-9, marks=pytest.mark.slow)])
 def test_steady_states_at_zero(share):
     """Rounding is that of the values on the way; beside other states that are not zero as well."""
     rates = {x: -k * x, y: x - y, z: share - z}
@@ -250,6 +258,7 @@ def test_another_branch_inside_the_box_is_named():
     assert named == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.slow
 def test_what_does_not_come_to_rest():
     vibration = ro.Problem(
         [sp.Eq(x.diff(t, 2) + k * x, 1)], (t, 0, 2), {k: (1, 2)}, {x: 0, x.diff(t): 0}
@@ -295,6 +304,7 @@ def test_mechanics_and_algebraic_equations_rest_too():
     np.testing.assert_allclose(ro.steady_state(guessed)(k=1.6), [1.6**3 + 1.6, 1.6], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_consumers_take_it(tmp_path):
     steady = ro.steady_state(gene(), rtol=1e-5)
     assert steady.mean().shape == (1,)

@@ -55,9 +55,9 @@ def rested(model, conditions, start, point):
 @pytest.mark.parametrize(
     ("model", "conditions", "start"),
     [
-        (receptor(), {dose: k / 10}, [1, 0]),
+        pytest.param(receptor(), {dose: k / 10}, [1, 0], marks=pytest.mark.slow),
         pytest.param(network(), {off: 3}, [1, 2, 0, 0], marks=pytest.mark.slow),
-        (gene(0), {k: 1.02 * k}, [0]),
+        pytest.param(gene(0), {k: 1.02 * k}, [0], marks=pytest.mark.slow),
         (gene(3), {k: 1.02 * k}, [3]),
     ],
     ids=["receptor", "conserved totals", "lower branch", "upper branch"],
@@ -105,6 +105,7 @@ def test_what_is_added_at_the_start():
     np.testing.assert_allclose(solution(times, at), model.trajectory(times, at).values, rtol=5e-6)
 
 
+@pytest.mark.slow
 def test_files_pickles_other_boxes_and_constants(tmp_path):
     model = receptor()
     assert pickle.loads(pickle.dumps(model)) == model

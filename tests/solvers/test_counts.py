@@ -66,7 +66,11 @@ def test_counts_that_differ_too_widely_are_refused_with_a_part_that_is_solved():
 
 
 @pytest.mark.parametrize(
-    ("box", "end"), [((1.06, 2.5), 5), pytest.param((1.03, 2), 6, marks=pytest.mark.slow)]
+    ("box", "end"),
+    [
+        pytest.param((1.06, 2.5), 5, marks=pytest.mark.slow),
+        pytest.param((1.03, 2), 6, marks=pytest.mark.slow),
+    ],
 )
 def test_spikes_whose_counts_differ_widely(box, end):
     solution = ro.solve(spikes(box, end), RTOL)

@@ -80,7 +80,7 @@ def largest_error(solution, name):
         ("doses", "greedy", 1e-4),
         ("kicked", "cross", 1e-6),
         ("kicked", "train", 1e-6),
-        ("kicked", "greedy", 1e-3),
+        pytest.param("kicked", "greedy", 1e-3, marks=pytest.mark.slow),
     ],
 )
 def test_engines(name, method, rtol):
@@ -205,6 +205,7 @@ def test_what_is_narrow_in_a_jump_is_solved_or_refused(method, value, where, cha
         assert solution(t=2.0, k=where)[0] == pytest.approx(after, abs=5 * rtol)
 
 
+@pytest.mark.slow
 def test_a_ridge_over_two_parameters_in_a_jump():
     jump = {2: {"x": "x + exp(-((a*k - 1.1)/0.001)**2)"}}
     solution = ro.solve(decaying(jump, {"a": (0.5, 1.5)}), 1e-4, effort="low")

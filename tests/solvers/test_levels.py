@@ -40,7 +40,7 @@ def test_a_counter_that_goes_up_at_each_level():
 @pytest.mark.parametrize(
     ("rate", "slope", "start", "level"),
     [
-        (k / 2 - sp.floor(x), lambda rate: rate / 2, 0.4, 1.0),
+        pytest.param(k / 2 - sp.floor(x), lambda rate: rate / 2, 0.4, 1.0, marks=pytest.mark.slow),
         pytest.param(
             STEPS(x + 1) - k / 2, lambda rate: 1 - rate / 2, -0.9, -0.8, marks=pytest.mark.slow
         ),

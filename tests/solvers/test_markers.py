@@ -29,6 +29,7 @@ def against_trajectories(solution, made, times, count=3):
     return np.max(errors, axis=0) / np.max(sizes, axis=0)
 
 
+@pytest.mark.slow
 def test_markers_of_the_user_keep_ranks_low():
     made = problem(12)
     solution = ro.solve(made, 1e-4, markers=["x - 3"])
@@ -100,6 +101,7 @@ def test_a_relaxation_oscillator_is_solved_with_few_ranks(ramp, most, rank, mark
     assert (errors < 3e-4).all()
 
 
+@pytest.mark.slow
 def test_a_front_that_comes_once_has_a_stretch_before_and_one_behind_it():
     flame = ro.Problem.from_strings(
         {"y": "k*(y**2 - y**3)"}, {"y": "d"}, {"d": (0.002, 0.003), "k": (0.9, 1.1)}, (0, 800)

@@ -56,6 +56,7 @@ def test_it_fills_up_to_a_limit(rate):
     assert_right(filled, lambda t, k, a: np.minimum(a + k * t, 1), points)
 
 
+@pytest.mark.slow
 def test_what_is_used_up_rests_also_after_a_jump_of_what_uses_it():
     used = "Piecewise((k*e, S > 0), (0, True))"
     depleted = ro.Problem.from_strings(
@@ -109,7 +110,11 @@ def test_it_leaves_a_limit_when_time_says_so():
 
 
 @pytest.mark.parametrize(
-    "full", ["0, (h >= 1) & (net > 0)", pytest.param("Min(0, net), h >= 1", marks=pytest.mark.slow)]
+    "full",
+    [
+        pytest.param("0, (h >= 1) & (net > 0)", marks=pytest.mark.slow),
+        pytest.param("Min(0, net), h >= 1", marks=pytest.mark.slow),
+    ],
 )
 def test_a_tank_overflows_until_less_flows_in_than_out(full):
     tank = ro.Problem.from_strings(

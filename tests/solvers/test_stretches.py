@@ -92,6 +92,7 @@ def solved(name, method):
     return ro.solve(PROBLEMS[name], RTOL, method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_train_solves_over_stretches_between_known_times(name):
     solution = solved(name, "train")
@@ -101,7 +102,12 @@ def test_train_solves_over_stretches_between_known_times(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["dose", pytest.param("lifted", marks=pytest.mark.slow), "together"]
+    "name",
+    [
+        pytest.param("dose", marks=pytest.mark.slow),
+        pytest.param("lifted", marks=pytest.mark.slow),
+        "together",
+    ],
 )
 def test_greedy_solves_over_stretches_between_known_times(name):
     solution = solved(name, "greedy")
@@ -129,6 +135,7 @@ def test_a_saved_solution_keeps_its_timeline(tmp_path):
     assert loaded.end(**point) == pytest.approx(2.2, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_another_box_and_another_end_are_written_anew():
     compiled = ro.compile(PROBLEMS["dose"])
     moved = {"lag": (3.5, 4), "D": (3, 4)}

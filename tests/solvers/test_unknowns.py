@@ -76,8 +76,12 @@ BOX = {"k": (1, 2), "c": (0.5, 0.7)}
             {},
             marks=pytest.mark.slow,
         ),
-        ({"events": [{"when": "y - 0.35", "direction": "rising", "then": {"x": "x + 1"}}]}, {}),
-        ({}, {"markers": ["x - 0.5"]}),
+        pytest.param(
+            {"events": [{"when": "y - 0.35", "direction": "rising", "then": {"x": "x + 1"}}]},
+            {},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param({}, {"markers": ["x - 0.5"]}, marks=pytest.mark.slow),
     ],
 )
 def test_every_method_gives_back_what_was_asked_for(more, options):
@@ -101,6 +105,7 @@ def test_every_method_gives_back_what_was_asked_for(more, options):
     assert some.mean([1.0]).shape == (2, 1)
 
 
+@pytest.mark.slow
 def test_orders_that_change_are_kept_apart():
     """Branches: which one holds is told by rows behind the states."""
     events = [
@@ -136,6 +141,7 @@ def test_pieces_of_the_same_unknowns_are_joined(tmp_path):
         ro.Solution.join([other, pieces[1]])
 
 
+@pytest.mark.slow
 def test_many_states_are_not_stored(tmp_path):
     problem = chain(80)
     whole, one = ro.solve(problem, 1e-3), ro.solve(problem, 1e-3, unknowns=["x5"])

@@ -108,7 +108,12 @@ def test_a_thermostat_that_takes_all_of_the_budget():
     ("rate", "boundary", "smooth"),
     [
         ("Abs(x - y) + a", "x - y", "`sqrt((x - y)**2 + w**2)`"),
-        ("Min(1, Max(a, y))", "a - y", "`(a + y + sqrt((a - y)**2 + w**2))/2`"),
+        pytest.param(
+            "Min(1, Max(a, y))",
+            "a - y",
+            "`(a + y + sqrt((a - y)**2 + w**2))/2`",
+            marks=pytest.mark.slow,
+        ),
         ("Max(0, y) + a", "y", "`(y + sqrt(y**2 + w**2))/2`"),
         ("Min(a, y)", "a - y", "`(a + y - sqrt((a - y)**2 + w**2))/2`"),
     ],
@@ -126,8 +131,10 @@ def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):
 @pytest.mark.parametrize(
     ("term", "where"),
     [
-        (sp.floor(2 * x + a), "wherever `a + 2*x` is a whole number"),
-        (sp.Mod(x, b), "wherever `x/b` is a whole number"),
+        pytest.param(
+            sp.floor(2 * x + a), "wherever `a + 2*x` is a whole number", marks=pytest.mark.slow
+        ),
+        pytest.param(sp.Mod(x, b), "wherever `x/b` is a whole number", marks=pytest.mark.slow),
         (ro.table([-9, -1, 0, 1, 9], [0, 1, 0, 1, 0])(x), "at `x` = -9, -1, 0, 1 and 1 more"),
     ],
 )

@@ -164,10 +164,12 @@ def test_an_island_in_the_box_is_seen(d, shape):
 @pytest.mark.parametrize(
     "rate",
     [
-        "1/cosh((t - k)/1e-6)**2/1e-6",
+        pytest.param("1/cosh((t - k)/1e-6)**2/1e-6", marks=pytest.mark.slow),
         "Piecewise((2*t/1e-4, (t**2 > k) & (t**2 < k + 1e-4)), (0, True))",
-        "exp(-((t - k)/1e-6)**4)/1e-6",
-        "(tanh((t - k)/1e-6) - tanh((t - k - 3e-6)/1e-6))/1e-6",
+        pytest.param("exp(-((t - k)/1e-6)**4)/1e-6", marks=pytest.mark.slow),
+        pytest.param(
+            "(tanh((t - k)/1e-6) - tanh((t - k - 3e-6)/1e-6))/1e-6", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_pulses_that_move_are_seen_at_any_time(rate):
@@ -201,6 +203,7 @@ def test_a_tiny_source_that_an_instability_amplifies():
     assert solution(t=t, k=k)[0] == pytest.approx(grown / (1 + small + grown), abs=5e-4)
 
 
+@pytest.mark.slow
 def test_a_ridge_is_refused_or_right():
     rate = "-x*(1 + 1/(1 + ((a*b - 0.41)/1e-4)**2)) + 1"
     problem = compiled(rate, {"a": (0, 1), "b": (0, 1)}, end=5)

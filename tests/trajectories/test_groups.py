@@ -79,6 +79,7 @@ def test_some_of_the_trajectories(dense, some):
     assert np.array_equal(part.state, dense.state[:, some])
 
 
+@pytest.mark.slow
 def test_a_group_that_ends_ends_all():
     """The states near a pole, as one stack has them."""
     system = ro.compile(ring("k*x{1}**2")).system

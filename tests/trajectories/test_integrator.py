@@ -57,7 +57,10 @@ def test_a_limit_tells_how_far_an_integration_came():
 
 @pytest.mark.parametrize(
     ("rates", "least"),
-    [({"x": "-1e6*k*(x - y)", "y": "-y"}, 0.0), ({"x": "k*cos(20*t)*y", "y": "-k*x"}, 0.5)],
+    [
+        ({"x": "-1e6*k*(x - y)", "y": "-y"}, 0.0),
+        pytest.param({"x": "k*cos(20*t)*y", "y": "-k*x"}, 0.5, marks=pytest.mark.slow),
+    ],
 )
 def test_a_memory_limit_tells_how_much_all_steps_need(rates, least):
     """In a transient, whose steps are short, no more than what is there."""

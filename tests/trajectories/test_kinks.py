@@ -31,6 +31,7 @@ def exact(times, k):
     return np.where(later > 0.0, k + np.expm1(later), -(1.0 + k) * np.expm1(-times))
 
 
+@pytest.mark.slow
 def test_trajectories_cross_a_kink_in_few_steps_and_no_less_accurately():
     steps, system = list[float](), system_of("1 + Abs(x - k)")
     every = np.linspace(0.0, 2.0, 2001)[1:]

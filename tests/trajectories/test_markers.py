@@ -29,6 +29,7 @@ def found(rates, box, end):
     return late_front(system, points, paths, domain.horizon, integrator, tolerances)
 
 
+@pytest.mark.slow
 def test_a_front_over_decades_ends_the_first_stretch():
     marker, order = found(RATES, BOX, 30.0)
     assert order.ending is Ending.LENGTH

@@ -50,6 +50,7 @@ def test_what_is_not_finite_raises():
             scalar_rates(system_of(rate))(0.0, [x], [0.7])
 
 
+@pytest.mark.slow
 def test_sums_of_many_terms():
     states = [f"s{i}" for i in range(60)]
     chain = " + ".join(f"{i + 1}*k*{name}**2" for i, name in enumerate(states))

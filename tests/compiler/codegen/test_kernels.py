@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,6 +48,7 @@ def check_kernels_sum_to_f(form: SeparatedForm, seed: int) -> None:
     np.testing.assert_allclose(total, expected, 1e-10, 1e-11)
 
 
+@pytest.mark.slow
 @given(form=forms(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_kernels_sum_to_the_right_hand_side(form: SeparatedForm, seed: int) -> None:
@@ -88,6 +90,7 @@ def test_quadratic_kernels_contract_paired_states(form: SeparatedForm, seed: int
             np.testing.assert_allclose(quadratic(phi, x, z), expected, 1e-10, 1e-11)
 
 
+@pytest.mark.slow
 @given(form=forms(max_states=5, max_terms=8), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_adjoints(form: SeparatedForm, seed: int) -> None:

@@ -82,6 +82,7 @@ def expressions() -> st.SearchStrategy[sp.Expr]:
     )
 
 
+@pytest.mark.slow
 @given(expression=expressions(), at=st.floats(0.3, 2.0))
 @settings(max_examples=100)
 def test_text_means_what_sympy_means(expression: sp.Expr, at: float) -> None:

@@ -357,6 +357,7 @@ EXPRESSIONS = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(f=EXPRESSIONS, g=EXPRESSIONS, seed=st.integers(0, 100))
 def test_sum_of_separated_terms_is_the_integrand(f, g, seed):

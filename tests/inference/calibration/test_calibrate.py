@@ -189,7 +189,9 @@ def rise(design, k, name, value):
     )
 
 
-@pytest.mark.parametrize(("k", "words"), [(15, ""), (0, "bounds of `ka` and `ke`")])
+@pytest.mark.parametrize(
+    ("k", "words"), [pytest.param(15, "", marks=pytest.mark.slow), (0, "bounds of `ka` and `ke`")]
+)
 def test_ends_of_intervals_are_those_of_whole_profiles(k, words):
     """The sum of squares has two valleys over the rates, of which one is nearly flat in `ka`."""
     calibration, design = calibrated("oral dose from wide bounds", k)
@@ -216,7 +218,12 @@ def decaying(scale, **options):
 
 
 @pytest.mark.parametrize(
-    ("scale", "search"), [(1e-9, "trajectories"), (1e6, "trajectories"), (1e-9, "boxes")]
+    ("scale", "search"),
+    [
+        (1e-9, "trajectories"),
+        (1e6, "trajectories"),
+        pytest.param(1e-9, "boxes", marks=pytest.mark.slow),
+    ],
 )
 def test_units_of_the_data_do_not_matter(scale, search):
     usual, other = decaying(1.0, search=search), decaying(scale, search=search)

@@ -97,6 +97,7 @@ def test_priors_of_the_table_pull_a_fit(problem, solutions):
         replace(solutions, penalties={"k1": None}).fit()
 
 
+@pytest.mark.slow
 def test_a_box_follows_a_fit(problem):
     calibration = problem.fit(starts=1, seed=3)
     solutions = problem.solve(1e-4, around=calibration)

@@ -61,6 +61,7 @@ def test_two_solutions_that_share_a_rate():
     assert low < fit.x["m"] < high
 
 
+@pytest.mark.slow
 def test_each_experiment_has_its_own_fixed_values_and_noise():
     pairs = [
         (

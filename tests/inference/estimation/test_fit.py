@@ -100,6 +100,7 @@ def test_fixed_bounds_and_start():
     assert "times as large as sigma" in bounded.message
 
 
+@pytest.mark.slow
 def test_several_outputs_with_their_own_times():
     c, p = drug()["c"], drug()["p"]
     times = {"c": DOSE_TIMES, "p": DOSE_TIMES[::4]}

@@ -84,6 +84,7 @@ def test_outside(given, message):
         decay().fit(**{"times": TIMES, "data": DATA, **given})
 
 
+@pytest.mark.slow
 def test_several_outputs():
     data = drug()["c"](DOSE_TIMES, PERSON)
     with pytest.raises(OptionError, match=r"shape \(24,\) for 2 outputs.*observe"):

@@ -82,7 +82,7 @@ def clipped():
     ("model", "seed", "noise", "every"),
     [
         pytest.param(switched, 9, 0.3, 1, marks=pytest.mark.slow),
-        (switched, 22, 0.3, 4),
+        pytest.param(switched, 22, 0.3, 4, marks=pytest.mark.slow),
         (clipped, 7, 0.3, 1),
         pytest.param(clipped, 5, 0.03, 4, marks=pytest.mark.slow),
     ],

@@ -47,6 +47,7 @@ def test_of_a_function():
     assert inner.parameters["k"] == 1.0
 
 
+@pytest.mark.slow
 def test_constraints():
     """The largest amount after 2, with no more than 1.5 at 0.5: a exp(-k/2) = 1.5, least k."""
     best = decay().minimize("u", 2.0, sense="max", constraints={"u": (None, 1.5, [0.5])})
@@ -112,7 +113,13 @@ def failed():
     return ro.solve(ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 3)), 1e-8, max_rank=3)
 
 
-@pytest.mark.parametrize("output", [None, pytest.param({"y": "x**2"}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "output",
+    [
+        pytest.param(None, marks=pytest.mark.slow),
+        pytest.param({"y": "x**2"}, marks=pytest.mark.slow),
+    ],
+)
 def test_of_a_solution_that_is_no_success(output):
     solution = failed() if output is None else failed().output(output)
     assert not solution.success

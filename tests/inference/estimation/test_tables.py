@@ -32,6 +32,7 @@ def oral_table():
     return {"time": times, "C": levels * (1.0 + noise), "dose": doses}
 
 
+@pytest.mark.slow
 def test_rows_are_told_apart_by_parameters_conditions_and_subjects():
     table = oral_table()
     by_dose = oral().fit(table, noise="proportional")

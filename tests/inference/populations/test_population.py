@@ -290,6 +290,7 @@ def test_a_start_where_predictions_vanish_is_refused():
         lagged().fit_population(lagged_data(), **options)
 
 
+@pytest.mark.slow
 def test_no_search_ends_where_predictions_vanish(capfd):
     """Before the lag there is no prediction, and no noise in proportion to it."""
     options = {"random": ["ka", "CL", "V"], "noise": "proportional"}

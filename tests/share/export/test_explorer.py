@@ -774,6 +774,7 @@ def test_without_parameters_and_with_one(chromium, tmp_path):
 # --- as text -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_is_written_as_other_exports_are(tmp_path):
     path = SOLVED.export(tmp_path / "page.html")
     again = SOLVED.explore(tmp_path / "other.html", title="Page")
@@ -805,6 +806,7 @@ def test_names_cannot_end_a_script(tmp_path):
     assert "&lt;script&gt;alert(1)" in text
 
 
+@pytest.mark.slow
 def test_pages_are_small(tmp_path):
     path = solved("kirchhoff").explore(tmp_path / "kirchhoff.html")
     assert path.stat().st_size < 5e6
@@ -821,6 +823,7 @@ def test_correlated_parameters_have_no_shares(tmp_path):
     assert data["unknowns"][0]["low"][-2] == pytest.approx(low[0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     SOLVED.save("model.npz")
@@ -848,7 +851,9 @@ def test_colours_are_those_of_plots():
             assert hue(own) == pytest.approx(hue(colour), abs=0.01)
 
 
-@pytest.mark.parametrize(("count", "folded"), [(4, False), (9, True)])
+@pytest.mark.parametrize(
+    ("count", "folded"), [(4, False), pytest.param(9, True, marks=pytest.mark.slow)]
+)
 def test_many_equations_are_folded(tmp_path, count, folded):
     """Curves and sliders come first then; the summary says what is below it."""
     names = [f"x{i}" for i in range(count)]
@@ -991,6 +996,7 @@ def test_files_of_the_page_are_package_data():
     assert (place / "vendor" / "uPlot.iife.min.js").stat().st_size < 60_000
 
 
+@pytest.mark.slow
 def test_all_jumps_are_drawn():
     """Also those of more slabs than are drawn evenly."""
     jumps = {tuple(range(1, 150)): {"x": "x + 1"}}

@@ -268,6 +268,7 @@ def test_can_be_passed_on(fmi, sources):
         assert "used, changed and passed on without restriction" in source.read_text()
 
 
+@pytest.mark.slow
 @needs_compiler
 @both
 def test_names(fmi, tmp_path):

@@ -144,6 +144,7 @@ def test_models(number, tmp_path):
         assert tuple(json.loads(run.stdout)) == names
 
 
+@pytest.mark.slow
 def test_page(tmp_path):
     plain, other = solved("coupled"), hostile(1)
     pages = []
@@ -179,6 +180,7 @@ def test_fmu(fmi, tmp_path, monkeypatch):
         assert not run.returncode, run.stderr[:2000]
 
 
+@pytest.mark.slow
 def test_generated_solver(tmp_path):
     """Titles and names of a problem, in the generated module and in the exported solver."""
     x, name = 'x*/??/"""\\', 'a"""\\'

@@ -59,6 +59,7 @@ def test_what_is_no_solution(name):
         EACH[name](decay.problem)
 
 
+@pytest.mark.slow
 def test_colours_go_on():
     ax = plotting.plot_bands(populations(), "x")
     plotting.plot_trajectories(populations(), x0=9, y0=5, unknowns="x", ax=ax)
@@ -66,6 +67,7 @@ def test_colours_go_on():
     assert first.get_color() != second.get_color()
 
 
+@pytest.mark.slow
 def test_jumps_are_upright():
     solution = ro.solve(doses.problem, rtol=1e-3)
     for ax in (plotting.plot_bands(solution, "c"), plotting.plot_sobol(solution, "c")):

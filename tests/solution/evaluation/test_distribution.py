@@ -188,6 +188,7 @@ def test_main_effects_have_the_first_order_variances():
 # --- densities and probabilities ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_density_of_the_decay():
     """u = exp(-k t) with k uniform has the density 1/(t u (b - a)), which jumps at both ends."""
     solution = solved("decay", 1e-6)

@@ -104,6 +104,7 @@ def test_no_oblique_ridge_resonates(names, weights):
     assert solution.density(1.0).bandwidth < 0.1
 
 
+@pytest.mark.slow
 def test_half_widths_hold():
     """Of 400 probabilities of sums of 1 to 10 uniform numbers: 95 %, and 93 % by bad luck."""
     held = []

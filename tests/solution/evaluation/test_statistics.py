@@ -125,7 +125,7 @@ def rule():
 @pytest.mark.parametrize(
     "distribution",
     [
-        scipy.stats.norm(1.0, 0.1),
+        pytest.param(scipy.stats.norm(1.0, 0.1), marks=pytest.mark.slow),
         scipy.stats.beta(0.5, 0.5, loc=0.5, scale=1.0),
         scipy.stats.truncnorm(-3, 5, loc=1.2, scale=0.1),
         scipy.stats.triang(0.3, loc=0.5, scale=1.0),

@@ -93,6 +93,7 @@ def with_events(request):
     return ro.solve(problem, 1e-4)
 
 
+@pytest.mark.slow
 def test_solutions_with_events_are_evaluated_in_parts(with_events, monkeypatch):
     rng = np.random.default_rng(3)
     times, k, a = (rng.uniform(*ends, 40) for ends in ((0, 3), (0.3, 0.5), (1.2, 2)))
@@ -170,6 +171,7 @@ def test_wrong_arguments(solution):
         list(solution.blocks(1.0, k=np.ma.masked_less([0.5, 2.0], 1.0), a=1.5))
 
 
+@pytest.mark.slow
 def test_a_solve_that_does_not_fit_is_refused():
     """Before anything is integrated, or as soon as the steps of the reference do not fit."""
     rates = {f"x{i}": f"{'-k' if i % 2 else 'k'}*x{i ^ 1}" for i in range(100)}

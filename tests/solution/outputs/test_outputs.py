@@ -120,6 +120,7 @@ def test_functions_of_time(name):
     assert np.abs(found - wanted).max() <= 2 * output.error * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 def test_time_derivatives_have_no_known_error():
     output = prey().output({"rate": x.diff(t) - x * (1.5 - y)})
     assert not output.success
@@ -154,6 +155,7 @@ def test_a_level_is_not_crossed_where_a_function_begins_at_it():
     assert np.allclose(found, [2 * v / g, v**2 / (2 * g)], rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_outputs_of_outputs_files_statistics_and_models(tmp_path):
     output = prey().output({"peak": "maximum(x)", "trough": "minimum(x)"})
     span = output.output({"span": sp.Symbol("peak") - sp.Symbol("trough")})
@@ -202,7 +204,10 @@ def test_attempts_end_where_none_would_reach_the_tolerance():
 
 @pytest.mark.parametrize(
     "rhs",
-    ["a - k*x", pytest.param("-k*x + Piecewise((a, t < b), (0, True))", marks=pytest.mark.slow)],
+    [
+        pytest.param("a - k*x", marks=pytest.mark.slow),
+        pytest.param("-k*x + Piecewise((a, t < b), (0, True))", marks=pytest.mark.slow),
+    ],
 )
 def test_durations_that_begin_inside_the_box_are_refused_soon(rhs):
     """The time above a level has a kink, or a root, where it is touched."""
@@ -414,7 +419,11 @@ def bar():
     [
         ("MEAN", lambda u, t, k: u.mean(axis=0)),
         ("k*MEAN**2 - u3 + t", lambda u, t, k: k * u.mean(axis=0) ** 2 - u[3] + t),
-        ("maximum(u0 - MEAN)", lambda u, t, k: (u[0] - u.mean(axis=0)).max()),
+        pytest.param(
+            "maximum(u0 - MEAN)",
+            lambda u, t, k: (u[0] - u.mean(axis=0)).max(),
+            marks=pytest.mark.slow,
+        ),
         ("MEAN + u3_t", lambda u, t, k: u.mean(axis=0) + k * (u[2] - 2 * u[3] + u[4])),
     ],
 )
@@ -474,7 +483,7 @@ GAP = "Z**2/(exp(Z) + exp(-Z) - 1)".replace("Z", "((x - k)*1e9)")
             "maximum(1e-8*Piecewise((1, (x > k) & (x < k + 1e-5)), (0, True)))",
             marks=pytest.mark.slow,
         ),
-        "maximum(Max(0, 1 - Abs(x - k)*1e5))",
+        pytest.param("maximum(Max(0, 1 - Abs(x - k)*1e5))", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_narrow_between_the_times_of_samples_is_not_missed(narrow):

@@ -98,6 +98,7 @@ def test_errors_of_workers_are_those_of_this_process():
         assert messages[0] == messages[1]
 
 
+@pytest.mark.slow
 def test_functions_of_the_user_are_sent_by_name():
     x = sp.Function("x")(sp.Symbol("t"))
     solution = ro.solve(swing(), 1e-4)

@@ -33,6 +33,7 @@ def error(of):
     return np.abs(of.reference(np.array([2.5]))[0, :, 0] - exact).max() / (2.5 * RTOL)
 
 
+@pytest.mark.slow
 def test_a_state_that_nearly_stops_is_followed_again():
     first = reference_set(problem())
     finer, hidden = confirmed(first)
@@ -75,6 +76,7 @@ def test_references_with_a_jump_at_a_compared_time_are_confirmed(rate):
     assert confirmed(first) == (first, None)
 
 
+@pytest.mark.slow
 def test_references_as_fine_as_rounding_are_taken_as_they_are():
     first = reference_set(problem(), 1e-11)
     assert confirmed(first) == (first, None)

@@ -69,7 +69,7 @@ def test_sizes_leave_the_corners_out(check: int) -> None:
     np.testing.assert_array_equal(held.sizes, np.abs(inside).max(axis=(1, 2)))
 
 
-@pytest.mark.parametrize("observed", [False, True])
+@pytest.mark.parametrize("observed", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_sizes_hold_a_block_at_a_time(observed: bool) -> None:
     """Where little memory is left, a block is the states at one time: their maxima are as many."""
     chain = {f"x{i}": f"k*(x{i - 1} - x{i})" if i else "-k*x0" for i in range(40)}

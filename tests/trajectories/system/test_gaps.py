@@ -43,6 +43,7 @@ def test_single_points_take_the_branch_to_their_right(function, total):
     assert total is None or closed(1 + x * function) == 1 + x * total
 
 
+@pytest.mark.slow
 def test_every_value_is_that_of_the_first_branch_that_holds():
     """Closing a function changes it at single points alone, to the value on their right."""
     rng = np.random.default_rng(1)

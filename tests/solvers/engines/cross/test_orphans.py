@@ -63,7 +63,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     "number",
     [
-        signal.SIGTERM,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
         pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, marks=pytest.mark.slow),
         pytest.param(signal.SIGINT, marks=pytest.mark.slow),
@@ -73,6 +73,7 @@ def test_workers_end_with_their_parent_in_the_middle_of_a_task(tmp_path, number)
     assert_workers_end(tmp_path, number, "works")
 
 
+@pytest.mark.slow
 def test_workers_end_with_their_parent_while_they_start(tmp_path):
     assert_workers_end(tmp_path, signal.SIGKILL, "starts", 1.0)
 

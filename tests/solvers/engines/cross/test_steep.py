@@ -220,7 +220,7 @@ def test_a_front_is_named_though_the_budget_ends():
     assert "as on a jump" in solution.message
 
 
-@pytest.mark.parametrize("method", ["cross", "auto"])
+@pytest.mark.parametrize("method", ["cross", pytest.param("auto", marks=pytest.mark.slow)])
 def test_a_jump_on_the_first_lines_ends_a_solve_before_it_samples_the_box(method):
     well = problem(
         {"x": "v", "v": "x - x**3 - 0.3*v"},

@@ -69,6 +69,7 @@ def alone(compiled):
     return bits(compiled.solve(1e-4, method="cross"))
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bits(compiled, alone):
     assert bits(compiled.solve(1e-4, executor=2)) == alone
     assert processes_have_ended()
@@ -182,7 +183,7 @@ def test_a_function_that_cannot_be_pickled():
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (raising, "raised ValueError: not today"),
+        pytest.param(raising, "raised ValueError: not today", marks=pytest.mark.slow),
         pytest.param(shapeless, r"returned shape \(3,\)", marks=pytest.mark.slow),
     ],
 )

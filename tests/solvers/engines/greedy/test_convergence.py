@@ -38,6 +38,7 @@ def test_the_slides_choice_has_order_two_on_decay() -> None:
     assert orders == pytest.approx([2.0, 2.0], abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_slides_choice_has_order_two_on_the_linear_problem() -> None:
     """Asymptotic only where the elements resolve 10/k at k = 1."""
     assert rates("linear", (41, 81, 161), preset="slides") == pytest.approx([2.0, 2.0], abs=0.2)

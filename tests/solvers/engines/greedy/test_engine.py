@@ -176,6 +176,7 @@ def test_a_triangular_system_is_not_lagged() -> None:
     assert outcome.error <= 5e-2
 
 
+@pytest.mark.slow
 def test_solves_are_reproducible() -> None:
     first, second = solved("coupled"), solved.__wrapped__("coupled")
     for a, b in zip(first.slabs, second.slabs, strict=True):

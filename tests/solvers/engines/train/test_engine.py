@@ -170,7 +170,7 @@ def refused(count):
     ("options", "status"),
     [
         pytest.param({"max_rank": 2}, ro.Status.RANK_LIMIT, marks=pytest.mark.slow),
-        ({"max_nodes": 6}, ro.Status.NODE_LIMIT),
+        pytest.param({"max_nodes": 6}, ro.Status.NODE_LIMIT, marks=pytest.mark.slow),
         ({"max_slabs": 3}, ro.Status.SLAB_LIMIT),
         ({}, ro.Status.MEMORY_LIMIT),
     ],

@@ -56,7 +56,9 @@ def test_errors_are_relative_to_interior_values_however_large_the_corners():
     assert error <= 5e-3
 
 
-@pytest.mark.parametrize(("count", "rtol"), [(8, 1e-3), (8, 1e-5), (12, 1e-3)])
+@pytest.mark.parametrize(
+    ("count", "rtol"), [(8, 1e-3), (8, 1e-5), pytest.param(12, 1e-3, marks=pytest.mark.slow)]
+)
 def test_many_equations_with_a_parameter_each(count, rtol):
     """Nothing in the initial values hints at any of the dependences."""
     states, rates = [f"x{i}" for i in range(count)], [f"k{i}" for i in range(count)]
