@@ -24,7 +24,7 @@ from rankone.solvers.verification.branch_errors import (
     points_with_other_events,
     undecided_share,
 )
-from rankone.solvers.verification.measure import SAFE_QUANTILE
+from rankone.solvers.verification.measure import BEYOND, SAFE_QUANTILE
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,
     Coverage,
@@ -58,8 +58,6 @@ from rankone.trajectories.system.verdict import (
     UndecidedShare,
 )
 
-_BEYOND = 0.02  # Reach of a branch beyond the part of the box where it holds, in horizons
-
 
 def slabs_of_branches(
     slabs: Sequence[SlabTrain], timeline: BranchedTimeline
@@ -92,7 +90,7 @@ def box_of_branch(
         return tuple(whole)
     earlier = -np.diff([coefficients for _, coefficients in times], axis=0)
     start, end = timeline.horizon
-    most = _BEYOND * (end - start) - earlier[:, 0]
+    most = BEYOND * (end - start) - earlier[:, 0]
     box = list(whole)
     for j in np.flatnonzero(earlier[:, 1:].any(axis=0)).tolist():
         (lower, upper), along = whole[j], np.eye(len(whole))[j]

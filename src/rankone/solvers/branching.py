@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rankone.solvers.verification.branch_errors import MOST_UNDECIDED
 from rankone.support.arrays import Array
 from rankone.support.budget import budget_left, limited
+from rankone.support.precision import NEGLIGIBLE
 from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after, opened_at_beginning
@@ -27,7 +28,6 @@ MOST_OF_OPENED = 0.25
 """Largest share of the budget for one branch with further coordinates."""
 _MOST_BRANCHES = 16
 _MOST_GRAZED = 0.03  # Share of the trajectories, about, with an order that cannot be continued
-_PAST = 1e-9  # Length of a stretch back in time, in horizons, beyond rounding
 _SAME_TIME = 0.1  # Difference of lengths of stretches that end at once, in horizons, over rtol
 _SAME_ROOT = 1e-3  # Most that stretches differ which end at one root, in horizons
 
@@ -284,7 +284,7 @@ class _Branching:
         lengths = other.lengths(self.search.points, places)
         if order.begins(other.order):
             end = lengths[:, : len(order.met) + 1].sum(axis=1)
-            return bool((end >= (1.0 - _PAST) * self.search.length).all())
+            return bool((end >= (1.0 - NEGLIGIBLE) * self.search.length).all())
         if order.at_any_roots != other.order.at_any_roots:
             return False
         apart = np.abs(lengths - self.search.lengths(order, places))
@@ -321,7 +321,7 @@ class _Branching:
         """The branches with their guards, and where each two of them part."""
         search, branches, forks = self.search, [*parted.branches], list[Fork]()
         lengths = [branch.lengths(search.points) for branch in branches]
-        least = -_PAST * search.length
+        least = -NEGLIGIBLE * search.length
         for a, b in itertools.combinations(range(len(branches)), 2):
             one, other = branches[a].order, branches[b].order
             step = one.parts_at(other)

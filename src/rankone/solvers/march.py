@@ -16,6 +16,7 @@ import numpy as np
 from rankone.solvers.outcome import SlabRecord
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
+from rankone.support.precision import COINCIDENT
 from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.trains.cross import Nodes, interpolate, left_points
 from rankone.tensors.trains.slab import SlabTrain
@@ -114,9 +115,6 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
 # how that went.
 
 
-_HORIZON_ROUNDING = 1e-12  # Fraction of the horizon that rounding may leave over at its end
-
-
 @dataclass(frozen=True)
 class Span:
     """The interval of a slab; ``end`` is ``start + length``, or exactly the end of the horizon."""
@@ -202,7 +200,7 @@ class March(Generic[SomeSpan, SomeTrial]):
         """March from start to end; ``report`` is called after each slab that is kept."""
         result = MarchResult()
         time = start
-        while end - time > _HORIZON_ROUNDING * (end - start):
+        while end - time > COINCIDENT * (end - start):
             span = self.lengths.propose(time)
             if isinstance(span, Status) or len(result.records) >= self.max_trials:
                 result.stopped = span if isinstance(span, Status) else Status.SLAB_LIMIT

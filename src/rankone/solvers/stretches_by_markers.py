@@ -98,7 +98,7 @@ def reference_set_of(
 
 _PILOTS = 16  # Trajectories, besides corners, that tell the order of events
 _ORDER_PILOT_RTOL = 1e-6  # Their relative tolerance
-_PILOT_FLOOR = 1e-6  # Size of a state, over that at the start, below which accuracy is absolute
+_FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 
 def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
@@ -129,7 +129,7 @@ def timed_system(system: System, domain: Domain) -> tuple[System, tuple[float, .
 def pilots(system: System, domain: Domain, rtol: float) -> tuple[Array, Tolerances]:
     """Points (m, d) of trajectories that tell the order of events, and their tolerances."""
     points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
-    return points, Tolerances.down_to(rtol, _PILOT_FLOOR * sizes_at_start(system, points))
+    return points, Tolerances.down_to(rtol, _FLOOR * sizes_at_start(system, points))
 
 
 def sizes_at_start(system: System, points: Array) -> Array:
@@ -162,7 +162,6 @@ _LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is lo
 # Copies of the paths of trajectories while crossings are looked for: one by one, together, crossing
 _PATH_COPIES = 3
 _NO_ORDER = EventOrder((), Ending.EVENT)  # Before trajectories have told it
-_FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
 
 FirstPoints: TypeAlias = Callable[[System, SolveRequest], Array]
 """The points (m, d) whose trajectories an engine begins with."""

@@ -22,9 +22,8 @@ MOST_UNDECIDED = 0.01
 _CANDIDATES = 4096  # Points among which those near to where orders change are chosen
 _NEAR = 48  # How many of them
 _SURPRISING = 6  # Points with other events than their branch that are looked at, at most
-_LOOKS = 17  # Times along a stretch at which other events are looked for
+_LOOKS = 17  # Times at which other events, or undecided states, are looked for
 _SHARE_POINTS = 2**14  # Points that tell the share of the box that is undecided
-_SHARE_TIMES = 17  # Times at which it is looked for
 _AT_ONCE = 1024  # Points, or curves of states, at which branches are evaluated together
 
 
@@ -171,7 +170,7 @@ def undecided_share(evaluator: BranchEvaluator, coverage: Coverage) -> float:
     """
     d = len(coverage.box)
     points = coverage.points(spread(_SHARE_POINTS, d, np.random.default_rng(20146)))
-    times = np.linspace(*evaluator.horizon, _SHARE_TIMES)[:, None]
+    times = np.linspace(*evaluator.horizon, _LOOKS)[:, None]
     count, aside = 0, 2.0 * evaluator.width * (evaluator.horizon[1] - evaluator.horizon[0])
     for block in _blocks(points):
         near = block[_margins(evaluator, block) < evaluator.width]

@@ -22,6 +22,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
 from rankone.support.errors import OptionError
+from rankone.support.precision import NEGLIGIBLE, ROUNDING
 from rankone.tensors.bases import IDENTITY, ChebyshevBasis, Scale
 from rankone.trajectories.system.system import System
 
@@ -38,14 +39,11 @@ _NARROW_PIECE = 1.0 / 64.0  # Width of a narrow piece, relative to the interval:
 _RARE_SHARE = 0.25  # Narrow pieces count if they make up less than this part of the interval
 _MOST_DEPTH = 13  # Bisections of the interval: down to about a sample
 _MOST_ROUNDS = 4  # Rounds of sampling, each between the cuts of those before
-_CLOSEST = 1e-9  # Distance of cuts that samples tell apart, relative to the interval
 _LOCATED = 1e-15  # Width of a piece, relative to the size of its ends, at which a cut is located
 _SIZE_SAMPLES = 224  # Samples that tell the size of a factor
 _MOST_ROUGH_PIECES = 1000  # Most places at which samples show functions that are not smooth
 _MOST_REPEATED = 10_000  # Most cuts that repeat with a period
-_COINCIDENT = 1e-14  # Cuts are the same if closer, relative to the size of the coordinate
 _MOST_CLOSE_PAIRS = 100  # Most pairs of such cuts that are checked
-_PULSE_SHARE = 1e-9  # Area of a pulse between two such cuts, over the function's, that counts
 _POLE = 1e9  # A factor this many times larger at a cut than at samples may have a pole there
 _POLE_DISTANCES = (1e-11, 1e-14)  # Widths of the interval from a cut between which a pole grows
 _POLE_GROWTH = 10.0  # Factor by which a pole grows between them; a narrow peak does not
@@ -129,14 +127,14 @@ def in_scale(
 def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
     """Raise an OptionError for a pulse between two cuts that are the same except for rounding."""
     lower, upper = factors.interval
-    least = _COINCIDENT * max(abs(lower), abs(upper))
+    least = ROUNDING * max(abs(lower), abs(upper))
     inside = sorted({x for x in cuts if lower < x < upper})
     close = [(a, b) for a, b in itertools.pairwise(inside) if b - a <= least]
     for a, b in close[:_MOST_CLOSE_PAIRS]:
         pulse, *beside = factors(np.array([0.5 * (a + b), a - 2.0 * least, b + 2.0 * least])).T
         usual = np.maximum(*np.abs(beside))
         area = (np.abs(pulse) - usual) * (b - a)
-        if (area > _PULSE_SHARE * (usual + 1.0) * (upper - lower)).any():
+        if (area > NEGLIGIBLE * (usual + 1.0) * (upper - lower)).any():
             raise OptionError(
                 f"a pulse for {factors.coordinate} from {a!r} to {b!r} is too short: "
                 "floating-point numbers are not much closer",
@@ -218,7 +216,7 @@ def _distinct(points: Sequence[float], least: float) -> list[float]:
 
 def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
     """Points inside an interval, ascending, each once except for rounding errors."""
-    least = _COINCIDENT * max(abs(lower), abs(upper))
+    least = ROUNDING * max(abs(lower), abs(upper))
     _, *inside = _distinct([lower, *(x for x in points if x > lower)], least)
     return [x for x in inside if upper - x > least]
 
@@ -280,7 +278,7 @@ class _Finder:
     ) -> None:
         self.function, self.nodes, self.tolerance = function, nodes, tolerance
         self.lower, self.width = lower, upper - lower
-        self.closest = _CLOSEST * self.width
+        self.closest = NEGLIGIBLE * self.width
         points = lower + self.width * _SHARES
         self.points, samples = points[:_SAMPLES], function(points)
         size = np.maximum(samples.max(axis=1), -samples.min(axis=1))[:, None]

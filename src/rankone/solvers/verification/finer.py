@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
+from rankone.support.precision import NEGLIGIBLE
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.timeline import CLOCK_STATES
@@ -28,7 +29,6 @@ _FINER = 1e-2  # Tolerance of finer trajectories over that of the reference
 _LSODA_RETURNS, _ABOVE = 3e-10, 10.0
 _DIFFERENCE = 0.3  # Difference to these, over the tolerance of the solve, that matters
 _TIMES = 61  # Evenly spaced times at which they are compared
-_BESIDE = 1e-9  # Distance of these from a jump, in horizons, at least
 
 
 def confirmed(reference_set: ReferenceSet) -> tuple[ReferenceSet, HiddenRate | None]:
@@ -98,7 +98,7 @@ def _times(reference_set: ReferenceSet) -> Array:
     """The times (T,) of a comparison, none of them that of a jump: states differ on either side."""
     times = np.linspace(reference_set.reference.start, reference_set.end, _TIMES)
     jumps = np.array(reference_set.system.jumps.times)
-    near = _BESIDE * (times[-1] - times[0])
+    near = NEGLIGIBLE * (times[-1] - times[0])
     apart = np.abs(times[:, None] - jumps).min(axis=1, initial=np.inf) > near
     return np.asarray(times[apart])
 

@@ -9,17 +9,17 @@ import scipy.sparse
 
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.solvers.verification.resolution import COPIES
 from rankone.support.arrays import Array
 from rankone.support.budget import reserve
 from rankone.support.costs import SparseFactors
+from rankone.support.precision import AT_ONCE
 from rankone.trajectories.system.system import PatternJacobian, pattern_of
 
 _STEPS = 32  # Steps over the horizon by which the growth of errors is followed
 _TRAJECTORIES = 5  # Check points at which it is followed, the centre first
 _BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
 _COLUMNS = 16  # Random columns of a propagator of many states
-_HELD_ENTRIES = 2**20  # Entries of steps that are held at once, unless one trajectory has more
-_COPIES = 7  # Copies of these while they are made and multiplied
 
 
 def amplification(reference_set: ReferenceSet) -> Callable[[float], float]:
@@ -46,11 +46,11 @@ def _of_propagators(reference_set: ReferenceSet) -> Array:
     width = (reference_set.end - start) / _STEPS
     reference = reference_set.reference
     count = min(_TRAJECTORIES, len(reference.points))
-    together = max(_HELD_ENTRIES // (n * n * _STEPS), 1)
+    together = max(AT_ONCE // (n * n * _STEPS), 1)
     largest = np.ones(_STEPS + 1)
     for first in range(0, count, together):
         some = reference.of(slice(first, min(first + together, count)))
-        reserve(8.0 * _COPIES * n * n * _STEPS * len(some.points))
+        reserve(8.0 * COPIES * n * n * _STEPS * len(some.points))
         step = _cayley_steps(reference_set, some, width)
         propagator = step
         for gap in range(1, _STEPS + 1):
@@ -71,7 +71,7 @@ def _of_columns(reference_set: ReferenceSet, pattern: PatternJacobian) -> Array:
     places, eye = (pattern.rows, pattern.columns), scipy.sparse.identity(n, format="csc")
     first = np.random.default_rng(0).standard_normal((n, _COLUMNS)) / np.sqrt(n * _COLUMNS)
     largest = np.ones(_STEPS + 1)
-    reserve(8.0 * _COPIES * n * _COLUMNS * _STEPS)
+    reserve(8.0 * COPIES * n * _COLUMNS * _STEPS)
     for point in range(min(_TRAJECTORIES, len(reference.points))):
         some = reference.of(slice(point, point + 1))
         entries = pattern.entries(middle, some(middle)[:, 0], some.points[0][:, None])

@@ -16,6 +16,7 @@ from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
+from rankone.support.precision import AT_ONCE
 from rankone.tensors.bases.time_grid import times_within
 from rankone.tensors.evaluators.evaluator import TrainEvaluator
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
@@ -27,8 +28,8 @@ from rankone.trajectories.system.timeline import CLOCK_STATES, Timeline
 
 _TIMES = 41  # Evenly spaced times of the horizon at which values are compared
 _SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
-_BEYOND = 0.02  # How far beyond where an order holds its errors count, in horizons
-_TOGETHER = 1 << 21  # Numbers of solutions that are read together
+BEYOND = 0.02
+"""How far beyond where an order of events holds a branch reaches, and its errors count."""
 _BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
 
 
@@ -98,7 +99,7 @@ def _curves(
 ) -> Iterator[Array]:
     """States (n, T) at the times (T,) of each of the points (d, m), which are read together."""
     longest = max(times.size for times in all_times)
-    together = max(_TOGETHER // (longest * evaluator.count(rows)), 1)
+    together = max(AT_ONCE // (longest * evaluator.count(rows)), 1)
     for first in range(0, len(all_times), together):
         some = all_times[first : first + together]
         padded = np.stack([np.pad(times, (0, longest - times.size), "edge") for times in some], 1)
@@ -171,7 +172,7 @@ def forced_errors(
     evaluator = TrainEvaluator(slabs)
     columns = np.ascontiguousarray(reference.points.T)
     ours = evaluator.curves(pseudo[:, None], columns, slice(0, n + 2))
-    beyond = _BEYOND * clock.length
+    beyond = BEYOND * clock.length
     lengths, now = exact[n + 1], exact[n]
     counts = (now <= clock.horizon[1] + beyond) & (lengths >= -beyond).all(axis=0)
     errors = np.where(counts, np.abs(ours - exact), 0.0).max(axis=1)

@@ -168,7 +168,6 @@ def climbed(
 
 
 FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
-_BRANCH_POINTS = 32  # Points, besides corners, that have to be on one branch of steady states
 _FEW_CORNERS = 8  # Corners where they do not count: all of three parameters
 _MOST_CORNERS = 256  # Corners where they count: all of eight parameters
 _BESIDE = 4e-9  # Distance from cuts, in widths of the interval: at a jump the state is ambiguous
@@ -176,8 +175,10 @@ _FACTOR_SAMPLES = 1025  # Samples of a factor over its interval
 _RARE_SHARE = 0.2  # Share of the box below which a term is rarely active
 _MOST_RARE_TERMS = 4  # Rare terms that are looked at
 _RARE_POINTS = 48  # Points at which rare terms are active, for all of them together
-_SURFACE_CANDIDATES = 512  # Random points between which surfaces are looked for
-_SURFACE_POINTS = 32  # Points on all surfaces together, and points in cells
+CANDIDATES = 512
+"""Random points among which worse ones, or surfaces, are looked for."""
+FEW_POINTS = 32
+"""Points that are taken where nothing tells more."""
 _LEAST_SURFACE_POINTS = 4  # Points on each surface at least
 _SURFACE_HALVINGS = 50  # Halvings of the distance to a surface, to the last digits
 _CLIMBERS = 4  # Points from which a surface that no random point crosses is approached
@@ -187,8 +188,8 @@ _CELL_PARAMETERS = 2  # Parameters with several cuts from which their cells are 
 _STEEP_NODES = 3.0  # Nodes in one of several parameters, over those of a smooth function
 _STEEP_NODES_ALONE = 9.0  # The same for a single parameter: its random points lie close
 _MOST_ELEMENTS = 16  # Elements of a parameter in which the error is measured
-_MOST_SLABS = 4  # Slabs on which steep points are looked for
-_STEEP_CANDIDATES = 512  # Random points among which steep ones are chosen on each slab
+MOST_SLABS = 4
+"""Slabs on which worse points are looked for."""
 _STEEP_POINTS = 12  # Points chosen on each slab
 # Bad points beside the worst one: how many in all, and their least error over the largest one and
 # distance from each other, in widths of an interval
@@ -234,7 +235,7 @@ def covers_corners(request: SolveRequest) -> bool:
 def branch_points(domain: Domain) -> Array:
     """Points (m, d) that have to be on one branch of steady states."""
     few = len(domain.box) <= FEW_PARAMETERS
-    return check_points(domain.bounds, _BRANCH_POINTS, every_corner=few)
+    return check_points(domain.bounds, FEW_POINTS, every_corner=few)
 
 
 def inside_jumps(points: Array, system: System, domain: Domain) -> Array:
@@ -296,10 +297,10 @@ def surface_points(system: System, domain: Domain) -> Array:
     if functions is None:
         return np.zeros((0, d))
     generator = np.random.default_rng(20143)
-    points = generator.random((_SURFACE_CANDIDATES, d))
+    points = generator.random((CANDIDATES, d))
     with np.errstate(all="ignore"):
         rows = functions(points)
-        each = max(_LEAST_SURFACE_POINTS, _SURFACE_POINTS // len(rows))
+        each = max(_LEAST_SURFACE_POINTS, FEW_POINTS // len(rows))
         on_surfaces = [np.zeros((0, d))]
         for i, row in enumerate(rows):
             if not np.isfinite(row).all() or np.ptp(row) == 0.0:
@@ -377,7 +378,7 @@ def cell_points(domain: Domain, cuts: Sequence[Sequence[float]]) -> Array:
     if sum(len(places) > 1 for places in cuts) < _CELL_PARAMETERS:
         return np.zeros((0, d))
     generator = np.random.default_rng(20145)
-    points = np.empty((_SURFACE_POINTS, d))
+    points = np.empty((FEW_POINTS, d))
     for j, ((lower, upper), places) in enumerate(zip(domain.box, cuts, strict=True)):
         edges = np.array([lower, *places, upper])
         lengths = np.diff(edges)
@@ -406,10 +407,10 @@ def candidate_points(
         return None
     generator = np.random.default_rng((20140, number))
     points = [_inside_elements(looked_at[-1].bases, generator)]
-    indices = sorted({round(i) for i in np.linspace(0, len(looked_at) - 1, _MOST_SLABS)})
+    indices = sorted({round(i) for i in np.linspace(0, len(looked_at) - 1, MOST_SLABS)})
     for run in sharing([looked_at[i] for i in indices]):
         coverage = Coverage.of_bases(run[0].bases)
-        candidates = coverage.points(generator.random((_STEEP_CANDIDATES, len(coverage.box))))
+        candidates = coverage.points(generator.random((CANDIDATES, len(coverage.box))))
         taken = np.zeros(len(candidates), dtype=bool)
         for steepness in _steepness(run, candidates, sizes):
             change = np.where(taken, 0.0, steepness ** (2.0 if steep else 1.0))
@@ -450,7 +451,7 @@ def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -
 
 def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
     """A point (d,) of the box at which the end of a slab depends steeply on some parameter."""
-    unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, len(slab.bases)))
+    unit = np.random.default_rng(20140).random((CANDIDATES, len(slab.bases)))
     points = Coverage.of_bases(slab.bases).points(unit)
     return np.asarray(points[np.argmax(_steepness([slab], points, sizes)[0])])
 

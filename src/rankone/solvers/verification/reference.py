@@ -18,6 +18,7 @@ from rankone.support.arrays import Array, bisected
 from rankone.support.budget import OutOfBudgetError, charge, limited, reserve, work_done, work_left
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import ROUNDING
 from rankone.trajectories.integrators.diagnosis import (
     first_to_end,
     is_regular,
@@ -30,7 +31,8 @@ from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.system import System, refuse_gap
 
-_SAMPLES = 201  # Evenly spaced times between which surfaces are crossed at most once
+SAMPLES = 201
+"""Evenly spaced times that tell the sizes of states, and where surfaces are crossed."""
 _PARTS = 32  # Parts of an interval of which one is kept
 _ROUNDS = 6  # How often: the interval is a billionth of itself then
 _MOST_TIMES = 200  # Most times that are kept, evenly spread over those that are found
@@ -40,7 +42,7 @@ def narrow_times(reference: Reference, observed: Observation | None, end: float)
     """When trajectories of the reference cross the surfaces of what is observed, in order: (k,)."""
     if observed is None or observed.surfaces is None:
         return np.empty(0)
-    times = np.linspace(reference.start, end, _SAMPLES)
+    times = np.linspace(reference.start, end, SAMPLES)
     places: set[tuple[int, int, int]] = set()
     for block, first in _blocks(reference, times):
         part = times[first : first + block.shape[2]]
@@ -91,7 +93,6 @@ _ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
 _LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
 _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
 _BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
-_COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizon, are the same
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
 # Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
 _NUMBERS_OF_STATE = 100
@@ -337,7 +338,7 @@ def integration_edges(
         return [start, *cuts, end]
     with np.errstate(all="ignore"):
         times = system.features.moving_cuts(np.ascontiguousarray(points.T)).ravel()
-    least = _COINCIDENT * max(abs(start), abs(end))
+    least = ROUNDING * max(abs(start), abs(end))
     times = np.unique(times[(times - start > least) & (end - times > least)])
     times = times[np.diff(times, prepend=start) > least]
     apart = np.abs(times[:, None] - np.array(cuts)).min(axis=1, initial=np.inf) > least

@@ -23,6 +23,7 @@ from rankone.solvers.verification.points import (
     surface_points,
 )
 from rankone.solvers.verification.reference import (
+    SAMPLES,
     Reference,
     integrate_reference,
     integration_edges,
@@ -33,6 +34,7 @@ from rankone.solvers.verification.resolution import NEGLIGIBLE
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import COINCIDENT
 from rankone.tensors.bases.time_grid import times_within
 from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.integrators.integrator import SampledTrajectories, Tolerances
@@ -51,7 +53,6 @@ from rankone.trajectories.system.verdict import NumericallyZero, SharedUnit
 # drift over more, and count by how fast the states are
 _IN_STEP, _IN_TIME = 2, 200.0
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
-_SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
 _LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
 _LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
@@ -59,7 +60,6 @@ _LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
 _SINGLE_SHARE = 0.15  # Most of what is left of the budget for finer trajectories by LSODA
 _MOST_SINGLE_STATES = 200  # States up to which LSODA, whose matrices are dense, samples again
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
-_COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
 _MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
 
 
@@ -268,7 +268,7 @@ class ReferenceSet:
         get a size of which their rounding errors are a small part.
         """
         start, end = self.reference.start, self.end
-        times = np.linspace(start, end, _SIZE_SAMPLES)
+        times = np.linspace(start, end, SAMPLES)
         for a, b in itertools.pairwise([start, *self.system.jumps.inside(start, end), end]):
             times = np.concatenate([times, times_within(a, b, _JUMP_SHARES)])
         blocks: Iterator[Array] = map(self.system.with_products, self.reference.blocks(times))
@@ -329,7 +329,7 @@ class ReferenceSet:
     @cached_property
     def _of_quantities(self) -> Array:
         """Largest absolute value of each quantity that is observed; one for a vanishing one."""
-        even = np.linspace(self.reference.start, self.end, _SIZE_SAMPLES)
+        even = np.linspace(self.reference.start, self.end, SAMPLES)
         largest = _largest(self.quantities(np.concatenate([even, self.narrow_times])))
         sizes = self.interior(largest, axis=1).max(axis=1)
         return np.where(sizes > 0.0, sizes, 1.0)
@@ -467,7 +467,7 @@ def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[
     """The cuts, and the times of jumps in place of those that are the same except for rounding."""
     start, end = domain.horizon
     jumps = system.jumps.inside(start, end)
-    near = _COINCIDENT * max(abs(start), abs(end))
+    near = COINCIDENT * max(abs(start), abs(end))
     apart = (cut for cut in cuts if all(abs(cut - time) > near for time in jumps))
     return tuple(sorted([*apart, *jumps]))
 

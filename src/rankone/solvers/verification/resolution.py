@@ -17,6 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import AT_ONCE
 from rankone.trajectories.integrators.diagnosis import (
     MOST_GROWTH,
     Rounding,
@@ -31,8 +32,8 @@ from rankone.trajectories.integrators.integrator import LEAST_TOLERANCE, DenseTr
 from rankone.trajectories.system.system import System
 
 NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
-_HELD_NUMBERS = 2**22  # Numbers of states at several times that are held at once, or those at one
-_COPIES = 8  # Copies of these while they are compared
+COPIES = 8
+"""Copies of states at several times that are held while they are compared."""
 _LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
 _BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
 _SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
@@ -57,7 +58,7 @@ Integrate: TypeAlias = Callable[[Array, Array], DenseTrajectories]
 
 def times_held(size: int) -> int:
     """At how many times states of this size, (n, m), are held at once: one at least."""
-    most = min(_HELD_NUMBERS, memory_left() / (8.0 * _COPIES))
+    most = min(AT_ONCE, memory_left() / (8.0 * COPIES))
     return max(int(most // size), 1)
 
 
@@ -268,7 +269,7 @@ class Resolution:
         if self.system.clock is None:
             bounds = growth_bounds(self.system, self.points, time, states, rows)
             some = np.flatnonzero(~(bounds <= slowest))
-        return np.array_split(some, -(-some.size * rows.size**2 // _HELD_NUMBERS) or 1)[: some.size]
+        return np.array_split(some, -(-some.size * rows.size**2 // AT_ONCE) or 1)[: some.size]
 
     def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
         """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.

@@ -17,7 +17,10 @@ import numpy as np
 
 from rankone.solvers.verification.measure import with_contractions
 from rankone.solvers.verification.points import (
+    CANDIDATES,
     FEW_PARAMETERS,
+    FEW_POINTS,
+    MOST_SLABS,
     Climb,
     Coverage,
     climbed,
@@ -29,11 +32,8 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.tensors.trains.slab import SlabTrain
 
-_CANDIDATES = 512  # Points at which residuals are looked at, with up to three parameters
 _MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
 _WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth of a second
-_MOST_SLABS = 4  # Slabs on which residuals are looked at, and jumps of a kind
-_MORE_POINTS = 32  # Random points that are taken where there are no residuals
 _CHOSEN = 8  # Worst points that are taken
 _CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
 _CORNER_POWER = 1.0 / 3.0  # Power of the distance from the centre: draws points to corners
@@ -84,7 +84,7 @@ class _WorstPoints:
             tolerated = np.ones(len(unit))
         candidates = self._points(unit)
         compared = self.reference_set.interior_points[-_MOST_COMPARED:]
-        indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, _MOST_SLABS)})
+        indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, MOST_SLABS)})
         points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
         ratios = np.zeros(len(candidates))
         for slab, contraction in with_contractions(slabs, points):
@@ -100,7 +100,7 @@ class _WorstPoints:
     def anywhere(self) -> Array:
         """Random points (m, d): quantities that are observed have no residual."""
         d = len(self.reference_set.domain.box)
-        return self._points(self.generator.random((_MORE_POINTS, d)))
+        return self._points(self.generator.random((FEW_POINTS, d)))
 
     def _points(self, shares: Array) -> Array:
         """Points (m, d) at shares of the box: on the scales of the domain and of the solution."""
@@ -112,9 +112,9 @@ class _WorstPoints:
     def _candidates(self, d: int) -> tuple[Array, Array]:
         """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
         if d <= FEW_PARAMETERS:
-            return self.generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
+            return self.generator.random((CANDIDATES, d)), np.ones(CANDIDATES)
         affordable = _affordable(self.slabs[-1:])
-        points = self.generator.random((min(max(affordable, _CANDIDATES), _MOST_CANDIDATES), d))
+        points = self.generator.random((min(max(affordable, CANDIDATES), _MOST_CANDIDATES), d))
         near = np.arange(len(points)) % _CORNER_INTERVAL == 0
         offset = 2.0 * points[near] - 1.0
         points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
@@ -142,18 +142,18 @@ class _WorstPoints:
         if not jumps.times:
             return np.zeros((0, len(bounds)))
         affordable = _affordable(self.slabs)
-        count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
+        count = min(_JUMP_CANDIDATES, max(CANDIDATES, affordable))
         anywhere = self._points(self.generator.random((count, len(bounds))))
         climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
         doubtful, looks = [anywhere[:0]], Counter[int]()
         for before, after in itertools.pairwise(self.slabs):
             kind = jumps.kind_at(before.end)
-            if kind is None or looks[kind] == _MOST_SLABS:
+            if kind is None or looks[kind] == MOST_SLABS:
                 continue
             looks[kind] += 1
             rough = kind in jumps.rough_kinds
             error = partial(self._jump_error, kind, before, after)
-            points = anywhere if rough else anywhere[:_CANDIDATES]
+            points = anywhere if rough else anywhere[:CANDIDATES]
             inside = points_in_elements(after.bases, len(points) // 2, self.generator)
             points = np.concatenate([points, inside])
             errors = error(points)
