@@ -290,7 +290,6 @@ _SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
 _FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
 _INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
-_WIDTH = 1.0  # Width of what is undecided, over the tolerance
 
 # What to do where a limit is reached, before what always helps
 _RAISED = {Status.WORK_LIMIT: "raise effort", Status.TIME_LIMIT: "raise max_seconds"}
@@ -446,7 +445,7 @@ class _Solves:
             tuple(timelines),
             parted.guards,
             parted.forks,
-            _WIDTH * rtol,
+            rtol,
             tuple((rtol * sizes).tolist()),
             0.0,
             parted.grazings,

@@ -21,6 +21,7 @@ from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import quote
 from rankone.tensors.bases import Basis1D, first_scale
 from rankone.tensors.bases.scales import Interval, Logarithm, on_scale
@@ -39,7 +40,7 @@ from rankone.trajectories.system.verdict import (
 
 _AIMED_SHARE = 0.3  # Error aimed at, over the tolerance
 _SAFETY = 0.7  # Factor on a part of an interval: predictions are of one parameter at a time
-_LEAST_SHARE = 0.03  # Parts below this share are not predicted: too far from what was measured
+_LEAST_SHARE = 0.03  # Parts of an interval below this share are of no use: too far from the whole
 _LARGEST_SHARE = 0.8  # Largest part, before the safety, where the work of an attempt was small
 _SHRINKAGE = 0.9  # Factor on the part of the costliest parameter, until the work is affordable
 # Work of one attempt over the budget: a reference comes before it, and a second attempt takes twice
@@ -176,9 +177,7 @@ _INSIDE = 0.1  # Distance of the faces that are told from points of other orders
 _CHECKED = 48  # Trajectories inside of a part that have to be of one order as well
 _ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
 _UNITS = 20.0  # Units of the last digit in an interval that is told, at least
-_ROUNDING = 1e-6  # Of such a unit
 _SHARE = 0.1  # Of what is left of the budget, for the search for a part
-_LEAST = 0.05  # Width of a part, over that of the box, below which it is of no use
 
 
 def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
@@ -240,8 +239,8 @@ def inside(ends: Interval) -> Interval:
     """An interval inside another one, with ends of few digits."""
     lower, upper = ends
     unit = 10.0 ** math.floor(math.log10((upper - lower) / _UNITS))
-    low = math.ceil(lower / unit - _ROUNDING) * unit
-    high = math.floor(upper / unit + _ROUNDING) * unit
+    low = math.ceil(lower / unit - NEGLIGIBLE) * unit
+    high = math.floor(upper / unit + NEGLIGIBLE) * unit
     return float(f"{low:.12g}"), float(f"{high:.12g}")
 
 
@@ -261,7 +260,7 @@ def _largest_part(search: OrderSearch) -> Array | None:
     at_faces = np.stack([best[:, 0] <= 0.0, best[:, 1] >= 1.0], axis=1)
     inner = best + _INSIDE * np.ptp(best, axis=1)[:, None] * np.array([1.0, -1.0])
     part = np.where(at_faces, [0.0, 1.0], inner)
-    if np.ptp(part, axis=1).min() < _LEAST:
+    if np.ptp(part, axis=1).min() < _LEAST_SHARE:
         return None
     return np.asarray(np.where(at_faces, search.bounds, lower[:, None] + width[:, None] * part))
 
@@ -311,7 +310,7 @@ _LOOSER = 1e-2  # Tolerance that is tried where no attempt meets a tighter one
 _HALF = 0.5  # Part of what is left that goes into one kind of remedy if others follow
 _EACH = 0.25  # Part of that which one box may take
 _FIRST_ENDS = (1 / 64, 1 / 512)  # Parts of the horizon, in turn up to a success
-_LATER_ENDS = (2.0, 4.0, 8.0, 16.0, 32.0, 48.0)  # Times this part, in turn up to a failure
+_LATER_ENDS = (2, 4, 8, 16, 32, 48)  # Times this part, in turn up to a failure
 _END_DIGITS = 3  # Significant digits of an end
 _SMALLER = (1.0, 0.5, 0.25)  # Parts of predicted intervals, around their middles
 _BESIDE = (0.35, 0.65)  # Distances from a front, over the interval beside it
