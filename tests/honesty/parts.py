@@ -21,11 +21,12 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 import argparse
 import inspect
 import json
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -154,6 +155,14 @@ def _other(answer: Any, *arguments: object, **_: object) -> bool:
     return all(answer is not argument for argument in arguments)
 
 
+def _no_elements(marcher: Any, _nodes: int) -> list[adaptive.KnownElements]:
+    return [adaptive.KnownElements()] * len(marcher.reference_set.domain.box)
+
+
+def _known(elements: Sequence[adaptive.KnownElements], *_: object) -> bool:
+    return any(each != adaptive.KnownElements() for each in elements)
+
+
 def _cut(cuts: Sequence[Cuts], *_: object) -> bool:
     return any(each.points for each in cuts)
 
@@ -251,7 +260,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
         Place(markers, "repeating_from", _zero, _true),
     ),
     "marks that are foreseen": (Place(stretches_by_markers, "_foreseeing", _first, _always),),
-    "more events than the first ones met": (Place(ways, "_MOST_MORE_EVENTS", _zero, _always),),
+    "more events than the first ones met": (Place(ways, "SOLVE", _zero, _always),),
     # integrators
     "steps made again": (
         Place(defects.DefectControl, "missed", lambda *_: np.zeros(1, dtype=bool), _has),
@@ -279,7 +288,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
         ),
     ),
     "stacks that are watched": (Place(integrator_choice._Watch, "__call__", _none, _always),),
-    "Taylor steps": (Place(stack.TaylorTerms, "of", _none),),
+    "Taylor steps": (Place(stack.TaylorTerms, "cost", lambda *_: math.inf, _always),),
     # interpolation
     "choice of scales": (
         Place(
@@ -289,7 +298,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
             lambda lines, *_: any(not line.basis.scale.is_identity for line in lines),
         ),
     ),
-    "known elements": (Place(cross_engine.CrossMarcher, "_known_elements", _nothing, _any),),
+    "known elements": (Place(cross_engine.CrossMarcher, "_known_elements", _no_elements, _known),),
     "lines through the worst points": (Place(cross_engine.CrossMarcher, "_worst_lines", _none),),
     "slabs halved": (Place(cross_engine.CrossMarcher, "_halve_slabs", _none, _always),),
     "jumps looked for early": (Place(cross_engine, "first_jump", _none),),
@@ -323,7 +332,7 @@ PARTS: dict[str, tuple[Place, ...]] = {
 """For each mechanism what is replaced by what."""
 
 _NUMBERS: dict[str, tuple[Any, str, Any]] = {
-    "more events than the first ones met": (ways, "_MOST_MORE_EVENTS", 0),
+    "more events than the first ones met": (ways, "SOLVE", replace(ways.SOLVE, most_more_events=0)),
     "a second engine": (selection, "_FINAL", tuple(ways.Status)),
 }
 """Those that are switched off by a number."""

@@ -18,6 +18,7 @@ measured against reference trajectories, and how the solve ended.
 - ``remedies``: what to do about a solve that is refused: a remedy is tried before it is offered
 - ``request``: the request of a solve: domain, tolerance, check, limits, and what is observed
 - ``selection``: the engines by name, and a solve that tries one after another
+- ``solve_tuning``: the numbers of a solve: attempts, ways, branches, markers, remedies
 - ``stretches_by_markers``: the reference of a solve, one for all attempts, over stretches where
   markers pay
 - ``ways``: the interface of engines, and the ways in which one solves: as written, in order, in

@@ -16,6 +16,7 @@ from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord
 from rankone.solvers.remedies import Resolution, narrowed_box, spectra_of
 from rankone.solvers.request import SolveRequest
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.verification.finer import confirmed
 from rankone.solvers.verification.measure import measure
 from rankone.solvers.verification.reference import safe_intervals
@@ -70,11 +71,8 @@ RECENT_ATTEMPTS = 3
 LEAST_COST_RATIO = 0.9
 """Work of an attempt over that of the one before it, at least: each is finer, and may only spare
 what calibrations took."""
-_PAID_SHARE = 0.5  # Part of the work of the reference that does not count against patience
 # Endings after which a narrower box may help
 _NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
-_MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it
-_LAST_SHARE = 0.5  # Work of an attempt that came to no end, over what was spent on it
 # Limits in the order in which they explain a failure
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 _REMEDIES = {
@@ -266,7 +264,7 @@ def solve_in_attempts(
                 marcher = marcher_of()
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages, request.check.states)
-        with waiting(_PAID_SHARE * stages.work["reference"]):
+        with waiting(SOLVE.paid_reference_share * stages.work["reference"]):
             made = _attempts(marcher, request.rtol, options, report, stages)
     reference_set, best = marcher.reference_set, made.best
     status = best.status(reference_set, request.rtol)
@@ -344,7 +342,7 @@ def _narrowed(
     reference_set, result = marcher.reference_set, best.result
     if status not in _NARROWED or not reference_set.domain.box:
         return []
-    work, missed = _LAST_SHARE * stages.work["march"], 1.0
+    work, missed = SOLVE.unfinished_work_share * stages.work["march"], 1.0
     if result.stopped is None and result.slabs:
         work = best.work
         bases, spectra = result.slabs[-1].bases, spectra_of(result.slabs, reference_set.states)
@@ -353,7 +351,7 @@ def _narrowed(
         modes = list(zip(bases, spectra, strict=True))
     else:
         modes = marcher.modes_on_lines()
-    if not modes or not missed < _MOST_MISSED:
+    if not modes or not missed < SOLVE.unexplained_error:
         return []
     resolutions = [Resolution.of(basis, missed * s, request.rtol) for basis, s in modes]
     names = reference_set.system.parameters

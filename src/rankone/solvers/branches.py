@@ -15,6 +15,7 @@ from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches
 from rankone.solvers.outcome import Measured, Outcome
 from rankone.solvers.remedies import box_of_one_order, remedy_of
 from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import sizes_at_start, timed_system
 from rankone.solvers.verification.branch_errors import (
     MOST_UNDECIDED,
@@ -283,12 +284,6 @@ def _measured(
 # trajectories that follow their own order.
 
 
-_POINTS = 256  # Trajectories that tell the orders
-_MOST_SOLVES = 4  # Solves of all branches: the check may meet further orders, or ask for accuracy
-_MOST_OF_ONE = 0.08  # Share of the budget for one branch: where more is asked for, it is not smooth
-_SHARES = (0.4, 0.1)  # Tolerances of the branches over that of the solve
-_FLOOR = 1e-3  # Size of a state, over that at the start, below which accuracy is absolute
-_INSIDE = 1e-4  # Distance of points from the faces of the box, in widths
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
 
 # What to do where a limit is reached, before what always helps
@@ -342,9 +337,11 @@ def order_search(timed: System, request: SolveRequest) -> OrderSearch:
     domain = request.domain
     accuracy = reference_accuracy(request.rtol)
     chosen = span_integrator_for(timed, request.integrator)
-    shares = spread(_POINTS, len(domain.box), np.random.default_rng(20143))
-    points = Coverage.of_domain(domain).points(_INSIDE + (1.0 - 2.0 * _INSIDE) * shares)
-    tolerances = Tolerances.down_to(accuracy, _FLOOR * sizes_at_start(timed, points))
+    shares = spread(SOLVE.order_points, len(domain.box), np.random.default_rng(20143))
+    points = Coverage.of_domain(domain).points(
+        SOLVE.branch_inset + (1.0 - 2.0 * SOLVE.branch_inset) * shares
+    )
+    tolerances = Tolerances.down_to(accuracy, SOLVE.branch_floor * sizes_at_start(timed, points))
     empty = OrderSearch(timed, domain.horizon, domain.bounds, points[:0], [], chosen, tolerances)
     return empty.with_points(points)
 
@@ -367,8 +364,8 @@ class _Solves:
         """The outcome; None where each check meets yet another order."""
         with self.stages.of("reference"):
             search = self.search = order_search(self.timed, self.request)
-        shares = [*_SHARES]
-        for _ in range(_MOST_SOLVES):
+        shares = [*SOLVE.branch_tolerances]
+        for _ in range(SOLVE.most_solves):
             outcome, further = self._solved(search, shares[0])
             if len(further):
                 with self.stages.of("reference"):
@@ -398,7 +395,7 @@ class _Solves:
         outcomes, whole = list[Outcome](), budget_left()
         for k, branch in enumerate(parted.branches):
             of_rest = 1.0 / (len(parted.branches) - k)
-            most = whole * (MOST_OF_OPENED if branch.opened.turns else _MOST_OF_ONE)
+            most = whole * (MOST_OF_OPENED if branch.opened.turns else SOLVE.branch_share)
             with limited(min(of_rest * budget_left(), most), of_rest * seconds_left()):
                 box = box_of_branch(branched, k, self.request.domain.box)
                 outcome = self._solved_branch(clocks[k], branch, box, share)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.verification.branch_errors import MOST_UNDECIDED
 from rankone.support.arrays import Array
 from rankone.support.budget import budget_left, limited
@@ -26,10 +27,6 @@ from rankone.trajectories.system.timeline import Fork, Grazing, Opening
 
 MOST_OF_OPENED = 0.25
 """Largest share of the budget for one branch with further coordinates."""
-_MOST_BRANCHES = 16
-_MOST_GRAZED = 0.03  # Share of the trajectories, about, with an order that cannot be continued
-_SAME_TIME = 0.1  # Difference of lengths of stretches that end at once, in horizons, over rtol
-_SAME_ROOT = 1e-3  # Most that stretches differ which end at one root, in horizons
 
 
 @dataclass(frozen=True)
@@ -186,9 +183,10 @@ class _Branching:
                 branches.append(Branch(order, forced, places, search.unopened))
             except ContinuationError as error:
                 failed.append(_Failed(order, places, error))
-            if len(branches) + len(failed) > _MOST_BRANCHES:
+            if len(branches) + len(failed) > SOLVE.most_branches:
                 raise OrderError(
-                    f"events come in more than {_MOST_BRANCHES} orders over the box", remedy=REMEDY
+                    f"events come in more than {SOLVE.most_branches} orders over the box",
+                    remedy=REMEDY,
                 )
         shortest = sorted(failed, key=lambda each: len(each.order.met))
         grazed = list[Order]()
@@ -204,7 +202,7 @@ class _Branching:
 
     def _may_be_grazed(self, failed: _Failed) -> bool:
         """Whether an order that cannot be continued holds in slivers of the box alone."""
-        most = _MOST_GRAZED * len(self.search.points)
+        most = SOLVE.most_grazed * len(self.search.points)
         return len(failed.places) <= most and not failed.order.terminal
 
     def _may_be_left_out(self, failed: _Failed) -> bool:
@@ -288,7 +286,7 @@ class _Branching:
         if order.at_any_roots != other.order.at_any_roots:
             return False
         apart = np.abs(lengths - self.search.lengths(order, places))
-        return bool((apart <= _SAME_ROOT * self.search.length).all())
+        return bool((apart <= SOLVE.same_root * self.search.length).all())
 
     def _with_grazings(self, parted: Branches) -> Branches:
         """The branches with clearances from the events at which grazed orders part from them.
@@ -368,4 +366,4 @@ class _Branching:
         if one.steps[step][0][0] != other.steps[step][0][0]:
             return False
         apart = np.abs(lengths[:, step - 1] - other_lengths[:, step - 1]).max()
-        return bool(apart <= _SAME_TIME * self.rtol * self.search.length)
+        return bool(apart <= SOLVE.same_time * self.rtol * self.search.length)

@@ -14,6 +14,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 from rankone.support.precision import COINCIDENT
@@ -33,13 +34,6 @@ FAST_FACTOR = 1.5  # Factor on the length of the next slab after few iterations
 DIVERGED = 1e3
 # Up to this many parameters, known functions are resolved and kept to rounding level
 FEW_PARAMETERS = 2
-_LEFT_POINTS = 9  # Random left points of the first attempt; each further attempt doubles them
-_HIGHEST_RANK = 200  # Largest rank: initial values and states after jumps are smooth functions
-_INITIAL_TOLERANCE = 1e-13  # Error of initial values, in their sizes: far below that of any solve
-_TRIAL_NODES = 256  # Random nodes at which the interpolation is compared with exact values
-_TRIAL_FACTOR = 30.0  # An error at a trial node above this many tolerances needs more left points
-_WORST_NODES = 16  # Trial nodes with the largest errors that become left points
-_ATTEMPTS = 5  # Most attempts: the last one has 144 random left points
 
 
 @dataclass(frozen=True)
@@ -66,28 +60,28 @@ def interpolated(
     if not nodes:
         return Train((function(np.zeros((1, 0), dtype=np.int64)),))
     generator = np.random.default_rng(20140)
-    trial = np.stack([generator.integers(0, x.size, _TRIAL_NODES) for x in nodes], axis=1)
+    trial = np.stack([generator.integers(0, x.size, SOLVE.trial_nodes) for x in nodes], axis=1)
     exact = function(trial)
     sizes = np.abs(exact).max(axis=1, keepdims=True)
     sizes[sizes == 0.0] = 1.0
     counts = [x.size for x in nodes]
-    left = left_points(counts, _LEFT_POINTS, 20140)
+    left = left_points(counts, SOLVE.first_left_points, 20140)
 
     def scaled(indices: Integers) -> Array:
         return np.asarray(function(indices) / sizes)
 
-    for attempt in range(1, _ATTEMPTS + 1):
+    for attempt in range(1, SOLVE.initial_attempts + 1):
         batches = [[points] for points in left]
-        train, _ = interpolate(scaled, nodes, batches, tolerance, _HIGHEST_RANK)
+        train, _ = interpolate(scaled, nodes, batches, tolerance, SOLVE.initial_rank)
         unscaled = train.unscaled([x.weights for x in nodes])
         errors = np.abs(train.first @ unscaled.at_indices(trial) - exact / sizes).max(axis=0)
         full = math.prod(counts[:-1]) <= len(left[-1])
-        if full or errors.max() <= _TRIAL_FACTOR * tolerance:
+        if full or errors.max() <= SOLVE.trial_factor * tolerance:
             break
-        worst = trial[np.argsort(-errors)[:_WORST_NODES]]
+        worst = trial[np.argsort(-errors)[: SOLVE.worst_trial_nodes]]
         left = [
             np.unique(np.concatenate([points, worst[:, : points.shape[1]]]), axis=0)
-            for points in left_points(counts, _LEFT_POINTS * 2**attempt, 20140 + attempt)
+            for points in left_points(counts, SOLVE.first_left_points * 2**attempt, 20140 + attempt)
         ]
     logger.info("interpolated over the parameters: ranks %s, error %.1e", train.ranks, errors.max())
     return train.with_first(train.first * sizes)
@@ -105,7 +99,7 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
     def at_nodes(indices: Integers) -> Array:
         return system.initial(np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 
-    return interpolated(at_nodes, [PlainNodes(x.size) for x in nodes], _INITIAL_TOLERANCE)
+    return interpolated(at_nodes, [PlainNodes(x.size) for x in nodes], SOLVE.initial_tolerance)
 
 
 # -----------------------------------------------------------------------------

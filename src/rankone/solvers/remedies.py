@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.outcome import Outcome
 from rankone.solvers.request import SolveRequest
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
@@ -38,20 +39,6 @@ from rankone.trajectories.system.verdict import (
     SteepParameter,
 )
 
-_AIMED_SHARE = 0.3  # Error aimed at, over the tolerance
-_SAFETY = 0.7  # Factor on a part of an interval: predictions are of one parameter at a time
-_LEAST_SHARE = 0.03  # Parts of an interval below this share are of no use: too far from the whole
-_LARGEST_SHARE = 0.8  # Largest part, before the safety, where the work of an attempt was small
-_SHRINKAGE = 0.9  # Factor on the part of the costliest parameter, until the work is affordable
-# Work of one attempt over the budget: a reference comes before it, and a second attempt takes twice
-# as much
-_AFFORDABLE_SHARE = 0.24
-_SLOWEST_DECAY = 0.97  # Largest ratio of successive modes: slower decay looks like none
-_FASTEST_DECAY = 0.1  # Smallest one: rounding errors hide faster decay
-_RANK_SHARE = 0.5  # Ranks over the largest possible ones for the nodes on either side
-_ELEMENT_GROWTH = 2.0  # Factor on the nodes of elements whose modes have not fallen
-_BOX_DIGITS = 2  # Significant digits of the ends that are told
-
 
 @dataclass(frozen=True)
 class Resolution:
@@ -65,11 +52,11 @@ class Resolution:
     def of(cls, basis: Basis1D, spectrum: Array, rtol: float) -> Resolution:
         """From the sizes of the modes, in units of the states."""
         smooth = min(4.0 - 1.4 * math.log10(rtol), basis.size)
-        excess = math.log(max(basis.tail(spectrum), 1e-300) / (_AIMED_SHARE * rtol))
+        excess = math.log(max(basis.tail(spectrum), 1e-300) / (SOLVE.narrowing_aim * rtol))
         if excess <= 0.0:
             return cls(basis, float(basis.size), smooth)
         if basis.elements > 1:
-            return cls(basis, _ELEMENT_GROWTH * basis.size, smooth)
+            return cls(basis, SOLVE.element_growth * basis.size, smooth)
         return cls(basis, basis.size - excess / math.log(_decay(spectrum)), smooth)
 
     @property
@@ -120,13 +107,13 @@ def narrowed_box(
         nodes = [r.nodes(share) for r, share in zip(resolutions, shares, strict=True)]
         return unit * _samples(nodes)
 
-    while cost() > _AFFORDABLE_SHARE * budget and min(shares) > _LEAST_SHARE:
-        shares[further().index(max(further()))] *= _SHRINKAGE
+    while cost() > SOLVE.affordable_share * budget and min(shares) > SOLVE.least_narrowing:
+        shares[further().index(max(further()))] *= SOLVE.narrowing_step
     if min(shares) == 1.0:  # work was not what it lacked
         steepest = further().index(max(further()))
-        shares[steepest] = min(resolutions[steepest].suffices, _LARGEST_SHARE)
-    shares = [share if share == 1.0 else _SAFETY * share for share in shares]
-    if min(shares) < _LEAST_SHARE:
+        shares[steepest] = min(resolutions[steepest].suffices, SOLVE.largest_narrowing)
+    shares = [share if share == 1.0 else SOLVE.narrowing_safety * share for share in shares]
+    if min(shares) < SOLVE.least_narrowing:
         return None
     return NarrowBox(
         tuple(
@@ -142,14 +129,14 @@ def _decay(spectrum: Array) -> float:
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]
     half = len(levels) // 2
     ratio = (levels[-1] / max(levels[half], 1e-300)) ** (1.0 / max(len(levels) - 1 - half, 1))
-    return float(min(max(ratio, _FASTEST_DECAY), _SLOWEST_DECAY))
+    return float(min(max(ratio, SOLVE.fastest_decay), SOLVE.slowest_decay))
 
 
 def _samples(nodes: Sequence[float]) -> float:
     """About how many trajectories a cross interpolation takes: rank by nodes by rank."""
     logarithms = np.concatenate([[0.0], np.cumsum(np.log(nodes))])
     smaller = np.minimum(logarithms, logarithms[-1] - logarithms)
-    ranks = np.maximum(_RANK_SHARE * np.exp(smaller), 1.0)
+    ranks = np.maximum(SOLVE.rank_share * np.exp(smaller), 1.0)
     return float(np.sum(ranks[:-1] * np.array(nodes) * ranks[1:]))
 
 
@@ -162,7 +149,7 @@ def _part(basis: Basis1D, share: float) -> Interval:
     lower, upper = on_scale(scale, ends, 0.5 + np.array([-0.5, 0.5]) * share).tolist()
     lengths = (upper - lower,) * 2 if scale.is_identity else (lower, upper)
     lower, upper = (
-        round(end, _BOX_DIGITS - 1 - math.floor(math.log10(abs(length))))
+        round(end, SOLVE.box_digits - 1 - math.floor(math.log10(abs(length))))
         for end, length in zip((lower, upper), lengths, strict=True)
     )
     return max(lower, ends[0]), min(upper, ends[1])
@@ -172,24 +159,16 @@ def _part(basis: Basis1D, share: float) -> Interval:
 # A part of a box in which events come in one order, for the message of a refused solve.
 
 
-_STEP = 0.02  # Of a face, outwards, over the width of the whole box
-_INSIDE = 0.1  # Distance of the faces that are told from points of other orders, over the part
-_CHECKED = 48  # Trajectories inside of a part that have to be of one order as well
-_ROUNDS = 4  # Parts that are tried: each leaves out what the check of the one before met
-_UNITS = 20.0  # Units of the last digit in an interval that is told, at least
-_SHARE = 0.1  # Of what is left of the budget, for the search for a part
-
-
 def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
     """The intervals of a part in which all trajectories meet the same events in the same order.
 
     None where there is none of some size. Further trajectories inside of it are followed.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(SOLVE.part_rounds):
         part = _largest_part(search)
         if part is None:
             return None
-        points = check_points(part, _CHECKED, every_corner=True)
+        points = check_points(part, SOLVE.part_points, every_corner=True)
         try:
             inside = search.at(points)
         except OrderError:
@@ -203,7 +182,7 @@ def one_order(search: OrderSearch) -> tuple[Interval, ...] | None:
 def remedy_of(search: OrderSearch) -> tuple[str, tuple[Interval, ...] | None]:
     """What to do about orders that cannot be continued: a part of the box, if there is one."""
     try:
-        with persisting(_SHARE * budget_left()):
+        with persisting(SOLVE.part_search_share * budget_left()):
             part = one_order(search)
     except OutOfBudgetError:
         part = None
@@ -238,7 +217,7 @@ def narrowing_text(names: Sequence[str], bounds: Array, part: Sequence[Interval]
 def inside(ends: Interval) -> Interval:
     """An interval inside another one, with ends of few digits."""
     lower, upper = ends
-    unit = 10.0 ** math.floor(math.log10((upper - lower) / _UNITS))
+    unit = 10.0 ** math.floor(math.log10((upper - lower) / SOLVE.least_units))
     low = math.ceil(lower / unit - NEGLIGIBLE) * unit
     high = math.floor(upper / unit + NEGLIGIBLE) * unit
     return float(f"{low:.12g}"), float(f"{high:.12g}")
@@ -258,9 +237,9 @@ def _largest_part(search: OrderSearch) -> Array | None:
     if best is None:
         return None
     at_faces = np.stack([best[:, 0] <= 0.0, best[:, 1] >= 1.0], axis=1)
-    inner = best + _INSIDE * np.ptp(best, axis=1)[:, None] * np.array([1.0, -1.0])
+    inner = best + SOLVE.part_inset * np.ptp(best, axis=1)[:, None] * np.array([1.0, -1.0])
     part = np.where(at_faces, [0.0, 1.0], inner)
-    if np.ptp(part, axis=1).min() < _LEAST_SHARE:
+    if np.ptp(part, axis=1).min() < SOLVE.least_narrowing:
         return None
     return np.asarray(np.where(at_faces, search.bounds, lower[:, None] + width[:, None] * part))
 
@@ -283,7 +262,7 @@ def _grown(start: Array, others: Array) -> Array:
     while open_faces:
         for j, side in [*open_faces]:
             grown = part.copy()
-            grown[j, side] = np.clip(part[j, side] + (2 * side - 1) * _STEP, 0.0, 1.0)
+            grown[j, side] = np.clip(part[j, side] + (2 * side - 1) * SOLVE.part_step, 0.0, 1.0)
             if grown[j, side] == part[j, side] or _holds(grown, others):
                 open_faces.remove((j, side))
             else:
@@ -304,17 +283,6 @@ def _holds(part: Array, points: Array) -> bool:
 # a part of what is left. A box that is predicted, and not tried for lack of work, comes last.
 
 
-_WORST = 0.02  # Largest error of a solution that is offered
-_MARGIN = 1.5  # A looser tolerance over the error that was measured, at least
-_LOOSER = 1e-2  # Tolerance that is tried where no attempt meets a tighter one
-_HALF = 0.5  # Part of what is left that goes into one kind of remedy if others follow
-_EACH = 0.25  # Part of that which one box may take
-_FIRST_ENDS = (1 / 64, 1 / 512)  # Parts of the horizon, in turn up to a success
-_LATER_ENDS = (2, 4, 8, 16, 32, 48)  # Times this part, in turn up to a failure
-_END_DIGITS = 3  # Significant digits of an end
-_SMALLER = (1.0, 0.5, 0.25)  # Parts of predicted intervals, around their middles
-_BESIDE = (0.35, 0.65)  # Distances from a front, over the interval beside it
-_AROUND = 0.15  # Distance from a front's other parameters, over their intervals, if it moves
 _NO_REMEDY = (
     Status.CONVERGED,
     Status.UNCHECKED,
@@ -374,7 +342,7 @@ def remedied_error(error: ConvergenceError, trials: Trials) -> ConvergenceError:
         domain, whole = trials.request.domain, error.part is None
         # the middle of a whole box has fewer orders, if not one alone
         intervals = dict(enumerate(error.part or domain.box))
-        box, _ = trials.first_box(trials.shrunk(intervals, _SMALLER[whole:]))
+        box, _ = trials.first_box(trials.shrunk(intervals, SOLVE.shrunk_parts[whole:]))
         if box is not None:
             error.part = tuple(box.get(j, ends) for j, ends in enumerate(domain.box))
             narrowed = narrowing_text(trials.names, domain.bounds, error.part)
@@ -395,7 +363,7 @@ class Trials:
 
     def looser(self, rtol: float) -> Outcome | None:
         """The outcome at a looser tolerance; None without success."""
-        with limited(_HALF * budget_left()):
+        with limited(SOLVE.remedy_share * budget_left()):
             outcome = self.trial(replace(self.request, rtol=rtol))
         return outcome if _succeeds(outcome) else None
 
@@ -410,7 +378,7 @@ class Trials:
             boxes = self._beside(cause)
         elif predicted:
             boxes = self.shrunk({self.names.index(name): predicted[name] for name in predicted})
-        with limited(_HALF * budget_left()):
+        with limited(SOLVE.remedy_share * budget_left()):
             box, fails = self.first_box(boxes)
         if box is None:
             return None, fails
@@ -419,7 +387,7 @@ class Trials:
 
     def first_box(self, boxes: Iterator[Intervals]) -> tuple[Intervals | None, bool]:
         """The first box with a success; or whether the first one fails, not for lack of work."""
-        most, fails = _EACH * budget_left(), list[bool]()
+        most, fails = SOLVE.box_trial_share * budget_left(), list[bool]()
         for box in boxes:
             with limited(most):
                 outcome = self.trial(self.request.on_box(box, 1.0))
@@ -434,18 +402,18 @@ class Trials:
         length = end - start
 
         def solved(share: float) -> float | None:
-            digits = _END_DIGITS - 1 - math.floor(math.log10(max(abs(start), share * length)))
+            digits = SOLVE.end_digits - 1 - math.floor(math.log10(max(abs(start), share * length)))
             earlier = round(start + share * length, digits)
             domain = replace(self.request.domain, horizon=(start, earlier))
             later = (earlier > start and self.trial(replace(self.request, domain=domain))) or None
             return earlier if _succeeds(later) else None
 
-        for first in _FIRST_ENDS:
-            with limited(_HALF * budget_left()):
+        for first in SOLVE.first_ends:
+            with limited(SOLVE.remedy_share * budget_left()):
                 latest = solved(first)
             if latest is None:
                 continue
-            for times in _LATER_ENDS:
+            for times in SOLVE.later_ends:
                 later = solved(times * first)
                 if later is None:
                     break
@@ -454,7 +422,7 @@ class Trials:
         return None
 
     def shrunk(
-        self, intervals: Intervals, parts: Sequence[float] = _SMALLER
+        self, intervals: Intervals, parts: Sequence[float] = SOLVE.shrunk_parts
     ) -> Iterator[Intervals]:
         """Intervals, and parts around their middles."""
         for part in parts:
@@ -470,10 +438,10 @@ class Trials:
         for name, value in front.others:
             i = self.names.index(name)
             lower, upper = self.request.domain.box[i]
-            width = _AROUND * (upper - lower)
+            width = SOLVE.front_surroundings * (upper - lower)
             around = max(lower, value - width), min(upper, value + width)
             others[i] = self._part(i, around, np.array([0.0, 1.0]))
-        for distance in _BESIDE:
+        for distance in SOLVE.front_distances:
             for beside in (dict[int, Interval](), others) if others else ({},):
                 sides = (below, (0.0, 1.0 - distance)), (above, (distance, 1.0))
                 for ends, shares in sorted(sides, key=lambda side: side[0][0] - side[0][1]):
@@ -495,12 +463,16 @@ def _succeeds(outcome: Outcome | None) -> bool:
 def _looser_ones(outcome: Outcome, rtol: float) -> list[float]:
     """Looser tolerances to try: of one digit that the measured error meets with some margin."""
     front, error = outcome.cause, outcome.error
-    tolerances = [_LOOSER] if rtol < _LOOSER and not isinstance(front, SteepParameter) else []
+    tolerances = (
+        [SOLVE.looser_rtol]
+        if rtol < SOLVE.looser_rtol and not isinstance(front, SteepParameter)
+        else []
+    )
     jumps = isinstance(front, SteepParameter) and front.jump
-    if jumps or not outcome.slabs or not 0.0 < error <= _WORST:
+    if jumps or not outcome.slabs or not 0.0 < error <= SOLVE.worst_offered:
         return tolerances
-    unit = 10.0 ** math.floor(math.log10(_MARGIN * error))
-    met = float(f"{math.ceil(_MARGIN * error / unit) * unit:.0e}")
+    unit = 10.0 ** math.floor(math.log10(SOLVE.offered_margin * error))
+    met = float(f"{math.ceil(SOLVE.offered_margin * error / unit) * unit:.0e}")
     return [met, *(each for each in tolerances if each > met)] if met > rtol else tolerances
 
 

@@ -14,6 +14,7 @@ from rankone.solvers.engines import cross, greedy, train
 from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.solvers.remedies import Trials, remedied, remedied_error
 from rankone.solvers.request import Limits, SolveRequest, check_factors
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import sharing_references
 from rankone.solvers.verification.measure import drift, measure
 from rankone.solvers.verification.reference_set import ReferenceSet
@@ -41,9 +42,6 @@ from rankone.trajectories.system.verdict import MeasuredError, OtherEngines, Rem
 __all__ = ["AUTO", "ENGINES", "engines_for"]
 
 AUTO = "auto"
-# Most parameters for which train comes first: it is as fast as cross there, and more exact. Where
-# trajectories have sparse factors, cross takes a quarter to three quarters of its time
-_FEW_PARAMETERS = 1
 
 # Options about where to compute, which "auto" hands to the engines that have them
 _RESOURCES = {"executor"}
@@ -78,7 +76,7 @@ def engines_for(
     OptionError if there is no such method, or an option belongs to another one, to be named.
     """
     if isinstance(method, str) and method == AUTO:
-        few = parameters <= _FEW_PARAMETERS and states < MANY_STATES
+        few = parameters <= SOLVE.train_parameters and states < MANY_STATES
         order = ("train", "cross") if few else ("cross", "train")
         tried = tuple(ENGINES[name] for name in order if separated or name == "cross")
         common = set.intersection(*(set(ENGINES[name].options.names()) for name in order))
@@ -124,14 +122,6 @@ _FINAL = (
     Status.NARROW,
     *(s for s in Status if s.ends_early),
 )
-# Most operations of train if cross follows: a system that suits train needs fewer
-_TRAIN_OPERATIONS = 2e9
-_TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
-# Share of the budget for cross if train follows: most systems need no second engine, which has the
-# reference of the first
-_CROSS_SHARE = 0.78
-# Share of the budget that remedies may take where the solve itself took less
-_LEAST_REMEDY_SHARE = 0.06
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
@@ -211,7 +201,7 @@ def _best_outcome(
 @contextmanager
 def _remedying(limits: Limits) -> Iterator[None]:
     """Limit trials of remedies to what the solve took, and to a part of its budget."""
-    least = _LEAST_REMEDY_SHARE * limits.operations
+    least = SOLVE.least_remedy_share * limits.operations
     most = patience_for(limits.operations) + REMEDIES * limits.operations - work_done()
     with limited(max(min(most, work_done()), least)):
         yield
@@ -234,8 +224,8 @@ def _share(engine: Engine, last: bool) -> tuple[float, float]:
     if last:
         return work, seconds
     if engine.name == "train":
-        return min(_TRAIN_OPERATIONS, _TRAIN_SHARE * work), _TRAIN_SHARE * seconds
-    return _CROSS_SHARE * work, _CROSS_SHARE * seconds
+        return min(SOLVE.train_operations, SOLVE.train_share * work), SOLVE.train_share * seconds
+    return SOLVE.cross_share * work, SOLVE.cross_share * seconds
 
 
 def _without_lifted(

@@ -12,6 +12,7 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.verification.cuts import system_cuts
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.reference_set import ReferenceSet
@@ -96,11 +97,6 @@ def reference_set_of(
 # Solves over stretches between events or markers, where all trajectories are in step.
 
 
-_PILOTS = 16  # Trajectories, besides corners, that tell the order of events
-_ORDER_PILOT_RTOL = 1e-6  # Their relative tolerance
-_FLOOR = 1e-6  # Size of a state, over its largest, below which accuracy is absolute
-
-
 def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     """The clock of a system with events, after some trajectories.
 
@@ -113,7 +109,7 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     """
     domain = request.domain
     timed, cuts = timed_system(system, domain)
-    points, tolerances = pilots(system, domain, _ORDER_PILOT_RTOL)
+    points, tolerances = pilots(system, domain, SOLVE.order_pilot_rtol)
     chosen = span_integrator_for(timed, request.integrator)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
@@ -128,8 +124,10 @@ def timed_system(system: System, domain: Domain) -> tuple[System, tuple[float, .
 
 def pilots(system: System, domain: Domain, rtol: float) -> tuple[Array, Tolerances]:
     """Points (m, d) of trajectories that tell the order of events, and their tolerances."""
-    points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
-    return points, Tolerances.down_to(rtol, _FLOOR * sizes_at_start(system, points))
+    points = check_points(
+        domain.bounds, SOLVE.order_pilots, every_corner=True, scales=domain.coordinates
+    )
+    return points, Tolerances.down_to(rtol, SOLVE.pilot_floor * sizes_at_start(system, points))
 
 
 def sizes_at_start(system: System, points: Array) -> Array:
@@ -150,17 +148,6 @@ def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRe
 # The reference of a solve: over stretches between markers where they pay, else over clock time.
 
 
-# Operations of a reference over clock time above which pilots tell whether markers pay, since
-# trajectories that are out of phase take many common steps
-_FIRST_LOOK = 2e8
-_MARKER_PILOT_RTOL = 1e-4  # Relative tolerance of the pilots
-_PILOT_SHARES = (0.15, 0.4, 1.0)  # Parts of the horizon after which they may be enough
-# Part of the budget that a reference over stretches may take where one over clock time is there:
-# its samples take several times as much
-_MARKED_SHARE = 0.3
-_LATE_SHARE = 0.1  # Part of the budget in which a front after the horizon is looked for
-# Copies of the paths of trajectories while crossings are looked for: one by one, together, crossing
-_PATH_COPIES = 3
 _NO_ORDER = EventOrder((), Ending.EVENT)  # Before trajectories have told it
 
 FirstPoints: TypeAlias = Callable[[System, SolveRequest], Array]
@@ -201,7 +188,7 @@ def start_of(
     if not markers or request.check.points == 0 or large or _interrupted(system):
         return SolveStart(request, reference_set_of(system, request, lines, workers))
     try:
-        with looking(_FIRST_LOOK):
+        with looking(SOLVE.first_look_operations):
             reference_set = reference_set_of(system, request, lines, workers)
     except OutOfWorkError:
         if work_left() <= 0.0:
@@ -209,7 +196,7 @@ def start_of(
         start = _by_pilots(system, request, first_points)
         return start or SolveStart(request, reference_set_of(system, request, lines, workers))
     marked: SolveStart | None = None
-    with suppress(OutOfWorkError), limited(_MARKED_SHARE * work_left()):
+    with suppress(OutOfWorkError), limited(SOLVE.marked_share * work_left()):
         marked = _by_reference(reference_set, request, first_points)
     return marked or SolveStart(request, reference_set)
 
@@ -245,9 +232,9 @@ def _by_reference(
     separate = cast(SeparateTrajectories, dense)
     scouts = separate.of(SCOUTS).paths
     each = max(path.nbytes for path in scouts)
-    if not may_pay(scouts) or _PATH_COPIES * each * len(reference.points) > memory_left():
+    if not may_pay(scouts) or SOLVE.path_copies * each * len(reference.points) > memory_left():
         return None
-    tolerances = Tolerances.down_to(reference_set.accuracy, _FLOOR * sizes)
+    tolerances = Tolerances.down_to(reference_set.accuracy, SOLVE.pilot_floor * sizes)
     return _by_paths(system, request, reference.points, separate.paths, tolerances, first_points)
 
 
@@ -258,7 +245,7 @@ def _by_pilots(
 
     They go over a part of the horizon at first, which is enough where all of them repeat.
     """
-    points, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
+    points, tolerances = pilots(system, request.domain, SOLVE.marker_pilot_rtol)
     paths: Sequence[Path] = ()
     for paths in _pilot_paths(system, request, points, tolerances):
         try:
@@ -282,7 +269,7 @@ def _pilot_paths(
     (start, end) = request.domain.horizon
     chosen = span_integrator_for(system, request.integrator)
     time, states, paths = start, system.initial(np.ascontiguousarray(points.T)), list[Path]()
-    for share in _PILOT_SHARES if is_autonomous(system) else _PILOT_SHARES[-1:]:
+    for share in SOLVE.pilot_shares if is_autonomous(system) else SOLVE.pilot_shares[-1:]:
         ends = np.full(len(points), end if share == 1.0 else start + share * (end - start))
         spans = Spans(np.full(len(points), time), states, ends)
         further = chosen.paths(system, points, spans, tolerances)
@@ -295,7 +282,7 @@ def _pilot_paths(
 
 def _by_events(system: System, request: SolveRequest, first_points: FirstPoints) -> SolveStart:
     """The start over stretches between events of the user that interrupt nothing."""
-    points, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
+    points, tolerances = pilots(system, request.domain, SOLVE.marker_pilot_rtol)
     clock = Clock(system, _NO_ORDER, request.domain.horizon, in_step=True)
     for paths in _pilot_paths(system, request, points, tolerances):
         start = _in_step(clock, request, points, paths, tolerances, first_points)
@@ -315,10 +302,10 @@ def _by_late_front(
     if not is_autonomous(system):
         return None
     horizon = request.domain.horizon
-    _, tolerances = pilots(system, request.domain, _MARKER_PILOT_RTOL)
+    _, tolerances = pilots(system, request.domain, SOLVE.marker_pilot_rtol)
     chosen = span_integrator_for(system, request.integrator)
     try:
-        with limited(_LATE_SHARE * work_left()):
+        with limited(SOLVE.late_share * work_left()):
             found = late_front(system, points, paths, horizon, chosen, tolerances)
     except OutOfWorkError:
         return None

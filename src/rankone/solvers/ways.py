@@ -11,6 +11,7 @@ from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.remedies import box_of_one_order
 from rankone.solvers.request import USUAL_POINTS, Domain, Observation, SolveRequest
+from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import (
     FirstPoints,
     SolveStart,
@@ -49,10 +50,7 @@ from rankone.trajectories.system.verdict import (
 # Shares of the budget for a system with kinks as it was written, and for stretches between the
 # crossings of its switches
 _KINKS_SHARE, _HELD_SHARE = 0.12, 0.75
-_LOOSE = 1e-3  # Tolerance from which on kinks cost less as they are than stretches between them
 _SOLVED = (Status.CONVERGED, Status.UNCHECKED)
-# Most events before the end that some trajectories meet, beyond those that the first ones met
-_MOST_MORE_EVENTS = 2
 _STEEP_IN_ORDER = "in one order the solution is steep, as where some trajectories miss an event"
 
 
@@ -86,7 +84,7 @@ class Engine:
         held: Outcome | None = None
         jumps = system.features.n_steps or system.features.n_moving_steps
         kinks = not system.events and not jumps
-        if kinks and request.rtol < _LOOSE:
+        if kinks and request.rtol < SOLVE.loose_rtol:
             with part_of_budget(_HELD_SHARE), suppress(ConvergenceError):
                 held = self._solve_in_order(system.held, request, report, Stages(), crossed=True)
         if kinks and held is None:
@@ -211,7 +209,7 @@ class Engine:
         Also where there are no events, if some must be ``crossed``. ``stages`` count what tells it.
         """
         first: OrderError | None = None
-        for more in range(1 + _MOST_MORE_EVENTS):
+        for more in range(1 + SOLVE.most_more_events):
             try:
                 with stages.of("reference"):
                     clock = clock_of(system, request, more)

@@ -1,6 +1,7 @@
 """Where is a solution worst? Reference trajectories, candidate points, and the measured error.
 
 - ``branch_errors``: errors of branches against trajectories that follow their own order of events
+- ``check_tuning``: the numbers of the check: where a solution is measured, and against what
 - ``cuts``: cuts of one coordinate: where known functions of it jump, kink or are narrow
 - ``finer``: whether finer trajectories confirm those of a reference
 - ``growth``: how much errors grow that are made on the way

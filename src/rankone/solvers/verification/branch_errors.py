@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.measure import compared_times
 from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array, spread
@@ -18,13 +19,6 @@ from rankone.trajectories.system.system import System
 
 MOST_UNDECIDED = 0.01
 """Largest share of the box that may be undecided."""
-
-_CANDIDATES = 4096  # Points among which those near to where orders change are chosen
-_NEAR = 48  # How many of them
-_SURPRISING = 6  # Points with other events than their branch that are looked at, at most
-_LOOKS = 17  # Times at which other events, or undecided states, are looked for
-_SHARE_POINTS = 2**14  # Points that tell the share of the box that is undecided
-_AT_ONCE = 1024  # Points, or curves of states, at which branches are evaluated together
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,9 @@ def branch_errors(
     decided = _margins(evaluator, points) >= evaluator.width
     decided &= ~_coincide(evaluator, points)
     all_times = [compared_times(each, system, evaluator.horizon, rtol) for each in trajectories]
-    for block in np.array_split(np.arange(len(points)), max(-(-len(points) * n // _AT_ONCE), 1)):
+    for block in np.array_split(
+        np.arange(len(points)), max(-(-len(points) * n // CHECK.branch_points_at_once), 1)
+    ):
         most = max(len(all_times[k]) for k in block)
         times = np.stack([np.resize(all_times[k], most) for k in block], axis=1)
         exact = np.stack([trajectories[k](times[:, i])[:n] for i, k in enumerate(block)], axis=2)
@@ -109,10 +105,10 @@ def _time_error(
 def points_near_changes(evaluator: BranchEvaluator, coverage: Coverage) -> Array:
     """Points (m, d) next to where one order gives way to another."""
     d = len(coverage.box)
-    points = coverage.points(spread(_CANDIDATES, d, np.random.default_rng(20145)))
+    points = coverage.points(spread(CHECK.change_candidates, d, np.random.default_rng(20145)))
     least = np.concatenate([_margins(evaluator, block) for block in _blocks(points)])
     order = np.argsort(least, kind="stable")
-    return np.asarray(points[order[:_NEAR]])
+    return np.asarray(points[order[: CHECK.change_points]])
 
 
 def points_with_other_events(
@@ -120,7 +116,7 @@ def points_with_other_events(
 ) -> Array:
     """Points (m, d) at which the branch that holds passes an event that is not in its order."""
     d = len(coverage.box)
-    points = coverage.points(spread(_CANDIDATES, d, np.random.default_rng(20147)))
+    points = coverage.points(spread(CHECK.change_candidates, d, np.random.default_rng(20147)))
     passes = np.zeros(len(points), dtype=bool)
     for places in np.array_split(np.arange(len(points)), len(_blocks(points))):
         decision = evaluator.decided(np.ascontiguousarray(points[places].T))
@@ -129,7 +125,9 @@ def points_with_other_events(
             if here.size:
                 passes[here] = _passes_others(evaluator, system, k, orders[k], points[here])
     passing = points[passes]
-    return np.asarray(passing[:: max(len(passing) // _SURPRISING, 1)][:_SURPRISING])
+    return np.asarray(
+        passing[:: max(len(passing) // CHECK.most_surprising, 1)][: CHECK.most_surprising]
+    )
 
 
 def _passes_others(
@@ -137,8 +135,8 @@ def _passes_others(
 ) -> NDArray[np.bool_]:
     """Whether a branch passes events that do not end its stretches, at points (m, d)."""
     columns = np.ascontiguousarray(points.T)
-    at_all = np.repeat(columns, _LOOKS, axis=1)
-    shares = np.linspace(0.0, np.nextafter(1.0, 0.0), _LOOKS)[:, None]
+    at_all = np.repeat(columns, CHECK.event_looks, axis=1)
+    shares = np.linspace(0.0, np.nextafter(1.0, 0.0), CHECK.event_looks)[:, None]
     n, end = system.n_differential - system.n_sides, evaluator.horizon[1]
     passes = np.zeros(len(points), dtype=bool)
     for stretch, sides in enumerate(order.sides):
@@ -169,8 +167,8 @@ def undecided_share(evaluator: BranchEvaluator, coverage: Coverage) -> float:
     Times next to events, where values jump in any case, do not count.
     """
     d = len(coverage.box)
-    points = coverage.points(spread(_SHARE_POINTS, d, np.random.default_rng(20146)))
-    times = np.linspace(*evaluator.horizon, _LOOKS)[:, None]
+    points = coverage.points(spread(CHECK.share_points, d, np.random.default_rng(20146)))
+    times = np.linspace(*evaluator.horizon, CHECK.event_looks)[:, None]
     count, aside = 0, 2.0 * evaluator.width * (evaluator.horizon[1] - evaluator.horizon[0])
     for block in _blocks(points):
         near = block[_margins(evaluator, block) < evaluator.width]
@@ -185,7 +183,7 @@ def undecided_share(evaluator: BranchEvaluator, coverage: Coverage) -> float:
 
 
 def _blocks(points: Array) -> list[Array]:
-    return np.array_split(points, max(-(-len(points) // _AT_ONCE), 1))
+    return np.array_split(points, max(-(-len(points) // CHECK.branch_points_at_once), 1))
 
 
 def _margins(evaluator: BranchEvaluator, points: Array) -> Array:

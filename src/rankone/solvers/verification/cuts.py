@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, KnownFactors
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
@@ -26,27 +27,12 @@ from rankone.support.precision import NEGLIGIBLE, ROUNDING
 from rankone.tensors.bases import IDENTITY, ChebyshevBasis, Scale
 from rankone.trajectories.system.system import System
 
-_SAMPLES = 2**14  # Fine samples over the interval: narrower pieces may be missed
-_NODES = 14  # Nodes of an interpolant that resolves smooth pieces
-_RESOLVED_ERROR = 1e-7  # Interpolation error of resolved pieces, relative to the largest value
-_STRAIGHT = 1e-13  # Error of a straight line, relative to the largest value: rounding
-_SMOOTH_ERROR = 1e-3  # Error over that one below which both halves are smooth, with a cut between
 # Shares of a piece that are sampled too, since small pieces contain no fine sample
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
-_SHARES = np.append((np.arange(_SAMPLES) + 0.5) / _SAMPLES, _OFF_SAMPLES)  # Sampled in any case
+_SHARES = np.append(
+    (np.arange(CHECK.cuts_samples) + 0.5) / CHECK.cuts_samples, _OFF_SAMPLES
+)  # Sampled in any case
 _LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
-_NARROW_PIECE = 1.0 / 64.0  # Width of a narrow piece, relative to the interval: its ends are cuts
-_RARE_SHARE = 0.25  # Narrow pieces count if they make up less than this part of the interval
-_MOST_DEPTH = 13  # Bisections of the interval: down to about a sample
-_MOST_ROUNDS = 4  # Rounds of sampling, each between the cuts of those before
-_LOCATED = 1e-15  # Width of a piece, relative to the size of its ends, at which a cut is located
-_SIZE_SAMPLES = 224  # Samples that tell the size of a factor
-_MOST_ROUGH_PIECES = 1000  # Most places at which samples show functions that are not smooth
-_MOST_REPEATED = 10_000  # Most cuts that repeat with a period
-_MOST_CLOSE_PAIRS = 100  # Most pairs of such cuts that are checked
-_POLE = 1e9  # A factor this many times larger at a cut than at samples may have a pole there
-_POLE_DISTANCES = (1e-11, 1e-14)  # Widths of the interval from a cut between which a pole grows
-_POLE_GROWTH = 10.0  # Factor by which a pole grows between them; a narrow peak does not
 
 
 class TooManyCuts(Exception):
@@ -87,12 +73,13 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
         except TooManyCuts:
             raise OptionError(
                 f"a coefficient varies too fast for {factors.coordinate} in "
-                f"[{interval[0]:g}, {interval[1]:g}]: {_SAMPLES} samples do not resolve it",
+                f"[{interval[0]:g}, {interval[1]:g}]: {CHECK.cuts_samples} samples do not resolve "
+                "it",
                 remedy="choose a shorter range, or replace what varies by its mean",
             ) from None
         points = np.array([*interval, *cuts.points])
-        size = np.abs(factors(np.linspace(*interval, _SIZE_SAMPLES))).max()
-        if np.abs(factors(points)).max() > _POLE * size and _grows(factors, points):
+        size = np.abs(factors(np.linspace(*interval, CHECK.factor_size_samples))).max()
+        if np.abs(factors(points)).max() > CHECK.pole * size and _grows(factors, points):
             raise factors.not_finite()
         all_cuts.append(cuts)
     return tuple(all_cuts)
@@ -130,7 +117,7 @@ def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
     least = ROUNDING * max(abs(lower), abs(upper))
     inside = sorted({x for x in cuts if lower < x < upper})
     close = [(a, b) for a, b in itertools.pairwise(inside) if b - a <= least]
-    for a, b in close[:_MOST_CLOSE_PAIRS]:
+    for a, b in close[: CHECK.most_close_pairs]:
         pulse, *beside = factors(np.array([0.5 * (a + b), a - 2.0 * least, b + 2.0 * least])).T
         usual = np.maximum(*np.abs(beside))
         area = (np.abs(pulse) - usual) * (b - a)
@@ -147,16 +134,16 @@ def _grows(factors: KnownFactors, points: Array) -> bool:
     lower, upper = factors.interval
     far, near = (
         np.abs(factors(np.clip(points + distance * (upper - lower), lower, upper)))
-        for distance in _POLE_DISTANCES
+        for distance in CHECK.pole_distances
     )
-    return bool((near > _POLE_GROWTH * far).any())
+    return bool((near > CHECK.pole_growth * far).any())
 
 
 def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) -> list[float]:
     """The cuts that repeat with a period, inside the interval."""
     lower, upper = factors.interval
     count = sum((upper - lower) / period for _, period in periodic)
-    if count > _MOST_REPEATED:
+    if count > CHECK.most_repeated:
         raise OptionError(
             f"a coefficient switches {count:.7g} times for {factors.coordinate} in "
             f"[{lower:g}, {upper:g}]",
@@ -180,11 +167,11 @@ def located_cuts(
     finder = _Finder(function, lower, upper)
     derived = _inside(derived, lower, upper)
     cuts = list(derived)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(CHECK.most_rounds):
         edges = [lower, *cuts, upper]
         pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]
         rough = [(a, b) for a, b, resolved in pieces if not resolved]
-        if len(rough) > _MOST_ROUGH_PIECES:
+        if len(rough) > CHECK.most_rough_pieces:
             raise TooManyCuts
         located = [finder.locate(a, b) for a, b in rough] + finder.hidden(pieces)
         fresh = [x for x in located if _distance(x, edges) > finder.closest]
@@ -193,8 +180,8 @@ def located_cuts(
         cuts = sorted([*cuts, *_distinct(fresh, finder.closest)])
     smooth = len(pieces) <= len(cuts) + 1
     width = upper - lower
-    narrow = [(a, b) for a, b, _ in pieces if b - a < _NARROW_PIECE * width]
-    if sum(b - a for a, b in narrow) < _RARE_SHARE * width:
+    narrow = [(a, b) for a, b, _ in pieces if b - a < CHECK.narrow_piece * width]
+    if sum(b - a for a, b in narrow) < CHECK.cuts_rare_share * width:
         cuts += [x for piece in narrow for x in piece]
     apart = [*derived, lower, upper]
     sampled = [x for x in _distinct(cuts, finder.closest) if _distance(x, apart) > finder.closest]
@@ -273,28 +260,31 @@ class _Finder:
         function: Callable[[Array], Array],
         lower: float,
         upper: float,
-        nodes: int = _NODES,
-        tolerance: float = _RESOLVED_ERROR,
+        nodes: int = CHECK.cut_nodes,
+        tolerance: float = CHECK.resolved_error,
     ) -> None:
         self.function, self.nodes, self.tolerance = function, nodes, tolerance
         self.lower, self.width = lower, upper - lower
         self.closest = NEGLIGIBLE * self.width
         points = lower + self.width * _SHARES
-        self.points, samples = points[:_SAMPLES], function(points)
+        self.points, samples = points[: CHECK.cuts_samples], function(points)
         size = np.maximum(samples.max(axis=1), -samples.min(axis=1))[:, None]
         size[size == 0.0] = 1.0
         straight = self._are_straight(samples, size)
         self.bent = slice(None) if not straight.any() else np.flatnonzero(~straight)
-        self.samples, self.size = samples[self.bent, :_SAMPLES], size[self.bent]
+        self.samples, self.size = samples[self.bent, : CHECK.cuts_samples], size[self.bent]
 
     def _are_straight(self, samples: Array, size: Array) -> NDArray[np.bool_]:
         """Which functions are straight lines, (rows,): nothing more has to be looked at."""
-        first, slopes = samples[:, :1], samples[:, _SAMPLES - 1 : _SAMPLES] - samples[:, :1]
-        lines = slopes * ((_SHARES - _SHARES[0]) / (_SHARES[_SAMPLES - 1] - _SHARES[0]))
+        first, slopes = (
+            samples[:, :1],
+            samples[:, CHECK.cuts_samples - 1 : CHECK.cuts_samples] - samples[:, :1],
+        )
+        lines = slopes * ((_SHARES - _SHARES[0]) / (_SHARES[CHECK.cuts_samples - 1] - _SHARES[0]))
         lines += first
         lines -= samples
         largest = np.maximum(lines.max(axis=1), -lines.min(axis=1))
-        return np.asarray(largest <= _STRAIGHT * size[:, 0])
+        return np.asarray(largest <= CHECK.straight_error * size[:, 0])
 
     def error(self, a: float, b: float) -> float:
         """Largest interpolation error on [a, b], at the fine samples and a few more points."""
@@ -316,7 +306,7 @@ class _Finder:
         """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
         if self.error(a, b) <= self.tolerance:
             return [(a, b, True)]
-        if depth == _MOST_DEPTH or b - a < 4.0 * self.closest:
+        if depth == CHECK.most_depth or b - a < 4.0 * self.closest:
             return [(a, b, False)]
         middle = 0.5 * (a + b)
         return self.pieces(a, middle, depth + 1) + self.pieces(middle, b, depth + 1)
@@ -332,12 +322,12 @@ class _Finder:
 
     def locate(self, a: float, b: float) -> float:
         """The point of a piece at which the functions are least smooth."""
-        while b - a > _LOCATED * max(abs(a), abs(b), self.width):
+        while b - a > CHECK.cut_width * max(abs(a), abs(b), self.width):
             middle = 0.5 * (a + b)
             if not a < middle < b:
                 break
             left, right = self.error(a, middle), self.error(middle, b)
-            if max(left, right) <= _SMOOTH_ERROR * self.tolerance:
+            if max(left, right) <= CHECK.smooth_error * self.tolerance:
                 return middle
             a, b = (a, middle) if left > right else (middle, b)
         return 0.5 * (a + b)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
@@ -23,12 +24,9 @@ from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.timeline import CLOCK_STATES
 from rankone.trajectories.system.verdict import HiddenRate
 
-_FINER = 1e-2  # Tolerance of finer trajectories over that of the reference
 # Below this tolerance LSODA, at a hundredth of it, stays in its stiff method once it is there, with
 # short steps whatever the rates: references so many times above are compared at this one
 _LSODA_RETURNS, _ABOVE = 3e-10, 10.0
-_DIFFERENCE = 0.3  # Difference to these, over the tolerance of the solve, that matters
-_TIMES = 61  # Evenly spaced times at which they are compared
 
 
 def confirmed(reference_set: ReferenceSet) -> tuple[ReferenceSet, HiddenRate | None]:
@@ -63,7 +61,7 @@ def confirmed(reference_set: ReferenceSet) -> tuple[ReferenceSet, HiddenRate | N
 
 def _finer(accuracy: float) -> float:
     """The relative tolerance of trajectories that a reference is compared with."""
-    finer = _FINER * accuracy
+    finer = CHECK.finer_ratio * accuracy
     return _LSODA_RETURNS if finer < _LSODA_RETURNS <= accuracy / _ABOVE else finer
 
 
@@ -83,7 +81,7 @@ def _departure(reference_set: ReferenceSet, accuracy: float) -> HiddenRate | Non
         states = reference_set.reference.of(slice(index, index + 1))(times)
         now = _clock_times(reference_set, times, states)
         apart = _differences(reference_set, index, times, states, finer[:, k : k + 1])
-        left = (apart > _DIFFERENCE * reference_set.rtol) & (now <= end)
+        left = (apart > CHECK.finer_difference * reference_set.rtol) & (now <= end)
         if left.any():
             point = reference_set.reference.points[index].tolist()
             named = zip(reference_set.system.parameters, point, strict=True)
@@ -96,7 +94,7 @@ def _departure(reference_set: ReferenceSet, accuracy: float) -> HiddenRate | Non
 
 def _times(reference_set: ReferenceSet) -> Array:
     """The times (T,) of a comparison, none of them that of a jump: states differ on either side."""
-    times = np.linspace(reference_set.reference.start, reference_set.end, _TIMES)
+    times = np.linspace(reference_set.reference.start, reference_set.end, CHECK.finer_times)
     jumps = np.array(reference_set.system.jumps.times)
     near = NEGLIGIBLE * (times[-1] - times[0])
     apart = np.abs(times[:, None] - jumps).min(axis=1, initial=np.inf) > near

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse
 
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.verification.resolution import COPIES
@@ -15,11 +16,6 @@ from rankone.support.budget import reserve
 from rankone.support.costs import SparseFactors
 from rankone.support.precision import AT_ONCE
 from rankone.trajectories.system.system import PatternJacobian, pattern_of
-
-_STEPS = 32  # Steps over the horizon by which the growth of errors is followed
-_TRAJECTORIES = 5  # Check points at which it is followed, the centre first
-_BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
-_COLUMNS = 16  # Random columns of a propagator of many states
 
 
 def amplification(reference_set: ReferenceSet) -> Callable[[float], float]:
@@ -36,27 +32,27 @@ def amplification(reference_set: ReferenceSet) -> Callable[[float], float]:
         largest = _of_propagators(reference_set)
     else:
         largest = _of_columns(reference_set, pattern)
-    grid = np.linspace(start, reference_set.end, _STEPS + 1)
+    grid = np.linspace(start, reference_set.end, CHECK.growth_steps + 1)
     return lambda t: float(np.interp(t, grid, largest))
 
 
 def _of_propagators(reference_set: ReferenceSet) -> Array:
     """The amplification at the steps (steps + 1,), from whole propagators."""
     n, start = reference_set.system.n_differential, reference_set.reference.start
-    width = (reference_set.end - start) / _STEPS
+    width = (reference_set.end - start) / CHECK.growth_steps
     reference = reference_set.reference
-    count = min(_TRAJECTORIES, len(reference.points))
-    together = max(AT_ONCE // (n * n * _STEPS), 1)
-    largest = np.ones(_STEPS + 1)
+    count = min(CHECK.growth_trajectories, len(reference.points))
+    together = max(AT_ONCE // (n * n * CHECK.growth_steps), 1)
+    largest = np.ones(CHECK.growth_steps + 1)
     for first in range(0, count, together):
         some = reference.of(slice(first, min(first + together, count)))
-        reserve(8.0 * COPIES * n * n * _STEPS * len(some.points))
+        reserve(8.0 * COPIES * n * n * CHECK.growth_steps * len(some.points))
         step = _cayley_steps(reference_set, some, width)
         propagator = step
-        for gap in range(1, _STEPS + 1):
+        for gap in range(1, CHECK.growth_steps + 1):
             norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
             np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
-            if gap < _STEPS:
+            if gap < CHECK.growth_steps:
                 propagator = np.matmul(step[gap:], propagator[:-1])
     return largest
 
@@ -64,28 +60,32 @@ def _of_propagators(reference_set: ReferenceSet) -> Array:
 def _of_columns(reference_set: ReferenceSet, pattern: PatternJacobian) -> Array:
     """The same from random columns, stepped with sparse factors (Hutchinson's estimate, 1990)."""
     n, reference = reference_set.system.n_differential, reference_set.reference
-    width = (reference_set.end - reference.start) / _STEPS
-    middle = np.asarray(reference.start + width * (np.arange(_STEPS) + 0.5), dtype=float)
+    width = (reference_set.end - reference.start) / CHECK.growth_steps
+    middle = np.asarray(
+        reference.start + width * (np.arange(CHECK.growth_steps) + 0.5), dtype=float
+    )
     sizes = reference_set.states
     scale = 0.5 * width * sizes[pattern.columns] / sizes[pattern.rows]
     places, eye = (pattern.rows, pattern.columns), scipy.sparse.identity(n, format="csc")
-    first = np.random.default_rng(0).standard_normal((n, _COLUMNS)) / np.sqrt(n * _COLUMNS)
-    largest = np.ones(_STEPS + 1)
-    reserve(8.0 * COPIES * n * _COLUMNS * _STEPS)
-    for point in range(min(_TRAJECTORIES, len(reference.points))):
+    first = np.random.default_rng(0).standard_normal((n, CHECK.growth_columns)) / np.sqrt(
+        n * CHECK.growth_columns
+    )
+    largest = np.ones(CHECK.growth_steps + 1)
+    reserve(8.0 * COPIES * n * CHECK.growth_columns * CHECK.growth_steps)
+    for point in range(min(CHECK.growth_trajectories, len(reference.points))):
         some = reference.of(slice(point, point + 1))
         entries = pattern.entries(middle, some(middle)[:, 0], some.points[0][:, None])
-        entries = np.broadcast_to(entries, (pattern.rows.size, _STEPS))
+        entries = np.broadcast_to(entries, (pattern.rows.size, CHECK.growth_steps))
         columns = np.empty((n, 0))
-        for step in range(_STEPS):
+        for step in range(CHECK.growth_steps):
             half = scipy.sparse.csc_matrix((scale * entries[:, step], places), (n, n))
             columns = np.concatenate([columns, first], axis=1)  # errors made here
             try:
                 columns = SparseFactors(eye - half).solve(columns + half @ columns)
             except RuntimeError:  # a growth rate at a pole of the transform
-                half = _BESIDE_POLE * half
+                half = CHECK.beside_pole * half
                 columns = SparseFactors(eye - half).solve(columns + half @ columns)
-            norms = np.linalg.norm(columns.reshape(n, -1, _COLUMNS), axis=(0, 2))
+            norms = np.linalg.norm(columns.reshape(n, -1, CHECK.growth_columns), axis=(0, 2))
             np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
     return largest
 
@@ -93,14 +93,16 @@ def _of_columns(reference_set: ReferenceSet, pattern: PatternJacobian) -> Array:
 def _cayley_steps(reference_set: ReferenceSet, reference: Reference, width: float) -> Array:
     """Propagators (steps, m, n, n) of steps of a width along trajectories, in units of sizes."""
     system, n = reference_set.system, reference_set.system.n_differential
-    middle = np.asarray(reference.start + width * (np.arange(_STEPS) + 0.5), dtype=float)
+    middle = np.asarray(
+        reference.start + width * (np.arange(CHECK.growth_steps) + 0.5), dtype=float
+    )
     states, points = reference(middle), reference.points
     jacobian = system.jacobian(middle, states, points.T[:, :, None])
-    jacobian = np.broadcast_to(jacobian, (n, n, len(points), _STEPS))
+    jacobian = np.broadcast_to(jacobian, (n, n, len(points), CHECK.growth_steps))
     scale = reference_set.states[None, :] / reference_set.states[:, None]
     half, eye = 0.5 * width * jacobian.transpose(3, 2, 0, 1) * scale, np.eye(n)
     try:
         steps = np.linalg.solve(eye - half, eye + half)
     except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
-        steps = np.linalg.solve(eye - _BESIDE_POLE * half, eye + _BESIDE_POLE * half)
+        steps = np.linalg.solve(eye - CHECK.beside_pole * half, eye + CHECK.beside_pole * half)
     return np.asarray(steps, dtype=float)

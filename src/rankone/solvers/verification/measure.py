@@ -10,6 +10,7 @@ import numpy as np
 
 from rankone.solvers.outcome import Measured
 from rankone.solvers.request import Domain
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.points import check_points, worst_apart
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
@@ -26,11 +27,9 @@ from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES, Timeline
 
-_TIMES = 41  # Evenly spaced times of the horizon at which values are compared
 _SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
 BEYOND = 0.02
 """How far beyond where an order of events holds a branch reaches, and its errors count."""
-_BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
 
 
 @dataclass(frozen=True)
@@ -145,10 +144,13 @@ def _compared(
     """The clock times at which a trajectory with stretches between borders is compared."""
     start, end = horizon
     out = rtol * (end - start)
-    times = [np.linspace(start, end, _TIMES), borders[0] + (end - borders[0]) * _SHARES]
+    times = [
+        np.linspace(start, end, CHECK.measure_times),
+        borders[0] + (end - borders[0]) * _SHARES,
+    ]
     times += [a + (b - a) * _SHARES for a, b in itertools.pairwise(borders)]
     resets = np.array([o.time for o in trajectory.occurrences if system.events[o.event].jumps])
-    times += [resets - _BESIDE * out, resets + _BESIDE * out]
+    times += [resets - CHECK.event_distance * out, resets + CHECK.event_distance * out]
     all_times = np.unique(np.concatenate(times))
     all_times = all_times[(all_times >= start) & (all_times <= end)]
     if resets.size:
@@ -187,7 +189,6 @@ _CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked tim
 SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 # Operations of a least change that satisfies constraints, for each entry of their slopes
 _CONSTRAINT_COST = Cost(50e3, 400.0)
-_DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
 _DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])  # Compared times, in slab lengths
 
 
@@ -345,7 +346,7 @@ def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
     ``s`` for ``sin(x)`` and ``c`` for ``cos(x)`` are on the circle as long as both stay sine and
     cosine of the ``x`` that is solved for with them.
     """
-    points = check_points(domain.bounds, _DRIFT_POINTS, scales=domain.coordinates)
+    points = check_points(domain.bounds, CHECK.drift_points, scales=domain.coordinates)
     count = system.n_lifted
     size, worst = np.zeros(count), np.zeros(count)
     for slab, contraction in with_contractions(slabs, points):

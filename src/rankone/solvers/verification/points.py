@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.bases.scales import IDENTITY, Interval, Logarithm, Scale, on_scale
 from rankone.tensors.trains.slab import SlabTrain, sharing
 from rankone.trajectories.system.system import System
 
-# Upper over lower end above which points are mixed: below it, even ones reach all decades
-_MIXED_RATIO = 30.0
-_KNOTS = 513  # Knots on each of the two scales between which shares are interpolated
 _LOGARITHM = Logarithm()
 
 
@@ -99,15 +97,17 @@ class Coverage:
 
 def _spans_decades(interval: Interval) -> bool:
     lower, upper = interval
-    return lower > 0.0 and upper > _MIXED_RATIO * lower
+    return lower > 0.0 and upper > CHECK.mixed_ratio * lower
 
 
 @lru_cache(maxsize=64)
 def _mixture(interval: Interval, scale: Scale) -> tuple[Array, Array]:
     """Shares of the points below knots, half of them even on a scale, and the knots."""
     lower, upper = interval
-    even = np.linspace(0.0, 1.0, _KNOTS)
-    knots = np.union1d(np.linspace(lower, upper, _KNOTS), on_scale(scale, interval, even))
+    even = np.linspace(0.0, 1.0, CHECK.coverage_knots)
+    knots = np.union1d(
+        np.linspace(lower, upper, CHECK.coverage_knots), on_scale(scale, interval, even)
+    )
     places = scale.to_scale(knots)
     shares = 0.5 * (knots - lower) / (upper - lower)
     shares += 0.5 * (places - places[0]) / (places[-1] - places[0])
@@ -168,33 +168,17 @@ def climbed(
 
 
 FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
-_FEW_CORNERS = 8  # Corners where they do not count: all of three parameters
-_MOST_CORNERS = 256  # Corners where they count: all of eight parameters
-_BESIDE = 4e-9  # Distance from cuts, in widths of the interval: at a jump the state is ambiguous
-_FACTOR_SAMPLES = 1025  # Samples of a factor over its interval
-_RARE_SHARE = 0.2  # Share of the box below which a term is rarely active
-_MOST_RARE_TERMS = 4  # Rare terms that are looked at
-_RARE_POINTS = 48  # Points at which rare terms are active, for all of them together
 CANDIDATES = 512
 """Random points among which worse ones, or surfaces, are looked for."""
 FEW_POINTS = 32
 """Points that are taken where nothing tells more."""
-_LEAST_SURFACE_POINTS = 4  # Points on each surface at least
-_SURFACE_HALVINGS = 50  # Halvings of the distance to a surface, to the last digits
-_CLIMBERS = 4  # Points from which a surface that no random point crosses is approached
 # The way there. It finds islands of a few percent of six parameters, and narrow ones of two.
 _TO_SURFACE = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
-_CELL_PARAMETERS = 2  # Parameters with several cuts from which their cells are looked at
-_STEEP_NODES = 3.0  # Nodes in one of several parameters, over those of a smooth function
-_STEEP_NODES_ALONE = 9.0  # The same for a single parameter: its random points lie close
-_MOST_ELEMENTS = 16  # Elements of a parameter in which the error is measured
 MOST_SLABS = 4
 """Slabs on which worse points are looked for."""
-_STEEP_POINTS = 12  # Points chosen on each slab
 # Bad points beside the worst one: how many in all, and their least error over the largest one and
 # distance from each other, in widths of an interval
 _MOST_BAD, _BAD_SHARE, _BAD_DISTANCE = 3, 0.1, 0.1
-_SHIFT = 2e-3  # Change of parameters, in widths of their intervals, that shows steepness
 
 
 def check_points(
@@ -215,11 +199,11 @@ def check_points(
     coverage, width = Coverage.of_box(box, scales), box[:, 1] - box[:, 0]
     if d == 0 or count == 0:
         return coverage.points(np.full((1, d), 0.5))
-    at_corners = corners(d, _MOST_CORNERS if every_corner else _FEW_CORNERS, rng)
+    at_corners = corners(d, CHECK.most_corners if every_corner else CHECK.few_corners, rng)
     unit = np.concatenate([np.full((1, d), 0.5), at_corners, spread(count, d, rng)])
     points = [coverage.points(unit)]
     for j, places in enumerate(cuts):
-        for side in (-_BESIDE, _BESIDE):
+        for side in (-CHECK.cut_distance, CHECK.cut_distance):
             beside = coverage.points(rng.random((len(places), d)))
             beside[:, j] = places + side * width[j]
             points.append(beside)
@@ -244,7 +228,7 @@ def inside_jumps(points: Array, system: System, domain: Domain) -> Array:
     tables = system.features.cuts[1:], system.features.periodic_cuts[1:]
     for j, (cuts, periodic) in enumerate(zip(*tables, strict=True)):
         lower, upper = domain.box[j]
-        near = _BESIDE * (upper - lower)
+        near = CHECK.cut_distance * (upper - lower)
         distances = [abs(cut - end) for cut in cuts for end in (lower, upper)]
         distances += [
             abs(math.remainder(end - first, period))
@@ -267,19 +251,19 @@ def active_points(system: System, domain: Domain) -> Array:
     if not system.separated or d == 0:
         return np.zeros((0, d))
     coverage = Coverage.of_domain(domain)
-    grids = [coverage.line(j, _FACTOR_SAMPLES) for j in range(d)]
+    grids = [coverage.line(j, CHECK.factor_samples) for j in range(d)]
     sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
     active = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
     products = {rows[1:] for _, _, rows, _ in system.terms}
     products |= {rows for _, _, rows in system.initial_terms}
     shares = {rows: math.prod(p[r] for p, r in zip(active, rows, strict=True)) for rows in products}
-    rare = [rows for rows in products if 0.0 < shares[rows] < _RARE_SHARE]
+    rare = [rows for rows in products if 0.0 < shares[rows] < CHECK.points_rare_share]
     rare = sorted(rare, key=lambda rows: (shares[rows], rows))
     generator = np.random.default_rng(20140)
-    rare = rare[:_MOST_RARE_TERMS]
+    rare = rare[: CHECK.most_rare_terms]
     points = [np.zeros((0, d))]
     for rows in rare:
-        drawn = np.empty((_RARE_POINTS // len(rare), d))
+        drawn = np.empty((CHECK.rare_points // len(rare), d))
         for j, row in enumerate(rows):
             sums = np.cumsum(sizes[j][row])
             drawn[:, j] = np.interp(generator.random(len(drawn)), sums / sums[-1], grids[j])
@@ -300,7 +284,7 @@ def surface_points(system: System, domain: Domain) -> Array:
     points = generator.random((CANDIDATES, d))
     with np.errstate(all="ignore"):
         rows = functions(points)
-        each = max(_LEAST_SURFACE_POINTS, FEW_POINTS // len(rows))
+        each = max(CHECK.least_surface_points, FEW_POINTS // len(rows))
         on_surfaces = [np.zeros((0, d))]
         for i, row in enumerate(rows):
             if not np.isfinite(row).all() or np.ptp(row) == 0.0:
@@ -346,7 +330,7 @@ def _zeros(functions: Callable[[Array], Array], i: int, below: Array, above: Arr
     def below_zero(points: Array) -> NDArray[np.bool_]:
         return np.asarray(functions(points)[i] < 0.0)[:, None]
 
-    a, b = bisected(below, above, below_zero, _SURFACE_HALVINGS)
+    a, b = bisected(below, above, below_zero, CHECK.surface_halvings)
     return np.asarray(0.5 * (a + b))
 
 
@@ -357,7 +341,7 @@ def _nearest(
 
     ``heights`` are minus its absolute values at ``points``.
     """
-    best = np.argsort(-heights, kind="stable")[:_CLIMBERS]
+    best = np.argsort(-heights, kind="stable")[: CHECK.points_climbers]
     unit = np.tile([0.0, 1.0], (points.shape[1], 1))
 
     def height(tried: Array) -> Array:
@@ -375,7 +359,7 @@ def cell_points(domain: Domain, cuts: Sequence[Sequence[float]]) -> Array:
     short: what is switched on in a small box of several parameters is seen there.
     """
     d = len(domain.box)
-    if sum(len(places) > 1 for places in cuts) < _CELL_PARAMETERS:
+    if sum(len(places) > 1 for places in cuts) < CHECK.cell_parameters:
         return np.zeros((0, d))
     generator = np.random.default_rng(20145)
     points = np.empty((FEW_POINTS, d))
@@ -399,7 +383,7 @@ def candidate_points(
     ``sizes`` (n,) are those of the states, and ``number`` counts the attempts: each has points of
     its own. The tolerance tells how many nodes a smooth solution needs.
     """
-    factor = _STEEP_NODES if slabs and len(slabs[-1].bases) > 1 else _STEEP_NODES_ALONE
+    factor = CHECK.steep_nodes if slabs and len(slabs[-1].bases) > 1 else CHECK.steep_nodes_alone
     many = factor * (4.0 - 1.4 * math.log10(rtol))
     steep = [s for s in slabs if any(b.elements > 1 or b.size > many for b in s.bases)]
     looked_at = steep or slabs[-1:]
@@ -414,9 +398,11 @@ def candidate_points(
         taken = np.zeros(len(candidates), dtype=bool)
         for steepness in _steepness(run, candidates, sizes):
             change = np.where(taken, 0.0, steepness ** (2.0 if steep else 1.0))
-            if np.count_nonzero(change) >= _STEEP_POINTS and np.isfinite(change).all():
+            if np.count_nonzero(change) >= CHECK.steep_points and np.isfinite(change).all():
                 weights = change / change.sum()
-                drawn = generator.choice(len(candidates), _STEEP_POINTS, replace=False, p=weights)
+                drawn = generator.choice(
+                    len(candidates), CHECK.steep_points, replace=False, p=weights
+                )
                 points.append(candidates[drawn])
                 taken[drawn] = True
     candidates = np.concatenate(points)
@@ -441,7 +427,7 @@ def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -
     points = np.zeros((0, len(bases)))
     for j, basis in enumerate(bases):
         if basis.elements > 1:
-            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_MOST_ELEMENTS]
+            narrow = np.argsort(np.diff(basis.edges), kind="stable")[: CHECK.most_elements]
             inside = coverage.points(generator.random((narrow.size, len(bases))))
             share = generator.random(narrow.size)
             inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
@@ -482,7 +468,7 @@ def _steepness(slabs: Sequence[SlabTrain], points: Array, sizes: Array) -> list[
     """
     lower, upper = _bounds(slabs[0].bases)
     generator = np.random.default_rng(20140)
-    step = Coverage.of_bases(slabs[0].bases).steps(points, _SHIFT) * generator.choice(
+    step = Coverage.of_bases(slabs[0].bases).steps(points, CHECK.steep_shift) * generator.choice(
         [-1.0, 1.0], points.shape
     )
     beside = np.concatenate([np.clip(points + s, lower, upper) for s in (step, -step)])

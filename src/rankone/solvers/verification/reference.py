@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.outcome import SafeInterval
 from rankone.solvers.request import Domain, Observation
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.resolution import NEGLIGIBLE, Resolution, times_held
 from rankone.support.arrays import Array, bisected
@@ -33,9 +34,6 @@ from rankone.trajectories.system.system import System, refuse_gap
 
 SAMPLES = 201
 """Evenly spaced times that tell the sizes of states, and where surfaces are crossed."""
-_PARTS = 32  # Parts of an interval of which one is kept
-_ROUNDS = 6  # How often: the interval is a billionth of itself then
-_MOST_TIMES = 200  # Most times that are kept, evenly spread over those that are found
 
 
 def narrow_times(reference: Reference, observed: Observation | None, end: float) -> Array:
@@ -49,7 +47,9 @@ def narrow_times(reference: Reference, observed: Observation | None, end: float)
         surfaces = observed.surfaces_at(part, block, reference.points)
         places |= {(s, i, first + k) for s, i, k in _crossings(surfaces)}
     kept = sorted(places, key=lambda place: (place[2], *place))
-    spread = np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST_TIMES)).astype(int))
+    spread = np.unique(
+        np.linspace(0, len(kept) - 1, min(len(kept), CHECK.most_narrow_times)).astype(int)
+    )
     crossing_times = [_refined(reference, observed, kept[k], times) for k in spread]
     return np.unique(np.array(crossing_times, dtype=float))
 
@@ -75,8 +75,8 @@ def _refined(
     surface, trajectory, k = place
     alone = reference.of(slice(trajectory, trajectory + 1))
     begin, end = times[k], times[k + 1]
-    for _ in range(_ROUNDS):
-        within = np.linspace(begin, end, _PARTS + 1)
+    for _ in range(CHECK.crossing_rounds):
+        within = np.linspace(begin, end, CHECK.crossing_parts + 1)
         values = observed.surfaces_at(within, alone(within), alone.points)[surface, 0]
         changes = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
         if not changes.size:
@@ -89,22 +89,7 @@ def _refined(
 # Reference trajectories at single parameter points, and intervals on which they reach the end.
 
 
-_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
-_LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
-_LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
-_BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
-# Numbers held for each state of each trajectory: stages of a step, and dense output of few steps
-_NUMBERS_OF_STATE = 100
-_MOST_INTEGRATIONS = 5  # Most integrations: a state that starts from zero shows its size only then
-_PILOTS = 3  # Trajectories that show the sizes of such states before all are integrated
-_MANY_NUMBERS = 3000  # States times trajectories from which on these pilots cost little
-
-_FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
-_FACE_POINTS = 8  # Trajectories that begin inside of a face of the box
-_FACE_HALVINGS = 7  # Halvings between a face and the early end: 1 % of the box is enough
-_FACE_WORK = 1.5e9  # Most operations for all faces: about two seconds
-_FACE_WORK_SHARE = 0.5  # Most of what is left of the budget for them
 
 
 @dataclass(frozen=True)
@@ -210,7 +195,7 @@ class Reference:
 
 def reference_accuracy(rtol: float) -> float:
     """The relative tolerance of trajectories against which a solve to ``rtol`` is measured."""
-    return max(_ACCURACY * rtol, _LEAST_ACCURACY)
+    return max(CHECK.reference_accuracy * rtol, CHECK.least_reference_accuracy)
 
 
 def integrate_reference(
@@ -232,11 +217,11 @@ def integrate_reference(
     integration came.
     """
     start, end = horizon
-    reserve(8.0 * _NUMBERS_OF_STATE * len(points) * system.n_differential)
+    reserve(8.0 * CHECK.numbers_of_state * len(points) * system.n_differential)
     edges = integration_edges(system, points, horizon, cuts)
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
-    longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
+    longest = math.inf if has_smooth_rates(system, start) else CHECK.longest_step * (end - start)
     choose = partial(
         integrator_for,
         system,
@@ -253,13 +238,13 @@ def integrate_reference(
             out.sizes = resolution.largest[:, 0]
             raise
 
-    if resolution.presumes and initial.size >= _MANY_NUMBERS:
-        first = initial[:, :_PILOTS]
-        pilots = Resolution(system, points[:_PILOTS], start, end, rtol, first, asked)
+    if resolution.presumes and initial.size >= CHECK.many_numbers:
+        first = initial[:, : CHECK.size_pilots]
+        pilots = Resolution(system, points[: CHECK.size_pilots], start, end, rtol, first, asked)
         few = integrated(pilots.points, pilots.absolute)
         if few.has_begun and pilots.refined(few):
             resolution.follow(pilots)
-    for _ in range(_MOST_INTEGRATIONS):
+    for _ in range(CHECK.most_integrations):
         before = work_done()
         dense = integrated(points, resolution.absolute)
         work = work_done() - before
@@ -293,7 +278,7 @@ def _reference(resolution: Resolution, dense: DenseTrajectories) -> Reference:
     size = np.maximum(resolution.size, rounding.floor)
     blown = first_to_end(system, time, state, points, resolution.rtol * NEGLIGIBLE * size)
     refuse_gap(system, time, dense.last[:, blown], points[blown])
-    large = bool((np.abs(state[:, blown]) > _BLOW_UP_GROWTH * size[:, 0]).any())
+    large = bool((np.abs(state[:, blown]) > CHECK.blow_up_growth * size[:, 0]).any())
     large = large or runs_away(system, time, state[:, blown], points[blown], resolution.horizon)
     switch = None if large else switching_state(system, time, state, points, resolution.horizon)
     if switch is not None:
@@ -357,7 +342,7 @@ def safe_intervals(
     """
     intervals: list[SafeInterval] = []
     try:
-        with limited(min(_FACE_WORK, _FACE_WORK_SHARE * work_left())):
+        with limited(min(CHECK.face_work, CHECK.face_work_share * work_left())):
             intervals.extend(_intervals(system, domain, cuts, point))
     except OutOfBudgetError:
         pass  # keep those so far
@@ -375,13 +360,13 @@ def _intervals(
     for j, side in sorted(faces, key=lambda face: -kept[face]):
         if kept[j, side] <= largest:
             return
-        on_face = check_points(np.delete(bounds, j, axis=0), _FACE_POINTS)
+        on_face = check_points(np.delete(bounds, j, axis=0), CHECK.face_points)
         on_face = np.concatenate([on_face, np.delete(point, j)[None]])
 
         def survives(place: Array, j: int = j, on_face: Array = on_face) -> NDArray[np.bool_]:
             face = np.insert(on_face, j, place.item(), axis=1)
             try:
-                ends = integrate_reference(system, face, domain.horizon, _FACE_RTOL, cuts)
+                ends = integrate_reference(system, face, domain.horizon, CHECK.face_rtol, cuts)
             except ConvergenceError:
                 return np.array([False])
             return np.array([ends.blown is None])
@@ -389,7 +374,7 @@ def _intervals(
         border, lost = bounds[j, side].reshape(1, 1), point[j].reshape(1, 1)
         if not survives(border).all():
             continue
-        safe = bisected(border, lost, survives, _FACE_HALVINGS)[0].item()
+        safe = bisected(border, lost, survives, CHECK.face_halvings)[0].item()
         share = abs(safe - bounds[j, side]) / width[j]
         if share > largest:
             largest = share

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, Observation, SolveRequest
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.cuts import Cuts, system_cuts
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,
@@ -52,15 +53,7 @@ from rankone.trajectories.system.verdict import NumericallyZero, SharedUnit
 # Periods between markers, and swings of the fastest state, over which it is as accurate: phases
 # drift over more, and count by how fast the states are
 _IN_STEP, _IN_TIME = 2, 200.0
-_SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
-_LOSS_SAMPLES = 16  # Times at which it is measured how many digits quantities lose
-_LOSS_SHIFT = 1e-6  # Relative change of the states by which that is measured
-_LOSS_SHARE = 0.03  # Error of the reference, in quantities, over the tolerance
-_SINGLE_SHARE = 0.15  # Most of what is left of the budget for finer trajectories by LSODA
-_MOST_SINGLE_STATES = 200  # States up to which LSODA, whose matrices are dense, samples again
-_LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
-_MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
 
 
 @dataclass(frozen=True)
@@ -155,14 +148,14 @@ class ReferenceSet:
         are nearly equal has few of their digits.
         """
         assert self.observed is not None
-        times = np.linspace(self.reference.start, self.end, _LOSS_SAMPLES)
+        times = np.linspace(self.reference.start, self.end, CHECK.loss_samples)
         states = self.reference(times)
         signs = np.random.default_rng(20147).choice([-1.0, 1.0], (2, *states.shape[:2], 1))
-        moved = [states + _LOSS_SHIFT * self.of_states[:, None, None] * s for s in signs]
+        moved = [states + CHECK.loss_shift * self.of_states[:, None, None] * s for s in signs]
         exact = self.seen(times, states)
         changes = [np.abs(self.seen(times, each) - exact).max(axis=(1, 2)) for each in moved]
-        loss = (np.max(changes, axis=0) / self.states).max() / _LOSS_SHIFT
-        accuracy = _LOSS_SHARE * self.rtol / loss if loss > 0.0 else self.accuracy
+        loss = (np.max(changes, axis=0) / self.states).max() / CHECK.loss_shift
+        accuracy = CHECK.loss_share * self.rtol / loss if loss > 0.0 else self.accuracy
         if accuracy >= self.accuracy:
             return self
         if accuracy < reference_accuracy(0.0):
@@ -195,11 +188,14 @@ class ReferenceSet:
         edges = integration_edges(self.system, points, self.domain.horizon, self.cuts)
         work = self.system, points, edges, Tolerances(accuracy, absolute[:, None]), times
         choose = partial(integrator_for, self.system)
-        if self.system.n_differential > _MOST_SINGLE_STATES:
+        if self.system.n_differential > CHECK.most_single_states:
             return choose(self.taken).sample(*work)
         # It may come to no end between events as well, or creep where a state passes zero
         most = self._stacked_work(len(points), times.size, accuracy)
-        with suppress(OrderError, OutOfWorkError), limited(min(most, _SINGLE_SHARE * work_left())):
+        with (
+            suppress(OrderError, OutOfWorkError),
+            limited(min(most, CHECK.single_share * work_left())),
+        ):
             samples = choose("single").sample(*work)
             if samples.reached == times.size:
                 return samples
@@ -246,7 +242,7 @@ class ReferenceSet:
     def end(self) -> float:
         """End of what is to be solved: the horizon, or shortly before a blow-up."""
         start, end = self.reference.start, self.reference.end
-        return end if self.reference.blown is None else start + _SOLVED_SHARE * (end - start)
+        return end if self.reference.blown is None else start + CHECK.solved_share * (end - start)
 
     @cached_property
     def sizes(self) -> Array:
@@ -416,8 +412,10 @@ class ReferenceSet:
             return
         asked = range(len(self.of_states)) if self.asked is None else self.asked
         for i, size in enumerate(self.of_states):
-            small = size <= _LEAST_SIZE and i in asked  # products of others vanish beside the rest
-            if small or not size < 1.0 / _LEAST_SIZE:
+            small = (
+                size <= CHECK.reference_set_least_size and i in asked
+            )  # products of others vanish beside the rest
+            if small or not size < 1.0 / CHECK.reference_set_least_size:
                 atol = "give it an absolute tolerance, Problem(..., atol=...), or "
                 raise ConvergenceError(
                     f"`{system.states[i]}` is of the size {size:.1e}: its products are not "
@@ -442,7 +440,7 @@ def _points_of(
     domain, count = request.domain, request.check.points
     few = len(domain.box) <= FEW_PARAMETERS
     cuts = [each.points for each in parameter_cuts] if count else ()
-    beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in cuts]
+    beside = [each[:: max(1, -(-len(each) // CHECK.most_checked_cuts))] for each in cuts]
     points = check_points(
         domain.bounds,
         count,

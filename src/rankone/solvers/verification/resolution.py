@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
@@ -34,24 +35,6 @@ from rankone.trajectories.system.system import System
 NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
 COPIES = 8
 """Copies of states at several times that are held while they are compared."""
-_LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
-_BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
-_SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
-_MARGIN = 0.1  # Absolute tolerances of all trajectories over those that a few of them need
-_SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
-_DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
-_DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
-_ZERO_FLOOR = 1e-18  # That over its size if it starts from zero: no step leaves zero without one
-_PART = 1e-10  # Least part of a state in an eigenvector: others are rounding
-_LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
-_UNSEEN = 1e-100  # Size of a state that nobody asks for, over the largest, that is not resolved
-_LONG_CHAIN = 25  # States from which a chain may amplify what is negligible: binomial coefficients
-_MOST_EXPONENT = 250.0  # Of e, by which a floor is lowered
-_COMPARED = 3  # Trajectories on which that is looked for
-_FINER_WORK = 4.0  # Most work for these, over that for all before
-_FINER_END = 0.5  # Part of the way that they have to come, to tell anything
-_FINER_SHARE = 0.05  # Most of what is left of the budget for them
-_PASSED_ON = 10.0  # Differences from there on, in tolerances, are errors that were passed on
 
 Integrate: TypeAlias = Callable[[Array, Array], DenseTrajectories]
 
@@ -105,7 +88,9 @@ class Resolution:
         """Begin with sizes and floors that a few of the trajectories have shown, and a margin."""
         self.size = np.where(self.first > 0.0, np.maximum(self.size, pilots.size), pilots.size)
         self.floor, self.largest = pilots.floor, np.maximum(self.first, pilots.largest)
-        self.absolute = self._absolute(_MARGIN * np.minimum(NEGLIGIBLE * self.size, self.floor))
+        self.absolute = self._absolute(
+            CHECK.pilot_margin * np.minimum(NEGLIGIBLE * self.size, self.floor)
+        )
 
     def _absolute(self, finest: Array) -> Array:
         """The absolute tolerances at which states are relative down to the sizes ``finest``."""
@@ -126,7 +111,7 @@ class Resolution:
         """
         sizes = self.tolerated
         if self.asked is not None:
-            unseen = _UNSEEN * (self.first.max(initial=0.0) or 1.0)
+            unseen = CHECK.unseen * (self.first.max(initial=0.0) or 1.0)
             sizes = np.where(self.asked[:, None], sizes, np.maximum(sizes, unseen))
         sizes = np.where(np.isfinite(self.floor), 0.0, sizes)
         return np.maximum(self.rtol * NEGLIGIBLE * sizes, LEAST_TOLERANCE)
@@ -134,11 +119,11 @@ class Resolution:
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
         largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
-        samples = list(dense.samples(_SAMPLES))
+        samples = list(dense.samples(CHECK.resolution_samples))
         before, self.rounding = self.rounding, self._rounding(samples, largest)
         zero, finest = self.rounding.zero, self.rtol * NEGLIGIBLE * largest
         coarse = before.floor > np.maximum(self.rounding.floor, finest)
-        small = ~zero & (largest > 0.0) & (largest < _SMALL_STATE * NEGLIGIBLE * self.size)
+        small = ~zero & (largest > 0.0) & (largest < CHECK.small_state * NEGLIGIBLE * self.size)
         usual = NEGLIGIBLE * np.maximum(self.size, largest)
         candidates = ~zero & ~small & (early > 0.0)
         lingers = candidates & (early < np.minimum(usual, self.floor))
@@ -148,9 +133,9 @@ class Resolution:
         dips = ~zero & self._grows_again(dense)
         self.largest = np.maximum(self.first, largest)
         self.size = np.where(small, largest, self.size)
-        self.floor = np.where(lingers, _LINGERING * early, self.floor)
+        self.floor = np.where(lingers, CHECK.lingering * early, self.floor)
         leaves_zero = (self.at_zero & (dense.largest > 0.0)).any(axis=1, keepdims=True)
-        deepest = np.where(leaves_zero, _ZERO_FLOOR * largest, _DIP_FLOOR)
+        deepest = np.where(leaves_zero, CHECK.zero_floor * largest, CHECK.dip_floor)
         self.floor = np.where(dips, np.minimum(deepest, self.floor), self.floor)
         return self._resolves(small | lingers | dips | coarse)
 
@@ -171,9 +156,9 @@ class Resolution:
         """
         largest = dense.largest.max(axis=1, keepdims=True)
         begins = ~self.rounding.zero & (self.first < NEGLIGIBLE * largest)
-        if len(largest) < _LONG_CHAIN or not begins.any():
+        if len(largest) < CHECK.long_chain or not begins.any():
             return False
-        growth = min(self._bound_of_growth(dense, largest), _MOST_EXPONENT)
+        growth = min(self._bound_of_growth(dense, largest), CHECK.most_exponent)
         lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
         absolute = self.rtol * np.minimum(lower, self.floor)
         absolute = np.maximum(absolute, np.maximum(self.rounding.floor, LEAST_TOLERANCE))
@@ -181,16 +166,16 @@ class Resolution:
         if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
             return False
         try:
-            with limited(min(_FINER_WORK * work or math.inf, _FINER_SHARE * work_left())):
-                finer = integrate(self.points[:_COMPARED], absolute)
+            with limited(min(CHECK.chain_work * work or math.inf, CHECK.chain_share * work_left())):
+                finer = integrate(self.points[: CHECK.chain_trajectories], absolute)
         except OutOfBudgetError:
             return False
-        if finer.end - self.start < _FINER_END * (dense.end - self.start):
+        if finer.end - self.start < CHECK.chain_end * (dense.end - self.start):
             return False  # rounding errors are larger: no steps are short enough
-        times = np.linspace(self.start, min(finer.end, dense.end), _SAMPLES)
-        change = np.abs(finer(times) - dense.of(slice(_COMPARED))(times)).max(axis=2)
+        times = np.linspace(self.start, min(finer.end, dense.end), CHECK.resolution_samples)
+        change = np.abs(finer(times) - dense.of(slice(CHECK.chain_trajectories))(times)).max(axis=2)
         sizes = np.maximum(finer.largest, np.maximum(self.rounding.floor, self.tolerated))
-        passed_on = (change > _PASSED_ON * self.rtol * sizes + LEAST_TOLERANCE).any(axis=1)
+        passed_on = (change > CHECK.passed_on * self.rtol * sizes + LEAST_TOLERANCE).any(axis=1)
         if not (passed_on if self.asked is None else passed_on & self.asked).any():
             return False
         self.floor = np.minimum(self.floor, lower)
@@ -204,7 +189,7 @@ class Resolution:
         """
         sizes = np.where(largest > 0.0, largest, self.size)[:, 0]
         norms, ratio = list[list[float]](), math.log(sizes.max() / sizes.min())
-        for time, states in dense.samples(_SAMPLES):
+        for time, states in dense.samples(CHECK.resolution_samples):
             block = first_jacobian(self.system, self.points, time, states)
             if block is not None:
                 by_scale = (logarithmic_norm(block, s) for s in (sizes, np.ones_like(sizes)))
@@ -225,9 +210,11 @@ class Resolution:
         dips = np.asarray((least < math.inf).any(axis=1))
         if not dips.any():
             return dips[:, None]
-        later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
+        later = np.linspace(
+            first, dense.end, CHECK.resolution_samples
+        )  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
-        lost, grows = least < _LEAST_SIZE, np.zeros_like(dips)
+        lost, grows = least < CHECK.resolution_least_size, np.zeros_like(dips)
         sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
             for some in self._may_grow(time, at, small, slowest):
@@ -245,8 +232,8 @@ class Resolution:
         if grows.any():
             name = self.system.states[int(np.argmax(grows))]
             raise ConvergenceError(
-                f"`{name}` falls below {_LEAST_SIZE:g} and may grow again from there, which is "
-                "beyond floating-point numbers",
+                f"`{name}` falls below {CHECK.resolution_least_size:g} and may grow again from "
+                "there, which is beyond floating-point numbers",
                 remedy="take its logarithm as the unknown, or shorten the horizon",
             )
         return dips[:, None]
@@ -284,7 +271,7 @@ class Resolution:
                 growth = max(growth, growth_rate(block, MOST_GROWTH / (dense.end - start)))
         if growth * (dense.end - start) <= MOST_GROWTH:
             return np.full((len(self.size), 1), np.inf)
-        begun = dense(np.array([start + _BEGUN / growth]))
+        begun = dense(np.array([start + CHECK.begun / growth]))
         return np.asarray(np.abs(begun).max(axis=(1, 2))[:, None])
 
 
@@ -296,7 +283,7 @@ def _growing(blocks: Array, slowest: float) -> NDArray[np.bool_]:
     charge(len(blocks) * eigenvalues(blocks.shape[1]))
     values, vectors = np.linalg.eig(blocks)
     parts = np.abs(vectors) * (values.real > slowest)[:, None]
-    return np.asarray((parts > _PART).any(axis=(0, 2)))
+    return np.asarray((parts > CHECK.eigenvector_part).any(axis=(0, 2)))
 
 
 def _dips(dense: DenseTrajectories) -> tuple[Array, float]:
@@ -307,7 +294,7 @@ def _dips(dense: DenseTrajectories) -> tuple[Array, float]:
     n, first, earlier = len(dense.state), math.inf, math.inf
     least, highest = np.full_like(dense.state, math.inf), np.zeros(n)
     before = largest = np.zeros_like(dense.state)
-    for time, states in dense.samples(_DIP_SAMPLES):
+    for time, states in dense.samples(CHECK.dip_samples):
         sizes = np.abs(states)
         lowest = sizes.min(axis=1)
         if (lowest < NEGLIGIBLE * highest).any():

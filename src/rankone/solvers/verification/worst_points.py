@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.measure import with_contractions
 from rankone.solvers.verification.points import (
     CANDIDATES,
@@ -32,21 +33,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.tensors.trains.slab import SlabTrain
 
-_MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
-_WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth of a second
-_CHOSEN = 8  # Worst points that are taken
-_CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
-_CORNER_POWER = 1.0 / 3.0  # Power of the distance from the centre: draws points to corners
-_CORNER_ERROR = 5.0  # Factor on the error tolerated there unless corners count: points are few
 _RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])  # Times of residuals, in slab lengths
-_NEGLIGIBLE = 1e-3  # Smaller errors and residuals count as this part of the tolerance
-# Expected error over the tolerance from which a point is doubtful. On smooth problems expected
-# errors are too large and reach 1.4; where something was missed, 3.
-_DOUBTFUL_ERROR = 1.5
-_MOST_COMPARED = 64  # Reference trajectories whose residuals tell what a residual amounts to
-_JUMP_CANDIDATES = 16_384  # Most points where a jump that is not a polynomial is checked
-_JUMP_ERROR = 3.0  # Error after a jump, over the tolerance, from which a point is doubtful
-_CLIMBERS = 64  # Points with the largest errors after a jump, from which larger ones are looked for
 # The way to them. The last steps are as short as the kinks are thin.
 _TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
 
@@ -83,18 +70,18 @@ class _WorstPoints:
         if self.reference_set.whole_box:
             tolerated = np.ones(len(unit))
         candidates = self._points(unit)
-        compared = self.reference_set.interior_points[-_MOST_COMPARED:]
+        compared = self.reference_set.interior_points[-CHECK.most_compared :]
         indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, MOST_SLABS)})
         points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
         ratios = np.zeros(len(candidates))
         for slab, contraction in with_contractions(slabs, points):
             residuals = self._residuals(slab, points, contraction)
-            floor = _NEGLIGIBLE * self.rtol / (slab.end - slab.start)
+            floor = CHECK.negligible_error * self.rtol / (slab.end - slab.start)
             usual = np.maximum(residuals[:, : len(compared)].max(axis=1, keepdims=True), floor)
             ratios = np.maximum(ratios, (residuals[:, len(compared) :] / usual).max(axis=0))
         ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
-        worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
-        doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
+        worst = np.argsort(-ratios, kind="stable")[: CHECK.worst_chosen]
+        doubtful = ratios[worst] * max(error, CHECK.negligible_error) > CHECK.doubtful_error
         return np.asarray(candidates[worst[doubtful]])
 
     def anywhere(self) -> Array:
@@ -114,11 +101,11 @@ class _WorstPoints:
         if d <= FEW_PARAMETERS:
             return self.generator.random((CANDIDATES, d)), np.ones(CANDIDATES)
         affordable = _affordable(self.slabs[-1:])
-        points = self.generator.random((min(max(affordable, CANDIDATES), _MOST_CANDIDATES), d))
-        near = np.arange(len(points)) % _CORNER_INTERVAL == 0
+        points = self.generator.random((min(max(affordable, CANDIDATES), CHECK.most_candidates), d))
+        near = np.arange(len(points)) % CHECK.corner_interval == 0
         offset = 2.0 * points[near] - 1.0
-        points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
-        return points, np.where(near, _CORNER_ERROR, 1.0)
+        points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** CHECK.corner_power
+        return points, np.where(near, CHECK.corner_error, 1.0)
 
     def _residuals(self, slab: SlabTrain, points: Array, contraction: Array) -> Array:
         """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
@@ -142,9 +129,11 @@ class _WorstPoints:
         if not jumps.times:
             return np.zeros((0, len(bounds)))
         affordable = _affordable(self.slabs)
-        count = min(_JUMP_CANDIDATES, max(CANDIDATES, affordable))
+        count = min(CHECK.jump_candidates, max(CANDIDATES, affordable))
         anywhere = self._points(self.generator.random((count, len(bounds))))
-        climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
+        climb = replace(
+            _TO_KINKS, tries=min(max(affordable // CHECK.worst_points_climbers, 1), _TO_KINKS.tries)
+        )
         doubtful, looks = [anywhere[:0]], Counter[int]()
         for before, after in itertools.pairwise(self.slabs):
             kind = jumps.kind_at(before.end)
@@ -158,13 +147,15 @@ class _WorstPoints:
             points = np.concatenate([points, inside])
             errors = error(points)
             # Points from everywhere, and not the worst alone, which may lie at one border.
-            wrong = np.flatnonzero(errors > _JUMP_ERROR * self.rtol)
-            doubtful.append(points[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])
+            wrong = np.flatnonzero(errors > CHECK.jump_error * self.rtol)
+            doubtful.append(
+                points[wrong[:: max(1, len(wrong) // CHECK.worst_chosen)][: CHECK.worst_chosen]]
+            )
             if rough:  # kinks are thin: climb towards them
-                best = np.argsort(-errors, kind="stable")[:_CLIMBERS]
+                best = np.argsort(-errors, kind="stable")[: CHECK.worst_points_climbers]
                 points, errors = climbed(error, points[best], errors[best], bounds, climb)
-            worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
-            doubtful.append(points[worst[errors[worst] > _JUMP_ERROR * self.rtol]])
+            worst = np.argsort(-errors, kind="stable")[: CHECK.worst_chosen]
+            doubtful.append(points[worst[errors[worst] > CHECK.jump_error * self.rtol]])
         return np.concatenate(doubtful)
 
     def _jump_error(self, kind: int, before: SlabTrain, after: SlabTrain, points: Array) -> Array:
@@ -184,4 +175,4 @@ class _WorstPoints:
 def _affordable(slabs: Sequence[SlabTrain]) -> int:
     """Points at which trains can be evaluated within the work allowed."""
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
-    return int(_WORK / max(work, 1))
+    return int(CHECK.residual_work / max(work, 1))
