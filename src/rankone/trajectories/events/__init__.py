@@ -6,6 +6,7 @@
 - ``event_order``: the order in which the trajectories of a box meet their events, and what does
   not follow it
 - ``event_trajectory``: a trajectory with its events, and what events do at an instant
+- ``flows``: states along stretches, forwards and backwards, and the roots and turns on them
 - ``forced``: trajectories that follow an order of events, whether it holds or not
 - ``markers``: levels of states at which stretches end, on oscillators that get out of phase and
   on fronts that many trajectories meet after the horizon

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array, spread
 from rankone.support.precision import NEGLIGIBLE
-from rankone.trajectories.events.forced import guard_heights
+from rankone.trajectories.events.flows import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 from rankone.trajectories.system.events import FALLING, Beginning, ForcedOrder, Guard, Turn
 

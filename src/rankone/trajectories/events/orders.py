@@ -18,11 +18,11 @@ from rankone.support.wording import quote
 from rankone.trajectories.events import event_order
 from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory
+from rankone.trajectories.events.flows import guard_heights
 from rankone.trajectories.events.forced import (
     ContinuationError,
     ForcedTrajectories,
     forced_trajectories,
-    guard_heights,
 )
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrators.integrator import SpanIntegrator, Tolerances
