@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.support.arrays import Array
-from rankone.support.precision import ROUNDING, TINY
+from rankone.support.precision import NEGLIGIBLE, ROUNDING, TINY
 from rankone.trajectories.events.event_integration import Ahead, Goal, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.integrators.integrator import (
@@ -45,7 +45,6 @@ class _Repeating:
     changed: int
     fewest: int
     change: float
-    change_rtol: float
     most_growth: float
 
 
@@ -61,7 +60,6 @@ _REPEATING = _Repeating(
     changed=64,
     fewest=2,
     change=1e-4,
-    change_rtol=1e-9,
     most_growth=30.0,  # Factor by which changes may grow over the periods that are left out
 )
 
@@ -112,9 +110,7 @@ def _growth(
     changes = np.concatenate([np.zeros((1, n)), _REPEATING.change * np.eye(n)])
     changed = (states[:, None] + changes * sizes[:, None]).reshape(-1, n).T
     spans = Spans(np.zeros(m * (n + 1)), changed, np.repeat(periods, n + 1))
-    tolerances = Tolerances.down_to(
-        _REPEATING.change_rtol, _REPEATING.change * sizes.min(axis=0)[:, None]
-    )
+    tolerances = Tolerances.down_to(NEGLIGIBLE, _REPEATING.change * sizes.min(axis=0)[:, None])
     paths = integrator.paths(clock.system, np.repeat(points, n + 1, axis=0), spans, tolerances)
     if any(path.end < end for path, end in zip(paths, spans.ends, strict=True)):
         return np.full(m, math.inf)

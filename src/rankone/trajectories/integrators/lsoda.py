@@ -24,7 +24,7 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import function_cost, scalar_cost
+from rankone.support.costs import Cost, function_cost, scalar_cost
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.features import AT_THE_ENDS, POINTS, PREFIX, VALUES
 from rankone.trajectories.system.system import System, pattern_of
@@ -258,9 +258,8 @@ _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
 _LOOKED_CALLS = 3000  # Calls after which progress is looked at
 _TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
 _SLOW_PROGRESS = 1e-3  # Way in as many, below which an integration begins anew
-_CALL_COST = 600.0  # Operations of a call of the rates by LSODA
+_CALL_COST = Cost(600.0, 0.02)  # Operations of LSODA for a call: once, and for each cube of states
 _MATRIX_COST = 5e3  # Operations of a matrix of the entries of a Jacobian
-_LINEAR_ALGEBRA = 0.02  # Operations of LSODA for each cube of the states in a call of the rates
 _FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
 
 # Rates (n,) at a time and a state (n,), and their Jacobian (n, n)
@@ -299,9 +298,9 @@ def called_by_lsoda(
     function = scalar_rates(system)
     stacked_cost = function_cost(system.rhs, system.user_functions)(1)
     each = stacked_cost if function is None else scalar_cost(function)
-    each += _CALL_COST
+    each += _CALL_COST.once
     jacobian = _jacobian(system, point, span, system.n_differential * each)
-    each += _LINEAR_ALGEBRA * system.n_differential**3
+    each += _CALL_COST.each * system.n_differential**3
     (first, last), numbers, column = span, point.tolist(), point[:, None]
     tiny, calls, looked_at = _TINY_PROGRESS * horizon, 0, -math.inf
     slow = _SLOW_PROGRESS * horizon if restarts else tiny

@@ -26,6 +26,7 @@ from rankone.trajectories.stacks.kinks import (
     Kinks,
     crossed_once,
     divided_steps,
+    error_norm,
     nested,
 )
 
@@ -37,6 +38,8 @@ _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Change of the step from one to the next."""
+SAFETY = 0.9
+"""Part of the step that the estimate of the error allows."""
 LEAST_STEP = 10.0
 """Shortest step, in floating-point numbers."""
 
@@ -207,7 +210,6 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
 
 _NESTED_ROWS = 7  # Rows of a step
-_SAFETY = 0.9  # Part of the step that the estimate of the error allows
 _FIRST_FACTOR = 3.5  # The first step, at most, over SciPy's, whose error is far below the tolerance
 # Error, in tolerances, from which a step is divided at a kink: below, kinks are not its reason
 _DIVIDED_ERROR = 0.2
@@ -286,7 +288,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
                 y_new, f_new = divided.into(y_new, f_new)
                 errors[divided.columns] = divided.errors
             error = float(errors.max())
-            factor = _SAFETY * error**self.error_exponent if error else MOST_FACTOR
+            factor = SAFETY * error**self.error_exponent if error else MOST_FACTOR
             if error < 1.0:
                 self.h_abs = h * min(factor, 1.0 if refused else MOST_FACTOR)
                 self.h_previous, self.y_old = h, y
@@ -314,8 +316,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
         """The errors of a step over its length, in units of ``scale``, of each trajectory (m,)."""
         errors = np.square(self._weights @ self.K / scale)
         fifth, third = errors.reshape(2, self.trajectory_states, -1).sum(axis=1)
-        below = np.sqrt((fifth + 0.01 * third) * self.trajectory_states)
-        return np.asarray(fifth / np.where(below > 0.0, below, 1.0))
+        return error_norm(fifth, third, self.trajectory_states)
 
     def _divided_steps(self, h: float, y_new: Array, errors: Array) -> DividedSteps | None:
         """The steps of trajectories whose errors a kink makes large, divided there.

@@ -217,7 +217,7 @@ class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[mis
             states, iterations = solved
             error = self._error(h, states, refused)
             most = self._scheme.most_iterations
-            safety = 0.9 * (2 * most + 1) / (2 * most + iterations)
+            safety = explicit.SAFETY * (2 * most + 1) / (2 * most + iterations)
             factor = safety * _predicted_factor(self._scheme.power, h, error, *before)
             factor = max(explicit.LEAST_FACTOR, factor)  # the least if not a number
             factor = min(factor, explicit.MOST_FACTOR)
@@ -311,8 +311,8 @@ class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[mis
     def _shortening(self, y_before: Array) -> float:
         error = max(map(self._interpolation_error, self._shares), default=0.0)
         if error > _MOST_INTERPOLATION_ERROR:
-            factor = 0.8 * (_MOST_INTERPOLATION_ERROR / error) ** self._scheme.power
-            return float(max(0.1, factor))
+            factor = (_MOST_INTERPOLATION_ERROR / error) ** self._scheme.power
+            return float(max(explicit.LEAST_FACTOR, explicit.SAFETY * factor))
         return super()._shortening(y_before)
 
     def _interpolation_error(self, share: float) -> float:

@@ -55,6 +55,12 @@ def nested(rows: Array, start: Array, shares: Array, slopes: bool) -> tuple[Arra
     return y, np.einsum("i...c,inc->n...c", changes, rows)
 
 
+def error_norm(fifth: Array, third: Array, states: int) -> Array:
+    """The error of a step over its length, by the sums of squares (m,) of both its estimates."""
+    below = np.sqrt((fifth + 0.01 * third) * states)
+    return np.asarray(fifth / np.where(below > 0.0, below, 1.0))
+
+
 class SingleSteps:
     """A step of each of c trajectories, from its own time (c,) and over its own length (c,)."""
 
@@ -76,8 +82,7 @@ class SingleSteps:
             np.square(np.tensordot(weights, slopes, 1) / scale).sum(axis=0)
             for weights in (_E5, _E3)
         )
-        below = np.sqrt((fifth + 0.01 * third) * len(scale))
-        return np.asarray(np.abs(self.h) * fifth / np.where(below > 0.0, below, 1.0))
+        return np.asarray(np.abs(self.h) * error_norm(fifth, third, len(scale)))
 
     def rows(self) -> Array:
         """The nested polynomials of the steps, (7, n, c)."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
+from rankone.support.costs import Cost
 from rankone.support.precision import MANY_STATES, NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import NODES, Tolerances
 from rankone.trajectories.stacks import explicit
@@ -73,10 +74,8 @@ DOP853_POWER = 1.0 / 8.0
 """Steps of DOP853 grow with this power of one over the tolerance."""
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
-_ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
-_TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
-_PRODUCT_COST = 0.5  # Operations of a product of two coefficients
-_STEP_COST = 80e3  # Operations of a step besides
+_ORDER_COST = Cost(9e3, 0.6)  # Operations of an order: once, and for each number that is read
+_STEP_COST = Cost(80e3, 0.5)  # Operations of a step: once, and for each product of coefficients
 
 
 def steps_ratio(tolerance: float, affine: bool = False) -> float:
@@ -167,9 +166,9 @@ class TaylorSeries:
 def _step_cost(order: int, m: int, n: int, products: Sequence[_Products], variables: int) -> float:
     """Operations of a step of m trajectories of n states, with so many products and variables."""
     count = sum(level.left.size for level in products)
-    multiplied = 0.5 * order * order * count * _PRODUCT_COST
-    read = order * _TERM_COST * (2.0 * n + variables + 2.0 * count)
-    return float(order * _ORDER_COST + _STEP_COST + m * (multiplied + read))
+    multiplied = m * 0.5 * order * order * count
+    read = m * (2.0 * n + variables + 2.0 * count)
+    return float(order * _ORDER_COST(read) + _STEP_COST(multiplied))
 
 
 @dataclass(frozen=True)
