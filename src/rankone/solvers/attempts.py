@@ -265,11 +265,11 @@ def solve_in_attempts(
         except OutOfBudgetError as out:
             return out_at_reference(out, system, stages, request.check.states)
         with waiting(SOLVE.paid_reference_share * stages.work["reference"]):
-            made = _attempts(marcher, request.rtol, options, report, stages)
-    reference_set, best = marcher.reference_set, made.best
+            attempted = _attempts(marcher, request.rtol, options, report, stages)
+    reference_set, best = marcher.reference_set, attempted.best
     status = best.status(reference_set, request.rtol)
-    if made.limit is not None and status is not Status.CONVERGED:
-        status = made.limit
+    if attempted.limit is not None and status is not Status.CONVERGED:
+        status = attempted.limit
     narrower: list[Note] = []
     with stages.of("check"), persisting(kept_back):
         with suppress(OutOfBudgetError):
@@ -293,8 +293,8 @@ def solve_in_attempts(
         elif system.clock is None:
             end = float(best.result.slabs[-1].end) if best.result.slabs else None
             notes.append(StoppedAt(end))
-    if status is Status.MEMORY_LIMIT and made.memory_needed is not None:
-        notes.append(made.memory_needed)
+    if status is Status.MEMORY_LIMIT and attempted.memory_needed is not None:
+        notes.append(attempted.memory_needed)
     with suppress(OutOfBudgetError):
         if status in (Status.MEMORY_LIMIT, Status.WORK_LIMIT):
             notes += TinyUnknowns.of(system, reference_set.largest, reference_set.asked)
@@ -314,7 +314,7 @@ def solve_in_attempts(
         slabs=tuple(best.result.slabs),
         status=status,
         measured=best.measured,
-        history=tuple(_with_integrator(made.records, reference_set, stages)),
+        history=tuple(_with_integrator(attempted.records, reference_set, stages)),
         timings=stages.timings,
         work=stages.work,
         blow_up=blow_up,

@@ -86,8 +86,8 @@ def box_of_branch(
     """
     times = timeline.branches[branch].affine_times
     guarded = any(timeline.guards) or any(fork.guard is not None for fork in timeline.forks)
-    known = all(len(b.affine_times) == len(b.instants) for b in timeline.branches)
-    if guarded or not known or len(times) < 2:
+    all_affine = all(len(b.affine_times) == len(b.instants) for b in timeline.branches)
+    if guarded or not all_affine or len(times) < 2:
         return tuple(whole)
     earlier = -np.diff([coefficients for _, coefficients in times], axis=0)
     start, end = timeline.horizon
@@ -179,8 +179,8 @@ class BranchCheck:
         points, corners = self._points(evaluator)
         checked = self.search.at(points)
         errors = branch_errors(evaluator, checked.system, points, checked.trajectories, rtol)
-        known = [self._is_known(order.at_any_roots) for order in checked.orders]
-        others = ~np.array(known, dtype=bool)
+        solved_orders = [self._is_known(order.at_any_roots) for order in checked.orders]
+        others = ~np.array(solved_orders, dtype=bool)
         if (others & errors.decided).any():
             return joined, points[others & errors.decided]
         sizes = np.delete(errors.largest, slice(1, 1 + corners), axis=1).max(axis=1)
@@ -196,8 +196,8 @@ class BranchCheck:
 
     def _is_known(self, order: Order) -> bool:
         """Whether an order is one of those that are known, or goes on as one."""
-        known = [each.at_any_roots for each in self.orders]
-        return any(order == each or order.begins(each) for each in known)
+        orders = [each.at_any_roots for each in self.orders]
+        return any(order == each or order.begins(each) for each in orders)
 
     def _points(self, evaluator: BranchEvaluator) -> tuple[Array, int]:
         """The centre, corners, interior points and suspicious ones (m, d); the number of corners.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rankone.solvers.outcome import Outcome
 from rankone.solvers.request import SolveRequest
 from rankone.solvers.solve_tuning import SOLVE
-from rankone.solvers.verification.points import check_points
+from rankone.solvers.verification.points import check_points, smooth_nodes
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
 from rankone.support.errors import ConvergenceError
@@ -51,7 +51,7 @@ class Resolution:
     @classmethod
     def of(cls, basis: Basis1D, spectrum: Array, rtol: float) -> Resolution:
         """From the sizes of the modes, in units of the states."""
-        smooth = min(4.0 - 1.4 * math.log10(rtol), basis.size)
+        smooth = min(smooth_nodes(rtol), basis.size)
         excess = math.log(max(basis.tail(spectrum), 1e-300) / (SOLVE.narrowing_aim * rtol))
         if excess <= 0.0:
             return cls(basis, float(basis.size), smooth)

@@ -80,17 +80,17 @@ def engines_for(
         order = ("train", "cross") if few else ("cross", "train")
         tried = tuple(ENGINES[name] for name in order if separated or name == "cross")
         common = set.intersection(*(set(ENGINES[name].options.names()) for name in order))
-        known = common | _RESOURCES
+        known_options = common | _RESOURCES
     elif isinstance(method, str) and method in ENGINES:
         tried = (ENGINES[method],)
-        known = set(tried[0].options.names())
+        known_options = set(tried[0].options.names())
     else:
         methods = (AUTO, *ENGINES)
         raise OptionError(
             f"method={method!r} is unknown{did_you_mean(str(method), methods)}",
             remedy=f"choose from {', '.join(methods)}",
         )
-    for option in sorted(set(options) - known):
+    for option in sorted(set(options) - known_options):
         owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
         if owners:
             raise OptionError(
@@ -98,7 +98,7 @@ def engines_for(
                 remedy=f"give {' or '.join(owners)} with it, or leave the option out",
             )
     if unknown := sorted(
-        set(options) - known
+        set(options) - known_options
     ):  # refused by the engine that has the most similar ones
         return (max(tried, key=lambda engine: _similarity(engine, unknown)),)
     return tried

@@ -88,9 +88,9 @@ def reference_set_of(
         if not count and reference_set.reference.blown is None:
             return replace(reference_set.without_lines(), workers=workers)
     kept.reference_set = None  # two are not held at once
-    made = ReferenceSet.of(system, request, lines, workers)
-    kept.system, kept.request, kept.reference_set = system, request, made
-    return made
+    integrated = ReferenceSet.of(system, request, lines, workers)
+    kept.system, kept.request, kept.reference_set = system, request, integrated
+    return integrated
 
 
 # -----------------------------------------------------------------------------
@@ -249,13 +249,13 @@ def _by_pilots(
     paths: Sequence[Path] = ()
     for paths in _pilot_paths(system, request, points, tolerances):
         try:
-            found = _by_paths(system, request, points, paths, tolerances, first_points)
+            start = _by_paths(system, request, points, paths, tolerances, first_points)
         except OrderError:  # perhaps they do not go on as they began
             if paths[0].end >= request.domain.horizon[1]:
                 raise
             continue
-        if found is not None:
-            return found
+        if start is not None:
+            return start
     return _by_late_front(system, request, points, paths, first_points) if paths else None
 
 
@@ -306,12 +306,12 @@ def _by_late_front(
     chosen = span_integrator_for(system, request.integrator)
     try:
         with limited(SOLVE.late_share * work_left()):
-            found = late_front(system, points, paths, horizon, chosen, tolerances)
+            front = late_front(system, points, paths, horizon, chosen, tolerances)
     except OutOfWorkError:
         return None
-    if found is None:
+    if front is None:
         return None
-    marker, order = found
+    marker, order = front
     clock = Clock(timed_events(system, (), (marker,)), order, horizon, (), (marker,))
     stretched, there = over_stretches(clock, request)
     lines = first_points(stretched, there)

@@ -210,6 +210,11 @@ def check_points(
     return np.concatenate(points)
 
 
+def smooth_nodes(rtol: float) -> float:
+    """Nodes that resolve a smooth function of a parameter to a tolerance, about."""
+    return 4.0 - 1.4 * math.log10(rtol)
+
+
 def covers_corners(request: SolveRequest) -> bool:
     """Whether errors at corners count: as asked, otherwise with few parameters."""
     cover = request.check.cover
@@ -384,7 +389,7 @@ def candidate_points(
     its own. The tolerance tells how many nodes a smooth solution needs.
     """
     factor = CHECK.steep_nodes if slabs and len(slabs[-1].bases) > 1 else CHECK.steep_nodes_alone
-    many = factor * (4.0 - 1.4 * math.log10(rtol))
+    many = factor * smooth_nodes(rtol)
     steep = [s for s in slabs if any(b.elements > 1 or b.size > many for b in s.bases)]
     looked_at = steep or slabs[-1:]
     if not looked_at or not (steep or len(slabs[-1].bases) > FEW_PARAMETERS):

@@ -331,9 +331,9 @@ class ReferenceSet:
         return np.where(sizes > 0.0, sizes, 1.0)
 
     def quantities(self, times: Array) -> Iterator[Array]:
-        """What is solved for at parts of the times, (n, m, T) each."""
-        parts = np.array_split(times, -(-times.size // self.reference.times_held))
-        return (self.seen(part, self.reference(part)) for part in parts)
+        """What is solved for at blocks of the times, (n, m, T) each."""
+        blocks = np.array_split(times, -(-times.size // self.reference.times_held))
+        return (self.seen(part, self.reference(part)) for part in blocks)
 
     @cached_property
     def narrow_times(self) -> Array:

@@ -282,8 +282,8 @@ def _growing(blocks: Array, slowest: float) -> NDArray[np.bool_]:
     """
     charge(len(blocks) * eigenvalues(blocks.shape[1]))
     values, vectors = np.linalg.eig(blocks)
-    parts = np.abs(vectors) * (values.real > slowest)[:, None]
-    return np.asarray((parts > CHECK.eigenvector_part).any(axis=(0, 2)))
+    shares = np.abs(vectors) * (values.real > slowest)[:, None]
+    return np.asarray((shares > CHECK.eigenvector_part).any(axis=(0, 2)))
 
 
 def _dips(dense: DenseTrajectories) -> tuple[Array, float]:
