@@ -140,16 +140,16 @@ PYTHON = [
         f"{SUITE} python and derivatives and kicked",
     ),
     Fault(
-        "tensors/evaluators/decisions.py",
-        "from typing import NamedTuple, Protocol",
-        "import typing\nfrom typing import NamedTuple\n\nProtocol = typing.Protocol",
-        f"{SUITE} (python-washed and values) or numpy_alone or formatted",
+        X + "model_python.py",
+        "', NamedTuple, Protocol' if several",
+        "', NamedTuple' if several",
+        f"{SUITE} python-washed and values",
     ),
     Fault(
         X + "model_python.py",
         "*([] if model.choice is None else _BRANCH_END)",
         "",
-        f"{SUITE} python-washed and values",
+        f"{SUITE} python-washed and times",
     ),
 ]
 C = [

@@ -99,7 +99,10 @@ def apart(times, events, solution):
     return np.abs(times[:, None] - happened).min(axis=1) > near
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("ball", "late"))) for n in PROBLEMS],
+)
 def test_values_and_times_of_events(name):
     solution = solved(name)
     assert solution.success

@@ -47,6 +47,8 @@ runs = pytest.mark.skipif(
     COMPILER is None or fmpy is None, reason="no C compiler, or FMPy is not installed"
 )
 both = pytest.mark.parametrize("fmi", VERSIONS)
+newer = pytest.mark.parametrize("fmi", [pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
+"""What is the same in both versions is tried with one in every run."""
 
 
 @cache
@@ -270,7 +272,7 @@ def test_can_be_passed_on(fmi, sources):
 
 @pytest.mark.slow
 @needs_compiler
-@both
+@newer
 def test_names(fmi, tmp_path):
     """Other characters than XML has, and line breaks, become underscores; names stay distinct."""
     solution = synthetic()
@@ -386,7 +388,7 @@ def test_simulate(name, fmi, archive):
 
 
 @runs
-@both
+@newer
 @pytest.mark.parametrize("name", ["lotka_volterra", "no time"])
 def test_changes_of_parameters(name, fmi, archive):
     """Outputs after a change belong to the trajectory that had the values from its start."""
@@ -415,7 +417,7 @@ def test_changes_of_parameters(name, fmi, archive):
 
 
 @runs
-@both
+@newer
 def test_jumps(fmi, archive):
     """At a jump the value is that after it."""
     solution = doses()
@@ -476,7 +478,7 @@ def test_ends_of_ranges(fmi, archive):
 
 
 @runs
-@both
+@newer
 def test_far_from_zero(fmi, archive):
     """Seconds since 1970: a millisecond is round-off, a second is none."""
     start, stop = far_from_zero().time
@@ -493,7 +495,7 @@ def test_far_from_zero(fmi, archive):
 
 
 @runs
-@both
+@newer
 @pytest.mark.parametrize(
     ("name", "count", "above"), [("decay", 30, False), ("before zero", 300_000, True)]
 )

@@ -27,7 +27,9 @@ EACH = {
 }
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "bands")) for n in EACH]
+)
 def test_axes_are_used_and_returned(name):
     figure, ax = plt.subplots()
     before = plt.get_fignums()
