@@ -138,14 +138,14 @@ class ConvergenceError(RankoneError, RuntimeError):
         self,
         message: str,
         *,
-        solution: Any = None,
+        solution: object = None,
         term: object = None,
         remedy: str | None = None,
-        bifurcation: Any = None,
+        bifurcation: object = None,
     ) -> None:
         super().__init__(message, term=term, remedy=remedy)
-        self.solution = solution
-        self.bifurcation = bifurcation
+        self.solution: Any = solution
+        self.bifurcation: Any = bifurcation
 
 
 class BlowUpError(ConvergenceError):
@@ -173,7 +173,7 @@ class BlowUpError(ConvergenceError):
         time: float = math.nan,
         parameters: Mapping[str, float] | None = None,
         part: Callable[[], object] | None = None,
-        solution: Any = None,
+        solution: object = None,
         term: object = None,
         remedy: str | None = None,
     ) -> None:

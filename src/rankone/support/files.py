@@ -14,7 +14,7 @@ from functools import cache
 from os import PathLike
 from pathlib import Path
 from types import UnionType
-from typing import IO, Any, ClassVar, Union, get_args, get_origin, get_type_hints
+from typing import IO, Any, ClassVar, Union, cast, get_args, get_origin, get_type_hints
 from zipfile import ZipFile
 
 import numpy as np
@@ -28,10 +28,10 @@ _KEPT_CHARACTERS = 48
 _OTHER_NAME = "choose another name, or overwrite=True"
 
 
-def as_path(path: Any, error: type[RankoneError]) -> Path:
+def as_path(path: object, error: type[RankoneError]) -> Path:
     """An argument as a path; an error if it is something else."""
     try:
-        return Path(path)
+        return Path(cast(str, path))
     except TypeError:
         raise error(f"{path!r} is not a path", term=path, remedy="give a file name") from None
 
@@ -201,9 +201,9 @@ class Tagged:
         Tagged.subclasses[cls.__name__] = cls
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Turn dataclasses, mappings, tuples, enumerations and NumPy numbers into plain data."""
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         content = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
         return {"type": type(value).__name__, **content} if isinstance(value, Tagged) else content
     if isinstance(value, Mapping):
@@ -216,7 +216,7 @@ def plain(value: Any) -> Any:
     return str(scalar) if isinstance(scalar, float) and not math.isfinite(scalar) else scalar
 
 
-def rebuilt(annotation: Any, content: Any) -> Any:
+def rebuilt(annotation: object, content: Any) -> Any:
     """Turn plain data into an object of an annotated type.
 
     That is a dataclass, an enumeration (of texts by value, others by name), ``float``, ``int``,
@@ -248,10 +248,10 @@ def rebuilt(annotation: Any, content: Any) -> Any:
     raise TypeError(f"{content!r} is not of the type {annotation}")
 
 
-def _instance(annotation: Any, content: Mapping[str, Any]) -> Any:
+def _instance(annotation: type[Any], content: Mapping[str, object]) -> Any:
     """An instance of a dataclass, or of the class that tagged content names."""
     if issubclass(annotation, Tagged):
-        tagged = Tagged.subclasses[content["type"]]
+        tagged = Tagged.subclasses[str(content["type"])]
         if not issubclass(tagged, annotation):
             raise TypeError(f"{tagged.__name__} is not a {annotation.__name__}")
         annotation = tagged
@@ -265,7 +265,7 @@ def _instance(annotation: Any, content: Mapping[str, Any]) -> Any:
 
 
 @cache
-def _annotations(dataclass: Any) -> dict[str, tuple[Any, bool]]:
+def _annotations(dataclass: type[Any]) -> dict[str, tuple[Any, bool]]:
     """For each field of a dataclass its annotation and whether it has a default."""
     hints = get_type_hints(dataclass)
     return {

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, shown
@@ -24,14 +24,14 @@ _LARGEST_INTEGER = 10**9  # Largest integer of an option: no limit above it is e
 
 
 def checked_number(
-    name: str, value: Any, least: float, most: float = math.inf, kind: type[float] = int
+    name: str, value: object, least: float, most: float = math.inf, kind: type[float] = int
 ) -> Any:
     """The value as an int or float (``kind``) from ``least`` to ``most``, or an OptionError."""
     accepted = numbers.Integral if kind is int else numbers.Real
     valid = isinstance(value, accepted) and not isinstance(value, bool)
     try:
-        if valid and least <= value <= most:
-            return kind(value)
+        if valid and least <= cast(float, value) <= most:
+            return kind(cast(float, value))
     except OverflowError:
         pass
     article = "an integer" if kind is int else "a number"
@@ -180,14 +180,14 @@ _TEXT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([kmgt]i?|)b?\s*", re.IGNORECASE
 _LEAST = 5e7  # Least limit in bytes: libraries that a solve imports take half of that
 
 
-def checked_memory(name: str, amount: Any) -> float:
+def checked_memory(name: str, amount: object) -> float:
     """An amount in bytes, of a number of bytes or a text such as "2GB"; or an OptionError."""
     if isinstance(amount, str):
         match = _TEXT.fullmatch(amount)
         count = float(match[1]) * (_UNITS | _BINARY)[match[2].lower()] if match else math.nan
     else:
         real = isinstance(amount, numbers.Real) and not isinstance(amount, bool)
-        count = float(amount) if real else math.nan
+        count = float(cast(float, amount)) if real else math.nan
     if math.isnan(count):
         raise OptionError(
             f"{name}={shown(amount)} is no amount of memory",

@@ -42,7 +42,7 @@ ExecutorLike = Executor | int | str
 """An executor, a number of processes, or the address of a scheduler of dask."""
 
 
-def checked_executor(name: str, executor: Any) -> ExecutorLike:
+def checked_executor(name: str, executor: object) -> ExecutorLike:
     """The option as an executor, a number of processes or an address; or an OptionError."""
     if hasattr(executor, "get_executor"):  # a Client of dask.distributed
         return checked_executor(name, executor.get_executor())

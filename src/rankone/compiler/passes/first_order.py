@@ -469,8 +469,8 @@ def additive_parameters(system: FirstOrderSystem) -> tuple[str, ...]:
     if len(rates) < len(states):
         return ()
     amounts = {c.symbol for c in parameters}.difference(*(each.free_symbols for each in times))
-    given = [*system.initial, *_added(system)]
-    amounts = _in_all(given, amounts)
+    starts = [*system.initial, *_added(system)]
+    amounts = _in_all(starts, amounts)
     if not amounts or any(_degree(rate, states, clock.symbol) > 1 for rate in rates):
         return ()
     at_zero = dict.fromkeys(states, sp.S.Zero)
@@ -479,8 +479,8 @@ def additive_parameters(system: FirstOrderSystem) -> tuple[str, ...]:
     proportional = [
         p
         for p in amounts
-        if all(_degree(each, (*states, p)) <= 1 for each in (*given, *rates) if each.has_free(p))
-        and not any(each.subs(p, 0) for each in (*given, *rests) if each)
+        if all(_degree(each, (*states, p)) <= 1 for each in (*starts, *rates) if each.has_free(p))
+        and not any(each.subs(p, 0) for each in (*starts, *rests) if each)
     ]
     return tuple(c.name for c in parameters if c.symbol in proportional)
 

@@ -229,12 +229,12 @@ class _Replacement:
             if one[1] not in self._extremes:
                 continue
             inner = [(part, other) for part in self._extremes[one[1]]]
-            known = [definite_sign(a[0] - b[0], self._system.coordinates[1:]) for a, b in inner]
+            signs = [definite_sign(a[0] - b[0], self._system.coordinates[1:]) for a, b in inner]
             largest = isinstance(one[1], sp.Max)
             decides = sp.Integer(1 if largest else -1)
-            if decides in known:
+            if decides in signs:
                 return -decides if turned else decides
-            open_pairs = [pair for pair, sign in zip(inner, known, strict=True) if sign is None]
+            open_pairs = [pair for pair, sign in zip(inner, signs, strict=True) if sign is None]
             if not open_pairs:
                 return decides if turned else -decides
             if len(open_pairs) > 1:

@@ -248,8 +248,8 @@ def fitted_distribution(
 
     An OptionError if the fit knows none of them, or has a value for each experiment.
     """
-    known = fit.known
-    several = [name for name in names if name in known.open]
+    estimate = fit.known
+    several = [name for name in names if name in estimate.open]
     if several:
         raise OptionError(
             f"under: experiments or doses of the fit have their own values of {listing(several)}",
@@ -257,29 +257,29 @@ def fitted_distribution(
             remedy="fix values, and ask that solution: "
             f"solution.fix({', '.join(f'{name}=...' for name in several)})",
         )
-    if not {*known.distributions, *known.fixed} & {*names}:
+    if not {*estimate.distributions, *estimate.fixed} & {*names}:
         raise OptionError(
-            f"under: the fit is of {listing(known.distributions)}, and the solution has "
+            f"under: the fit is of {listing(estimate.distributions)}, and the solution has "
             f"{listing(names) if names else 'no parameters'}",
             remedy="give a fit of this solution",
         )
     measures: list[Measure] = []
     for name, (lower, upper) in zip(names, box, strict=True):
-        if name not in known.fixed:
-            of_fit = known.distributions.get(name)
-            given = from_problem.get(name) if of_fit is None else of_fit
-            measures.append(Measure(name, lower, upper, given, from_problem=of_fit is None))
+        if name not in estimate.fixed:
+            of_fit = estimate.distributions.get(name)
+            distribution = from_problem.get(name) if of_fit is None else of_fit
+            measures.append(Measure(name, lower, upper, distribution, from_problem=of_fit is None))
             continue
-        if not lower <= known.fixed[name] <= upper:
+        if not lower <= estimate.fixed[name] <= upper:
             raise OptionError(
-                f"under: the fit has {name} = {known.fixed[name]:g}, outside "
+                f"under: the fit has {name} = {estimate.fixed[name]:g}, outside "
                 f"[{lower:g}, {upper:g}]",
                 term=name,
                 remedy="solve on a box that holds it",
             )
-        measures.append(PointMeasure(name, lower, upper, at=known.fixed[name]))
+        measures.append(PointMeasure(name, lower, upper, at=estimate.fixed[name]))
     if correlation is None:
-        correlation = {pair: c for pair, c in known.correlation.items() if {*pair} <= {*names}}
+        correlation = {pair: c for pair, c in estimate.correlation.items() if {*pair} <= {*names}}
     return JointDistribution(tuple(measures), copula_of(names, correlation))
 
 

@@ -164,12 +164,12 @@ def interpolate(
         columns = _product(np.arange(size)[:, None], right)
         expected = math.ceil(slowing * growth * len(right)) + _EXTRA_RANK
         block = _Block(samples, left[b], [basis.size for basis in bases[:b]], columns)
-        found = block.skeleton(tolerance, max_rank, expected)
-        limited |= found.rank == max_rank
-        before, growth = growth, min(found.rank / len(right), _MOST_GROWTH)
+        skeleton = block.skeleton(tolerance, max_rank, expected)
+        limited |= skeleton.rank == max_rank
+        before, growth = growth, min(skeleton.rank / len(right), _MOST_GROWTH)
         slowing = min(growth / before, 1.0)
-        cores.insert(0, found.coefficients.reshape(found.rank, size, len(right)))
-        right = columns[found.columns]
+        cores.insert(0, skeleton.coefficients.reshape(skeleton.rank, size, len(right)))
+        right = columns[skeleton.columns]
     roots = [np.sqrt(basis.weights)[:, None] for basis in bases]
     scaled = (core * root for core, root in zip(cores, roots, strict=True))
     return Train((samples(right), *scaled)), limited
@@ -190,21 +190,21 @@ class _Block:
         At the first batch, and at further ones until one is interpolated as well from the columns
         that were found before.
         """
-        matrices, squares, found = list[Array](), 0.0, None
+        matrices, squares, skeleton = list[Array](), 0.0, None
         for matrix, weights in self._matrices():
             square = tolerance**2 * float(np.sum(weights**2)) * len(self.columns)
             missed, allowed = math.inf, math.sqrt(square)
-            if found is not None:
-                missed = found.missed(matrix)
+            if skeleton is not None:
+                missed = skeleton.missed(matrix)
                 if missed <= allowed:
                     break
-                matrices, expected = [found.rows_of(matrices)], found.rank + _EXTRA_RANK
+                matrices, expected = [skeleton.rows_of(matrices)], skeleton.rank + _EXTRA_RANK
             matrices, squares = [*matrices, matrix], squares + square
-            found = skeleton_of(matrices, math.sqrt(squares), max_rank, expected)
-            if missed <= _SPANNED * allowed or found.rank >= min(max_rank, len(self.columns)):
+            skeleton = skeleton_of(matrices, math.sqrt(squares), max_rank, expected)
+            if missed <= _SPANNED * allowed or skeleton.rank >= min(max_rank, len(self.columns)):
                 break
-        assert found is not None
-        return found
+        assert skeleton is not None
+        return skeleton
 
     def _matrices(self) -> Iterator[tuple[Array, Array]]:
         """The matrix (left points x coefficients, columns) of each batch, and the weights.
@@ -363,8 +363,8 @@ def _directions(columns: Array, tolerance: float) -> tuple[Array, float]:
     gram = columns @ columns.T if wide else columns.T @ columns
     total = float(np.trace(gram))
     missed = max(tolerance, math.sqrt(COINCIDENT) * math.sqrt(total))
-    factor, order, found, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
-    rank = max(found, 1)
+    factor, order, resolved, _ = dpstrf(gram, tol=missed**2 / smaller, lower=1)
+    rank = max(resolved, 1)
     charge(product(smaller, rank, rank))
     factor, pivots = np.tril(factor)[:, :rank], order - 1
     left = total - np.square(factor).sum(axis=0).cumsum()

@@ -81,8 +81,8 @@ class SlabTrain:
         step = max(AT_ONCE // widest, 1)
         if count <= step:
             return self._over_parameters(points, precision)
-        parts = np.array_split(points, -(-count // step), axis=1)
-        blocks = [self._over_parameters(part, precision) for part in parts]
+        pieces = np.array_split(points, -(-count // step), axis=1)
+        blocks = [self._over_parameters(piece, precision) for piece in pieces]
         return np.concatenate(blocks, axis=1)
 
     def _over_parameters(self, points: Array, precision: DTypeLike) -> Array:
@@ -362,9 +362,9 @@ def best_coordinates(
     drawn = redraw([(j, basis.nodes) for j, basis in again]) if again else []
     for (j, basis), columns in zip(again, drawn, strict=True):
         other, first = LineColumns(basis, columns), lines[j]
-        seen = max(first.error(other), TAIL_RATIO * tol)
+        allowed = max(first.error(other), TAIL_RATIO * tol)
         fewer = needed(other.spectrum) <= _CLEAR_RATIO * needed(best[j].spectrum)
-        if fewer and other.error(first) <= seen:
+        if fewer and other.error(first) <= allowed:
             best[j] = other
     return best
 

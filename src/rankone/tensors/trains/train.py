@@ -65,9 +65,9 @@ def skeleton_of(
     while True:
         direct = rows <= _DIRECT_RATIO * count
         sketch = np.concatenate(matrices) if direct else _combined(matrices, count)
-        found = _pivoted(sketch, tolerance, max_rank, combined=not direct)
-        if found is not None:
-            return _of_larger_volume(found)
+        skeleton = _pivoted(sketch, tolerance, max_rank, combined=not direct)
+        if skeleton is not None:
+            return _of_larger_volume(skeleton)
         count *= 2
 
 
@@ -246,9 +246,9 @@ class Train:
         norms, share = list[Array](), tolerance / math.sqrt(max(len(cores) - 1, 1))
         turn = np.eye(1)
         for j in range(len(cores) - 1, 0, -1):
-            core, seen = np.tensordot(cores[j], turn, 1), np.tensordot(weighted[j - 1], turn, 1)
-            norms.insert(0, np.linalg.norm(seen, axis=(0, 2)))
-            _, weights, right = _svd(seen.reshape(len(seen), -1))
+            core, weighed = np.tensordot(cores[j], turn, 1), np.tensordot(weighted[j - 1], turn, 1)
+            norms.insert(0, np.linalg.norm(weighed, axis=(0, 2)))
+            _, weights, right = _svd(weighed.reshape(len(weighed), -1))
             tails = np.sqrt(np.cumsum(weights[::-1] ** 2))[::-1]
             right = right[: max(int(np.count_nonzero(tails > share)), 1)]
             turn = core.reshape(len(core), -1) @ right.T

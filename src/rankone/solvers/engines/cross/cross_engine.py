@@ -153,8 +153,9 @@ class CrossMarcher:
             self.options.max_trajectories - self.integrated,
             self.workers,
             pace.batch,
-            self.integrators,
         )
+        if self.integrators is not None:
+            trajectories.integrator, trajectories.taken = self.integrators
         try:
             march = self._marched(trajectories, level, number, pace)
         except _JumpFound:

@@ -51,8 +51,8 @@ class Trajectories:
     ``report`` is called after each batch with the part of a call that is done. ``highest_modes``
     (slabs,) are those in time, the largest of all trajectories, and ``work`` counts the operations;
     ``least_work`` is that of a trajectory in the cheapest stack that was stiff and not small.
-    ``integrators`` are the option ``integrator`` for further trajectories, and what has ``taken``
-    the last ones; by default those after the reference.
+    ``integrator`` is the option for further trajectories, and ``taken`` what has taken the last
+    ones: those after the reference, unless a caller sets them.
     """
 
     def __init__(
@@ -64,7 +64,6 @@ class Trajectories:
         most: int,
         workers: Workers | None = None,
         report: Callable[[float], None] | None = None,
-        integrators: tuple[str, str] | None = None,
     ) -> None:
         self.workers, self.report = workers or Workers(reference_set.system), report
         self.reference_set, self.grid, self.most = reference_set, grid, most
@@ -74,8 +73,7 @@ class Trajectories:
         self.tightness = TUNING.aimed_error_ratio if self.stiff else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
         self._counted_work = 0.0
-        after_reference = reference_set.taken, reference_set.reference.integrator
-        self.integrator, self.taken = integrators or after_reference
+        self.integrator, self.taken = reference_set.taken, reference_set.reference.integrator
         self.scale = _norm_of_ones(grid.times.size, reference_set.states.size)
         self.units = reference_set.states * self.scale
         self.basis = GrowingBasis(self.units.size * grid.times.size)
@@ -213,7 +211,13 @@ class Trajectories:
         tolerances = Tolerances(tolerance, absolute[:, None])
         observed = reference_set.observed
         rows = None if observed is None else observed.rows
-        common = integrator, edges, tolerances, self.grid.times, self.units, rows
+        common = (
+            integrator,
+            edges,
+            tolerances,
+            self.grid.times,
+            self.units if rows is None else rows,
+        )
         tasks = [(chunk, *common) for chunk in chunks]
         before = work_done()
         try:
@@ -265,12 +269,11 @@ def _integrated(
     edges: list[float],
     tolerances: Tolerances,
     times: Array,
-    units: Array,
-    rows: tuple[int, ...] | None,
+    units: Array | tuple[int, ...],
 ) -> tuple[Array, str]:
     """Trajectories at points (m, d) in units of states, (n T, m); the integrator.
 
-    Or some rows of them as they are, (k, T, m).
+    With a tuple for the units some rows of them as they are, (k, T, m).
     """
     sampled = integrator.sample(system, points, edges, tolerances, times)
     if sampled.reached < times.size or not np.isfinite(sampled.states).all():
@@ -278,8 +281,8 @@ def _integrated(
         ends = first_to_end(system, sampled.end, sampled.state, points, floor)
         raise TrajectoryEnds(sampled.end, points[ends])
     states = sampled.states.transpose(1, 0, 2)
-    if rows is not None:
-        return states[list(rows)], sampled.integrator
+    if isinstance(units, tuple):
+        return states[list(units)], sampled.integrator
     return _in_units(states, units), sampled.integrator
 
 
