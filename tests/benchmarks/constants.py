@@ -9,8 +9,9 @@ groups are split. A constant that no system reads is *unread*.
 
 Each change is made in a process of its own, forked after the library is imported: the name is bound
 to the other value in every module that has it, and in defaults of arguments and fields, and module
-constants computed from it are computed again. Results are JSON lines, one for each constant; what
-is there already is not tried again. ``--report`` prints the table.
+constants computed from it are computed again. The tuning of an engine, one frozen value, is changed
+field by field. Results are JSON lines, one for each constant; what is there already is not tried
+again. ``--report`` prints the table.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -279,7 +280,7 @@ def scaled(value: Number, factor: float) -> Number:
     if isinstance(value, int):
         return max(1, round(value * factor)) if value > 0 else round(value * factor)
     if not isinstance(value, float):
-        return type(value)(*(scaled(getattr(value, name), factor) for name in value.__slots__))
+        return type(value)(*(scaled(getattr(value, f.name), factor) for f in fields(value)))
     if 0.5 < value < 1.0:
         return 1.0 - (1.0 - value) / 2.0 if factor > 1.0 else value / 2.0
     if 1.0 < value <= 1.5:
@@ -350,7 +351,8 @@ class House:
                     bodies.append((node.name, node.body))
             for owner, body in bodies:
                 for name, value, line in assigned(body):
-                    if name.isupper() and _numeric(value) and "SEED" not in name:
+                    named = name.isupper() or owner.endswith("Tuning")
+                    if named and _numeric(value) and "SEED" not in name:
                         constants.append(Constant(path, line, owner, name))
         return constants
 
@@ -374,8 +376,7 @@ class House:
         def read(code: CodeType, path: str) -> None:
             if code.co_name != "<module>":
                 for name in code.co_names:
-                    if name.isupper():
-                        readers.setdefault(name, set()).add((path, code.co_firstlineno))
+                    readers.setdefault(name, set()).add((path, code.co_firstlineno))
             for inner in code.co_consts:
                 if isinstance(inner, CodeType):
                     read(inner, path)
@@ -410,14 +411,15 @@ class House:
         """Bind constants to other values, in this process for good."""
         changed = {constant.name for constant in constants}
         for constant in constants:
-            old, new = constant.value, scaled(constant.value, factor)
+            new = scaled(constant.value, factor)
             files = self.sharing(constant)
             self._bind(constant, new, files)
             for path in files:
                 self._redefault(path, constant.name, new)
-            if constant.owner:
+            if constant.owner.endswith("Tuning"):
+                object.__setattr__(self.modules[constant.path].TUNING, constant.name, new)  # type: ignore[attr-defined]
+            elif constant.owner:
                 setattr(constant.holder, constant.name, new)
-            del old
         for path, name, value, names in self.derived:
             if names & changed:
                 module = self.modules[path]
@@ -440,15 +442,15 @@ class House:
                     for function in _functions(module, node.name):
                         _rebind(function, _arguments(node, name), value)
             elif isinstance(node, ast.ClassDef) and hasattr(module, node.name):
-                fields = [
+                same = [
                     field
                     for field, default, _ in assigned(node.body)
                     if isinstance(default, ast.Name) and default.id == name
                 ]
                 holder = getattr(module, node.name)
-                if fields and inspect.isfunction(holder.__init__):
-                    _rebind(holder.__init__, fields, value)
-                    for each in fields:
+                if same and inspect.isfunction(holder.__init__):
+                    _rebind(holder.__init__, same, value)
+                    for each in same:
                         if not hasattr(holder, "__slots__"):
                             setattr(holder, each, value)
 

@@ -43,7 +43,7 @@ from rankone.tensors.bases import BASES
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.adaptive import (
-    FIRST_LEFT_POINTS,
+    TUNING,
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
@@ -350,7 +350,7 @@ class OutputInterpolation:
             hopeless = error > level and _is_out_of_sight(errors, left, level)
             if error <= level or not domain.box or hopeless:
                 break
-            worst = check.points[np.argsort(-missed.max(axis=0))[:FIRST_LEFT_POINTS]]
+            worst = check.points[np.argsort(-missed.max(axis=0))[: TUNING.first_left_points]]
             adaptive.steep = adaptive.doubtful = worst
             adaptive.refine(error)
         assert best is not None

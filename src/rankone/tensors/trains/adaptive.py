@@ -32,37 +32,53 @@ from rankone.tensors.trains.cross import (
 from rankone.tensors.trains.slab import TAIL_RATIO, LineColumns, basis_values, best_coordinates
 from rankone.tensors.trains.train import Integers, Train
 
-# Left points of each bond to begin with; each refinement takes half as many again
-FIRST_LEFT_POINTS = 12
-MOST_FIRST_LEFT_POINTS = 30  # Most of them in the first attempt, which takes what it needs
-# Left points with which it begins and goes on: few show that those it began with suffice
-FIRST_BATCHES = 8, 10, 12, 15, 18, 22, 26
-# The same for later attempts, over the left points that they take at least
-LATER_BATCHES = 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0
-# Tolerance of skeletons, relative to the level of an attempt: an error there is amplified
-SKELETON_SHARE = 0.04
-# Size of the highest modes, relative to the level, above which there are more nodes
-HIGHEST_MODES_SHARE = 0.1
-# Error of rounding the train, relative to the level: at corners it is amplified
-ROUNDING_SHARE = 0.005
-# Distance of the second line of a parameter from the centre, in widths of the other intervals:
-# functions with a symmetry about the centre look different there
-SECOND_LINE_OFFSET = 0.35
-# Most lines of a parameter through steep points: each costs as much as the first ones
-MAX_STEEP_LINES = 6
-# Largest tail of the modes on the first lines, relative to the level, for a single parameter:
-# elsewhere in the box a function may need more modes, and the tails of several parameters add up
-TAIL_SHARE = 0.02
-# Largest ratio of successive modes used for a prediction: slower decay looks like none
-SLOWEST_DECAY = 0.95
-MAX_PREDICTED_RATIO = 3.0  # Largest number of nodes predicted, over the nodes it is predicted from
-ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the nodes of the lines
-# With one parameter elements may have this many times the nodes of a single element that does not
-# suffice
-ELEMENT_COST_RATIO = 2.0
-# The same with more parameters, where a steep place moves with the others: lines show some of them
-MOVING_COST_RATIO = 0.25
-LEAST_NODES = 3  # Fewest nodes of a parameter
+
+@dataclass(frozen=True)
+class InterpolationTuning:
+    """Tuning of the interpolation, measured over the reference problems."""
+
+    first_left_points: int = 12
+    """Left points of each bond to begin with; each refinement takes half as many again."""
+    most_first_left_points: int = 30
+    """Most of them in the first attempt, which takes what it needs."""
+    first_batches: tuple[int, ...] = (8, 10, 12, 15, 18, 22, 26)
+    """Left points with which it begins and goes on: few show that those it began with
+    suffice."""
+    later_batches: tuple[float, ...] = (2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    """The same for later attempts, over the left points that they take at least."""
+    skeleton_share: float = 0.04
+    """Tolerance of skeletons, relative to the level of an attempt: an error there is
+    amplified."""
+    highest_modes_share: float = 0.1
+    """Size of the highest modes, relative to the level, above which there are more nodes."""
+    rounding_share: float = 0.005
+    """Error of rounding the train, relative to the level: at corners it is amplified."""
+    second_line_offset: float = 0.35
+    """Distance of the second line of a parameter from the centre, in widths of the other
+    intervals: functions with a symmetry about the centre look different there."""
+    max_steep_lines: int = 6
+    """Most lines of a parameter through steep points: each costs as much as the first ones."""
+    tail_share: float = 0.02
+    """Largest tail of the modes on the first lines, relative to the level, for a single
+    parameter: elsewhere in the box a function may need more modes, and the tails of several
+    parameters add up."""
+    slowest_decay: float = 0.95
+    """Largest ratio of successive modes used for a prediction: slower decay looks like none."""
+    max_predicted_ratio: float = 3.0
+    """Largest number of nodes predicted, over the nodes it is predicted from."""
+    element_node_ratio: float = 5.0
+    """Elements are tried above this ratio of nodes to the nodes of the lines."""
+    element_cost_ratio: float = 2.0
+    """With one parameter elements may have this many times the nodes of a single element that
+    does not suffice."""
+    moving_cost_ratio: float = 0.25
+    """The same with more parameters, where a steep place moves with the others: lines show some
+    of them."""
+    least_nodes: int = 3
+    """Fewest nodes of a parameter."""
+
+
+TUNING = InterpolationTuning()
 
 
 @dataclass(frozen=True)
@@ -125,7 +141,7 @@ class AdaptiveInterpolation:
         self.spectra: list[Array] = []
         self.steep: Array | None = None
         self.doubtful: Array | None = None
-        self._left_count = FIRST_LEFT_POINTS
+        self._left_count = TUNING.first_left_points
         self._undivided: tuple[Basis1D, ...] | None = None
         self._divides = True
 
@@ -141,7 +157,7 @@ class AdaptiveInterpolation:
         """
         if len(bases) == 1:
             return []
-        most = min(math.ceil(MAX_PREDICTED_RATIO * self._line_nodes), self.limits.max_nodes)
+        most = min(math.ceil(TUNING.max_predicted_ratio * self._line_nodes), self.limits.max_nodes)
         return [j for j, basis in enumerate(bases) if basis.elements == 1 and basis.size >= most]
 
     def with_jumps(self, bases: Sequence[Basis1D]) -> list[int]:
@@ -169,14 +185,14 @@ class AdaptiveInterpolation:
             chosen(bases)
         if bases:
             left = self._left_points(bases)
-            tolerance = SKELETON_SHARE * self.level / np.sqrt(len(bases))
+            tolerance = TUNING.skeleton_share * self.level / np.sqrt(len(bases))
             samples, most = Samples(columns, bases), self.limits.max_rank
             train, limited = interpolate(samples, bases, left, tolerance, most, begun)
         else:
             train, limited = Train((columns(np.zeros((1, 0))),)), False
         self.bases = bases
         train = train.apply_to_modes([basis.to_modal for basis in bases])
-        train, self.spectra = train.rounded_with_norms(ROUNDING_SHARE * self.level)
+        train, self.spectra = train.rounded_with_norms(TUNING.rounding_share * self.level)
         return train, limited
 
     def _left_points(self, bases: Sequence[Basis1D]) -> Sequence[list[Integers]]:
@@ -185,9 +201,9 @@ class AdaptiveInterpolation:
         if math.prod(sizes) <= FULL_GRID_NODES:
             return batched(left_points(sizes, FULL_GRID_NODES, SEED))
         if self.bases is None:
-            left = left_points(sizes, MOST_FIRST_LEFT_POINTS, SEED)
-            return with_last_joined(batched(left, *FIRST_BATCHES), sizes)
-        ends = [round(ratio * self._left_count) for ratio in LATER_BATCHES]
+            left = left_points(sizes, TUNING.most_first_left_points, SEED)
+            return with_last_joined(batched(left, *TUNING.first_batches), sizes)
+        ends = [round(ratio * self._left_count) for ratio in TUNING.later_batches]
         left = left_points(sizes, ends[-1], SEED)
         if self.doubtful is not None:
             left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
@@ -219,7 +235,7 @@ class AdaptiveInterpolation:
         the ``count`` of the lines.
         """
         most = self.limits.max_nodes
-        tolerance = TAIL_SHARE * self.level / math.sqrt(len(self.box))
+        tolerance = TUNING.tail_share * self.level / math.sqrt(len(self.box))
         line_bases = self._line_bases(count)
         on_lines = lines([(j, basis.nodes) for j, basis in enumerate(line_bases)])
         drawn = [LineColumns(*pair) for pair in zip(line_bases, on_lines, strict=True)]
@@ -231,13 +247,15 @@ class AdaptiveInterpolation:
         for j, line in enumerate(drawn):
             basis, borders = replace(line.basis, degree=count), known_elements[j].borders
             predicted = needed(line.spectrum, tolerance, math.inf)
-            if borders or (len(self.box) == 1 and predicted > ELEMENT_NODE_RATIO * count):
+            if borders or (len(self.box) == 1 and predicted > TUNING.element_node_ratio * count):
                 allowed = math.inf if borders else predicted
                 elements = self._elements(lines, j, basis, borders, allowed)
                 if elements is not None:
                     bases.append(elements)
                     continue
-            degree = max(min(predicted, math.ceil(MAX_PREDICTED_RATIO * count)), LEAST_NODES)
+            degree = max(
+                min(predicted, math.ceil(TUNING.max_predicted_ratio * count)), TUNING.least_nodes
+            )
             degree = max(degree, known_elements[j].least_nodes)
             bases.append(replace(basis, degree=min(degree, most)))
         return tuple(bases)
@@ -267,8 +285,8 @@ class AdaptiveInterpolation:
         """The same bases, but elements where one element of many nodes does no better."""
         divided = list(bases)
         for j, basis in enumerate(bases):
-            if basis.elements == 1 and basis.size > ELEMENT_NODE_RATIO * count:
-                ratio = ELEMENT_COST_RATIO if len(bases) == 1 else MOVING_COST_RATIO
+            if basis.elements == 1 and basis.size > TUNING.element_node_ratio * count:
+                ratio = TUNING.element_cost_ratio if len(bases) == 1 else TUNING.moving_cost_ratio
                 if len(bases) > 1 and basis.size == self.limits.max_nodes:
                     ratio = 1.0  # one element cannot have more
                 allowed = ratio * basis.size
@@ -283,7 +301,7 @@ class AdaptiveInterpolation:
 
         None as soon as it is certain that they need more nodes than ``allowed``.
         """
-        tolerance, scale = TAIL_SHARE * self.level, basis.scale
+        tolerance, scale = TUNING.tail_share * self.level, basis.scale
         ends = np.array([basis.lower, *borders, basis.upper])
         edges = scale.to_scale(ends).tolist()
         in_user = dict(zip(edges, ends.tolist(), strict=True))
@@ -371,7 +389,10 @@ class AdaptiveInterpolation:
     def _finer(self, least: Sequence[int] = ()) -> tuple[Basis1D, ...]:
         """Bases with more nodes where the highest modes of the last attempt are not small."""
         assert self.bases is not None
-        tolerance, most = HIGHEST_MODES_SHARE * self.share * self.target, self.limits.max_nodes
+        tolerance, most = (
+            TUNING.highest_modes_share * self.share * self.target,
+            self.limits.max_nodes,
+        )
         finer = []
         fewest = least or [basis.size for basis in self.bases]
         for basis, spectrum, degree in zip(self.bases, self.spectra, fewest, strict=True):
@@ -404,13 +425,16 @@ class LinePoints:
         scaled = [scale.to_scale(np.array(ends)) for scale, ends in zip(scales, box, strict=True)]
         lower, upper = np.array(scaled, dtype=float).reshape(-1, 2).T
         centre = 0.5 * (lower + upper)
-        points = [centre, centre + SECOND_LINE_OFFSET * _sides(centre.size) * (upper - lower)]
+        points = [
+            centre,
+            centre + TUNING.second_line_offset * _sides(centre.size) * (upper - lower),
+        ]
         points = [
             np.array([scale.from_scale(s) for scale, s in zip(scales, point, strict=True)])
             for point in points
         ]
         if steep is not None:
-            points += list(steep[:: -(-len(steep) // MAX_STEEP_LINES)])
+            points += list(steep[:: -(-len(steep) // TUNING.max_steep_lines)])
         self.through = points[: None if centre.size > 1 else 1]
 
     def __call__(self, places: Sequence[tuple[int, Array]]) -> Array:
@@ -445,7 +469,7 @@ class Lines:
         return [block.reshape(len(block), count, -1) for block in on_lines]
 
 
-def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:
+def needed(spectrum: Array, tolerance: float, max_ratio: float = TUNING.max_predicted_ratio) -> int:
     """Modes after which the tail of a spectrum is small: at most ``max_ratio`` times its size."""
     tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
     count = spectrum.size
@@ -454,7 +478,7 @@ def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_R
     half = count // 2
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]  # modes may vanish by symmetry
     ratio = (levels[-2] / max(levels[half - 1], TINY)) ** (1.0 / (count - 1 - half))
-    ratio = min(max(ratio, EPSILON), SLOWEST_DECAY)
+    ratio = min(max(ratio, EPSILON), TUNING.slowest_decay)
     beyond = math.log(tolerance / levels[-2]) / math.log(ratio)
     return math.ceil(min(count + beyond, max_ratio * count))
 

@@ -44,9 +44,8 @@ from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.bases import BASES, Basis1D
 from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
+from rankone.tensors.trains.adaptive import TUNING as INTERPOLATION
 from rankone.tensors.trains.adaptive import (
-    LEAST_NODES,
-    MAX_STEEP_LINES,
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
@@ -237,7 +236,7 @@ class CrossMarcher:
         """The trajectory at the centre for every parameter, which is better than nothing."""
         reference_set, basis_type = self.reference_set, BASES[self.options.basis]
         box = reference_set.domain.box
-        bases = tuple(basis_type(lower, upper, LEAST_NODES) for lower, upper in box)
+        bases = tuple(basis_type(lower, upper, INTERPOLATION.least_nodes) for lower, upper in box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             states = reference_set.reference.of(slice(1))(grid.times)
@@ -336,7 +335,10 @@ class CrossMarcher:
             self.worst = list(dict.fromkeys(latest))[: TUNING.worst_points]
         if not self.worst:
             return None
-        points, trajectories = np.array(self.worst[:MAX_STEEP_LINES]), self.trajectories
+        points, trajectories = (
+            np.array(self.worst[: INTERPOLATION.max_steep_lines]),
+            self.trajectories,
+        )
         share = TUNING.lines_budget_share * work_left()
         affordable = max(trajectories.count, share / trajectories.work_of_each)
         limits = LineLimits(self.options.max_nodes, affordable)
