@@ -248,7 +248,7 @@ def rebuilt(annotation: object, content: Any) -> Any:
     raise TypeError(f"{content!r} is not of the type {annotation}")
 
 
-def _instance(annotation: type[Any], content: Mapping[str, object]) -> Any:
+def _instance(annotation: Any, content: Mapping[str, object]) -> Any:
     """An instance of a dataclass, or of the class that tagged content names."""
     if issubclass(annotation, Tagged):
         tagged = Tagged.subclasses[str(content["type"])]
@@ -265,7 +265,7 @@ def _instance(annotation: type[Any], content: Mapping[str, object]) -> Any:
 
 
 @cache
-def _annotations(dataclass: type[Any]) -> dict[str, tuple[Any, bool]]:
+def _annotations(dataclass: Any) -> dict[str, tuple[Any, bool]]:
     """For each field of a dataclass its annotation and whether it has a default."""
     hints = get_type_hints(dataclass)
     return {
