@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.inference.estimation.least_squares import Expansion, descents
+from rankone.inference.estimation.least_squares import Expansion, Starts, descents
 
 
 class Landscape:
@@ -39,7 +39,7 @@ class Hidden(Landscape):
 
 
 def test_starts_are_apart_so_that_a_wide_basin_does_not_take_them_all():
-    ends = [descents(Hidden(2), 10, seed, screened=10)[0].at.cost for seed in range(4)]
+    ends = [descents(Hidden(2), Starts(starts=10, seed=seed), 10)[0].at.cost for seed in range(4)]
     assert np.sum(np.array(ends) < 1e-3) >= 3
 
 
@@ -47,7 +47,7 @@ def test_starts_are_apart_so_that_a_wide_basin_does_not_take_them_all():
 def test_hops_pass_on_what_fits(seed):
     """A coordinate has nine minima, so that six have half a million; the next cost 0.43 each."""
     problem = Landscape(6)
-    ways = descents(problem, 20, seed, screened=10)
+    ways = descents(problem, Starts(starts=20, seed=seed), 10)
     assert ways[0].at.cost < 3.5 * 0.431
     assert len(problem.points) < 1500
     assert len(ways) == 20

@@ -116,14 +116,15 @@ def test_of_a_fit():
 
 
 def test_signatures_can_be_inspected():
+    of_data = "observe sigma noise weights doses missing name"
+    of_search = "fixed start bounds starts effort level"
     names = {
-        "fit": "times data observe sigma noise weights fixed doses start bounds prior starts "
-        "effort level missing",
-        "posterior": "times data observe sigma noise prior fixed doses bounds weights missing seed "
-        "steps chains executor",
+        "fit": f"times data {of_search} prior {of_data}",
+        "posterior": f"times data prior seed steps chains executor {of_search} {of_data}",
         "minimize": "objective t sense fixed start bounds constraints starts effort",
     }
     for method, wanted in names.items():
         parameters = inspect.signature(getattr(decay(), method)).parameters
-        assert list(parameters) == wanted.split()
+        assert set(parameters) == set(wanted.split())
+        assert not any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     assert inspect.signature(decay().fit).parameters["level"].default == 0.95

@@ -26,9 +26,9 @@ from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.free_parameters import SAME, Bounds, FreeParameters
 from rankone.inference.estimation.least_squares import (
-    MOST_STARTS,
     Descent,
     Expansion,
+    Starts,
     bounded_step,
     descents,
     random_starts,
@@ -40,8 +40,7 @@ from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, RankoneError, check_kind
-from rankone.support.options import checked_number
-from rankone.support.tasks import checked_executor
+from rankone.support.options import takes_options_of
 from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
@@ -50,18 +49,17 @@ MOST_END_PARAMETERS = 6
 _SEARCHES = ("trajectories", "boxes")
 
 
+@takes_options_of(Starts)
 def calibrate(
     problem: Problem,
     experiments: Experiment | Sequence[Experiment],
     *,
     bounds: Bounds = None,
     fixed: Mapping[Any, float] | None = None,
-    starts: int = 10,
-    seed: int = 0,
     search: str = "trajectories",
     box: bool = True,
     rtol: float = 1e-5,
-    executor: Any = None,
+    **options: Any,
 ) -> Calibration:
     """Parameters from data over bounds that are too wide for one solution.
 
@@ -110,12 +108,11 @@ def calibrate(
     check_kind("calibrate", problem, Problem, remedy="build one with rankone.Problem(...)")
     if search not in _SEARCHES:
         raise OptionError(f"search={search!r} is unknown", remedy=f"use {listing(_SEARCHES)}")
-    starts = checked_number("starts", starts, 1, MOST_STARTS)
-    wanted = None if executor is None else checked_executor("executor", executor)
-    if wanted is not None and search == "boxes":
+    begin = Starts(**options).checked()
+    if begin.executor is not None and search == "boxes":
         raise OptionError(
             "search='boxes' takes no executor: each box begins where the one before led",
-            term=executor,
+            term=options["executor"],
             remedy="leave out one of them",
         )
     listed = [experiments] if isinstance(experiments, Experiment) else experiments
@@ -129,10 +126,7 @@ def calibrate(
     _check_conditions(likelihood)
     middle = likelihood.expanded(np.full(len(likelihood.names), 0.5))
     boxes = BoxSearch(problem, listed, likelihood, middle, rtol, _own_bounds(likelihood, bounds))
-    if search == "boxes":
-        ways = _by_boxes(boxes, starts, seed)
-    else:
-        ways = descents(likelihood, starts, seed, executor=wanted)
+    ways = _by_boxes(boxes, begin) if search == "boxes" else descents(likelihood, begin)
     return _result(boxes, ways, box)
 
 
@@ -154,10 +148,10 @@ def _own_bounds(likelihood: OfExperiments, bounds: Bounds) -> dict[str, tuple[fl
     return {name: ends for name, ends in named.items() if name not in likelihood.dynamic}
 
 
-def _by_boxes(boxes: BoxSearch, starts: int, seed: int) -> list[Descent]:
+def _by_boxes(boxes: BoxSearch, begin: Starts) -> list[Descent]:
     """Ways down from box to box, the best first."""
     ways, rtol = [], boxes.rtol
-    for z in random_starts(starts, len(boxes.likelihood.names), seed):
+    for z in random_starts(begin.starts, len(boxes.likelihood.names), begin.seed):
         boxes.at, before = boxes.likelihood.expanded(z), len(boxes.boxes)
         boxes.rtol = max(rtol, COARSE)
         way = Descent(boxes.at, z)

@@ -31,12 +31,11 @@ from rankone.inference.calibration.solutions import (
     solved,
 )
 from rankone.inference.calibration.trajectory_likelihood import OfFiles
-from rankone.inference.estimation.least_squares import MOST_STARTS, descents
+from rankone.inference.estimation.least_squares import Starts, descents
 from rankone.inference.estimation.posterior import Posterior
 from rankone.problem.problem import Problem
 from rankone.support.errors import OptionError, check_kind
-from rankone.support.options import checked_number
-from rankone.support.tasks import ExecutorLike, checked_executor
+from rankone.support.options import checked_number, takes_options_of
 from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
 
 if TYPE_CHECKING:
@@ -136,9 +135,8 @@ class CalibrationProblem:
         """
         return self._evaluated(values, self.estimated, rtol)
 
-    def fit(
-        self, *, starts: int = 10, seed: int = 0, executor: ExecutorLike | None = None
-    ) -> Calibration:
+    @takes_options_of(Starts)
+    def fit(self, **options: Any) -> Calibration:
         """Estimate the parameters from random starts within their bounds.
 
         Nominal values of estimated parameters are not used. Each start of a latin hypercube, on
@@ -168,11 +166,10 @@ class CalibrationProblem:
         ProblemError
             If rates jump with the states, or where an estimated parameter says.
         """
-        starts = checked_number("starts", starts, 1, MOST_STARTS)
-        wanted = None if executor is None else checked_executor("executor", executor)
+        begin = Starts(**options).checked()
         values = self.point(dict.fromkeys(self.estimated, 0.0))
         likelihood = OfFiles.of_problem(self._objective, values)
-        ways = descents(likelihood, starts, seed, _SCREENED, wanted)
+        ways = descents(likelihood, begin, _SCREENED)
         at = ways[0].at
         reaches = linear_reaches(likelihood.names, at, 1.0) if np.isfinite(at.cost) else {}
         return Calibration.of(likelihood, ways, reaches, comparisons=likelihood.comparisons(at))

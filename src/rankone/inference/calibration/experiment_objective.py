@@ -26,7 +26,7 @@ from rankone.inference.calibration.records import (
 from rankone.inference.estimation.experiments import Trial, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import ROUNDING, FreeParameters
+from rankone.inference.estimation.free_parameters import FreeParameters
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
@@ -39,6 +39,7 @@ from rankone.support.errors import (
     ProblemError,
     RankoneError,
 )
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import listing, quote
 from rankone.tensors.bases.coordinates import Coordinates
 from rankone.trajectories.integrators import sensitivities
@@ -493,7 +494,7 @@ class _Point:
         horizon, columns = self.system.horizon[1], (state[:, None], self.inputs[:, None])
         rates = [self.system.rhs(at, *columns) for at in (0.0, *(f * horizon for f in _LATER))]
         sizes = np.abs(state).max(initial=0.0) / horizon
-        if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > ROUNDING * sizes:
+        if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > NEGLIGIBLE * sizes:
             raise ProblemError(
                 "rates at a steady state depend on the time",
                 remedy="give a condition before the start in which nothing depends on the time",

@@ -29,7 +29,7 @@ from rankone.inference.calibration.result import (
 from rankone.inference.estimation.experiments import Experiment, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import SAME, TINY, Bounds, ends_at_bounds
+from rankone.inference.estimation.free_parameters import SAME, Bounds, ends_at_bounds
 from rankone.inference.estimation.identification import MOST_REFINEMENTS, between
 from rankone.inference.estimation.intervals import quantile_of
 from rankone.inference.estimation.least_squares import (
@@ -50,6 +50,7 @@ from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import ProblemError, RankoneError
+from rankone.support.precision import TINY
 from rankone.support.wording import quote
 from rankone.tensors.bases.joint_distribution import LEVEL
 

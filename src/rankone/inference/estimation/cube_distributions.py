@@ -20,9 +20,9 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING
 from rankone.support.arrays import HALVINGS, Array, bisected
 from rankone.support.errors import optional_module, with_remedy
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE
 
 Density = Callable[[Array], Array]
 """A density, or its logarithm, at points (N, n) of the unit cube: shape (N,)."""
@@ -211,7 +211,7 @@ def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
     count = _FIRST_CELLS[n]
     lower = np.array(list(itertools.product(range(count), repeat=n))) / count
     width = np.full(lower.shape, 1.0 / count)
-    narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, LAST_DIGITS)
+    narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, COINCIDENT)
     for _ in range(200):
         inside = np.zeros(len(lower), dtype=bool)
         for k in np.flatnonzero((width > narrow).any(axis=1)):
@@ -361,7 +361,7 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     generator = np.random.default_rng(seed)
     chosen = likely[generator.integers(0, len(likely), count)]
     start = np.clip(
-        chosen + 1e-4 * generator.standard_normal(chosen.shape), ROUNDING, 1.0 - ROUNDING
+        chosen + 1e-4 * generator.standard_normal(chosen.shape), NEGLIGIBLE, 1.0 - NEGLIGIBLE
     )
 
     def inside_cube(z: Array) -> Array:

@@ -19,13 +19,7 @@ from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import Formula, value_of
-from rankone.inference.estimation.free_parameters import (
-    ROUNDING,
-    SAME,
-    TINY,
-    Range,
-    free_parameters,
-)
+from rankone.inference.estimation.free_parameters import SAME, Range, free_parameters
 from rankone.inference.estimation.intervals import checked_level, quantile_of
 from rankone.inference.estimation.likelihood import Likelihood, vanishing_noise
 from rankone.inference.estimation.noise import Noise
@@ -44,6 +38,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
@@ -332,7 +327,7 @@ def _identified(information: Array) -> Array:
     """Whether all directions of information matrices (..., p, p) are seen."""
     eigenvalues = np.linalg.eigvalsh(information)
     largest = np.maximum(eigenvalues[..., -1], TINY)
-    return np.asarray(eigenvalues[..., 0] > ROUNDING * largest)
+    return np.asarray(eigenvalues[..., 0] > NEGLIGIBLE * largest)
 
 
 @dataclass(frozen=True)
@@ -377,9 +372,9 @@ def _exchanged(
             rest = blocks.base + blocks.each[:, np.delete(indices, i)].sum(axis=1)
             scores = criterion(_ridged(rest[:, None] + blocks.each)).mean(axis=0)
             k = int(np.argmax(scores))
-            if scores[k] > best + ROUNDING:
+            if scores[k] > best + NEGLIGIBLE:
                 indices[i], best = k, float(scores[k])
-        if best <= before + ROUNDING:
+        if best <= before + NEGLIGIBLE:
             break
     return best, indices
 
@@ -388,7 +383,7 @@ def _ridged(information: Array) -> Array:
     """The information with a ridge just above what counts as identified: searches have a way."""
     size = information.shape[-1]
     trace = np.trace(information, axis1=-2, axis2=-1)[..., None, None]
-    return np.asarray(information + 2.0 * ROUNDING * trace * np.eye(size))
+    return np.asarray(information + 2.0 * NEGLIGIBLE * trace * np.eye(size))
 
 
 # -----------------------------------------------------------------------------

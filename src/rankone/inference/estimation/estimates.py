@@ -13,7 +13,6 @@ import scipy
 
 from rankone.inference.estimation.experiments import Trial
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import TINY
 from rankone.inference.estimation.identification import USED_RATIO, Best, Identification, Jump
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
 from rankone.inference.estimation.noise import normal_scores, terms
@@ -21,6 +20,7 @@ from rankone.inference.estimation.observations import Observations
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import TINY
 from rankone.support.wording import did_you_mean, listing, quote
 
 

@@ -14,11 +14,12 @@ import scipy
 from rankone.inference.estimation import results
 from rankone.inference.estimation.experiments import Trial, failures_of
 from rankone.inference.estimation.formulas import formula_of
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, SAME
+from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.intervals import Intervals
 from rankone.support.arrays import Array
 from rankone.support.errors import with_remedy
 from rankone.support.labelled import Table, Variables
+from rankone.support.precision import COINCIDENT
 from rankone.support.wording import count, listing, quote
 from rankone.tensors.bases.distributions import Distribution
 from rankone.tensors.bases.joint_distribution import Known
@@ -246,7 +247,7 @@ def _apart(name: str, r: Array, times: Array, spare: Array) -> Iterator[str]:
         return
     shared = spare > SAME
     own = np.divide(r**2, spare, out=np.zeros(r.size), where=shared)
-    others = np.maximum(np.sum(r**2) - own, LAST_DIGITS * np.sum(r**2)) / freedom
+    others = np.maximum(np.sum(r**2) - own, COINCIDENT * np.sum(r**2)) / freedom
     sizes = np.sqrt(own / others)
     worst = int(np.argmax(sizes))
     chance = 2.0 * float(scipy.stats.t.sf(sizes[worst], freedom)) * r.size

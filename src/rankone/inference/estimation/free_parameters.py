@@ -12,6 +12,7 @@ import numpy as np
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.distributions import scale_of
@@ -23,16 +24,8 @@ ParameterValues = Mapping[Any, float] | None
 Bounds = Mapping[Any, tuple[float | str, ...]] | None
 """Intervals by parameter, a name or a symbol; ``(lower, upper, "log")`` over decades."""
 
-ROUNDING = 1e-9
-"""Shares of a size, and distances in widths of an interval, that are rounding."""
 SAME = 1e-6
 """Difference of what is compared, in its own unit, that counts as none."""
-LAST_DIGITS = 1e-12
-"""Shares of a size that are lost in sums of it."""
-TINY = 1e-300
-"""What zero becomes where sizes are divided by it."""
-STEP = float(np.cbrt(np.finfo(float).eps))
-"""Step of central differences, in sizes: truncation near rounding."""
 
 
 class Range(NamedTuple):
@@ -138,7 +131,7 @@ def ends_at_bounds(names: Sequence[str], z: Array) -> dict[str, str]:
     return {
         name: "lower" if x < 0.5 else "upper"
         for name, x in zip(names, z, strict=True)
-        if min(x, 1.0 - x) <= ROUNDING
+        if min(x, 1.0 - x) <= NEGLIGIBLE
     }
 
 

@@ -21,10 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING, SAME, TINY
+from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.least_squares import minima
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
 from rankone.support.arrays import HALVINGS, Array
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 
 # Points of a profile, in shares of the way to the bound: closer where it begins
 _PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])
@@ -188,7 +189,7 @@ class _Branch:
             return True
         near = abs(np.sqrt(self.rise[[k - 1, k]] / self.limit) - 1.0).min() <= TUNING.end_tolerance
         z = self.path[[k - 1, k], self.index]
-        return bool(near or abs(z[1] - z[0]) <= LAST_DIGITS)
+        return bool(near or abs(z[1] - z[0]) <= COINCIDENT)
 
     def between(self, turn: int) -> float:
         """A place between the points below and above."""
@@ -205,7 +206,7 @@ class _Branch:
         share = float((np.sqrt(self.limit) - pair[0]) / (pair[1] - pair[0]))
         z = self.path[k - 1] + share * (self.path[k] - self.path[k - 1])
         free = np.delete(self.path[k], self.index)
-        at_bound = (free <= ROUNDING) | (free >= 1.0 - ROUNDING)
+        at_bound = (free <= NEGLIGIBLE) | (free >= 1.0 - NEGLIGIBLE)
         return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
 
 
@@ -241,7 +242,7 @@ def _places(best: Best, index: int, sign: float) -> Array:
     way = z if sign < 0.0 else 1.0 - z
     deviation = np.linalg.norm(best.root[index])
     steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * deviation])
-    steps = np.unique(steps[(steps > LAST_DIGITS) & (steps <= way)])
+    steps = np.unique(steps[(steps > COINCIDENT) & (steps <= way)])
     return np.asarray(np.clip(z + sign * steps, 0.0, 1.0))
 
 
@@ -338,12 +339,12 @@ def identify(
     deviation of the scaled residuals.
     """
     free, box = problem.free, np.full(best.z.size, UNIFORM_PRECISION)
-    box[list(free.endless)] = ROUNDING
+    box[list(free.endless)] = NEGLIGIBLE
     rows = jacobian[len(jacobian) - len(problem.priors) :]
     for measure, row in zip(problem.priors, rows, strict=True):
         j = free.names.index(measure.name)
         box[j] = max(UNIFORM_PRECISION - row[j] ** 2, 0.0)
-    rounding = LAST_DIGITS * max(float(np.linalg.norm(jacobian)), TINY)
+    rounding = COINCIDENT * max(float(np.linalg.norm(jacobian)), TINY)
     sigma = max(sigma, rounding)
     rows = np.concatenate([jacobian / sigma, np.diag(np.sqrt(box))])
     _, singular, right = np.linalg.svd(rows, full_matrices=False)
@@ -354,7 +355,7 @@ def identify(
     plain = Identification((), root, box, seen, root @ turned[:, lost])
     unit = np.eye(best.z.size)
     half = quantile * np.array([plain.deviation(slope) for slope in unit])
-    limit = max((quantile * sigma) ** 2, LAST_DIGITS * best.cost)
+    limit = max((quantile * sigma) ** 2, COINCIDENT * best.cost)
     uncertain = [
         j
         for j in np.flatnonzero(half > TUNING.suspicious_width).tolist()

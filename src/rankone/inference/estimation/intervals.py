@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from rankone.inference.estimation.estimates import Estimates
 from rankone.inference.estimation.experiments import Seeds, Trial, trial_of
 from rankone.inference.estimation.formulas import quantity, with_shape
-from rankone.inference.estimation.free_parameters import TINY
 from rankone.inference.estimation.identification import Profile, Stop, profiles
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.noise import Noise
@@ -23,6 +22,7 @@ from rankone.inference.estimation.observations import checked_times
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
+from rankone.support.precision import TINY
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
 

@@ -17,11 +17,13 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING, SAME, TINY
+from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
 from rankone.support.arrays import Array, bisected
 from rankone.support.budget import limited
-from rankone.support.tasks import ExecutorLike, Shared, open_pool
+from rankone.support.options import checked_number
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
+from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
 
 
 @dataclass(frozen=True)
@@ -146,17 +148,17 @@ def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
         before = cost[going]
         better = trial.cost < before
         small = np.abs(trial.z - z[going]).max(axis=1) <= 1e-14
-        ended = (promised <= LAST_DIGITS * squares) | small
-        rounding = promised <= ROUNDING * squares
+        ended = (promised <= COINCIDENT * squares) | small
+        rounding = promised <= NEGLIGIBLE * squares
         ended |= ~better & (rounding | (damping[going] > TUNING.largest_damping))
         last = turn == TUNING.most_iterations - 1
         ended |= last & (promised <= SAME * squares / problem.size)
         at = going[better]
         z[at], cost[at] = trial.z[better], trial.cost[better]
         residuals[at], jacobian[at] = trial.residuals[better], trial.jacobian[better]
-        down = np.maximum(damping[going] * 0.1, LAST_DIGITS)
+        down = np.maximum(damping[going] * 0.1, COINCIDENT)
         damping[going] = np.where(better, down, np.maximum(damping[going], SAME) * 8.0)
-        exact = squares <= ROUNDING**2 * problem.magnitude
+        exact = squares <= NEGLIGIBLE**2 * problem.magnitude
         more = ~exact & (promised > TUNING.stuck_share * squares / problem.size)
         slow = ~better | (before - cost[going] <= TUNING.slow_share * promised)
         blocked = more & ((ended & ~better) | (slow & last))
@@ -235,14 +237,14 @@ def _step(
 ) -> tuple[Array, Array]:
     """Damped steps (K, n), and the decrease (K,) that undamped steps promise."""
     slope = np.einsum("kmn,km->kn", jacobian, residuals)
-    lower, upper = z <= ROUNDING, z >= 1.0 - ROUNDING
+    lower, upper = z <= NEGLIGIBLE, z >= 1.0 - NEGLIGIBLE
     stays = held | (lower & (slope > 0.0)) | (upper & (slope < 0.0))
     moving = np.where(stays[:, None, :], 0.0, jacobian)
     left, singular, right = np.linalg.svd(moving, full_matrices=False)
     along = np.einsum("kmi,km->ki", left, residuals)
     largest = singular[:, :1]
     mean = np.sqrt(np.mean(residuals**2, axis=1, keepdims=True))
-    visible = singular > np.maximum(ROUNDING * largest, TUNING.unseen_change * mean)
+    visible = singular > np.maximum(NEGLIGIBLE * largest, TUNING.unseen_change * mean)
     along = np.where(visible, along, 0.0)
     below = np.where(visible, singular**2 + damping[:, None] * largest**2, 1.0)
     step = -np.einsum("kin,ki->kn", right, along * singular / below)
@@ -263,6 +265,21 @@ SAME_COST = 0.2
 """Difference of -2 log L below which starts ended at the same optimum."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """How many random starts there are, and where they go down; see :func:`rankone.calibrate`."""
+
+    starts: int = 10
+    seed: int = 0
+    executor: ExecutorLike | None = None
+
+    def checked(self) -> Starts:
+        """The same; an OptionError for what does not fit."""
+        executor = None if self.executor is None else checked_executor("executor", self.executor)
+        starts = checked_number("starts", self.starts, 1, MOST_STARTS)
+        return Starts(starts=starts, seed=self.seed, executor=executor)
+
+
 def random_starts(count: int, n: int, seed: int) -> Array:
     """A latin hypercube of points (count, n) of the unit cube, in the coordinates of the search."""
     generator = np.random.default_rng(seed)
@@ -270,13 +287,7 @@ def random_starts(count: int, n: int, seed: int) -> Array:
     return np.asarray((cells + generator.random((count, n))) / count)
 
 
-def descents(
-    problem: Expandable,
-    count: int,
-    seed: int,
-    screened: int = 1,
-    executor: ExecutorLike | None = None,
-) -> list[Descent]:
+def descents(problem: Expandable, begin: Starts, screened: int = 1) -> list[Descent]:
     """Descents from random starts, the best of them first.
 
     Of so many ``screened`` points for each, the best that are apart go a short way, and the best of
@@ -286,8 +297,9 @@ def descents(
     anew, and where the way down from there leads lower, it stays. Points and ways are shared out to
     the workers of an executor; hops, each of which begins where the one before led, are not.
     """
-    generator = np.random.default_rng(seed)
-    points = random_starts(count * screened, len(problem.names), seed)
+    count, executor = begin.starts, begin.executor
+    generator = np.random.default_rng(begin.seed)
+    points = random_starts(count * screened, len(problem.names), begin.seed)
     replacements = TUNING.replacements if screened == 1 else 0
     with nullcontext() if executor is None else open_pool(executor) as pool:
         shared = Shared("what is calibrated", problem, pool)
@@ -503,7 +515,7 @@ class Descent:
         step, promised = bounded_step(at, np.where(problem.nested, 1.0, self.radius))
         self.iterations += 1
         length = float(np.abs(step[~problem.nested]).max(initial=0.0))
-        if promised <= TUNING.settled or length <= LAST_DIGITS:
+        if promised <= TUNING.settled or length <= COINCIDENT:
             self.arrived = True
             return
         trial = problem.expanded(np.clip(at.z + step, 0.0, 1.0))
@@ -528,10 +540,10 @@ def bounded_step(at: Expansion, radius: float | Array) -> tuple[Array, float]:
     """
     scale = float(np.linalg.norm(at.jacobian, axis=0).max(initial=0.0)) or 1.0
     n = at.z.size
-    rows = np.concatenate([at.jacobian, np.sqrt(ROUNDING) * scale * np.eye(n)])
+    rows = np.concatenate([at.jacobian, np.sqrt(NEGLIGIBLE) * scale * np.eye(n)])
     right = np.concatenate([-at.residuals, np.zeros(n)])
-    lower = np.minimum(np.maximum(-radius, -at.z), -LAST_DIGITS)
-    upper = np.maximum(np.minimum(radius, 1.0 - at.z), LAST_DIGITS)
+    lower = np.minimum(np.maximum(-radius, -at.z), -COINCIDENT)
+    upper = np.maximum(np.minimum(radius, 1.0 - at.z), COINCIDENT)
     step = scipy.optimize.lsq_linear(rows, right, (lower, upper), method="bvls").x
     step = np.clip(at.z + step, 0.0, 1.0) - at.z
     after = at.residuals + at.jacobian @ step

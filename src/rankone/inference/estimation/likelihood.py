@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import Predicted, Seeds, Trial, failures_of
 from rankone.inference.estimation.formulas import linear_names, value_of, with_shape
-from rankone.inference.estimation.free_parameters import ROUNDING, SAME, TINY, FreeParameters, Range
+from rankone.inference.estimation.free_parameters import SAME, FreeParameters, Range
 from rankone.inference.estimation.noise import Terms, log_likelihood, terms
 from rankone.inference.estimation.observations import MISSPELT, check_levels
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.distributions import Measure
 
@@ -305,7 +306,7 @@ class Likelihood:
                     self._move_linear(values, states, kept, linear)
                 if self.groups:
                     self._move_levels(values, states, kept)
-                if not self.groups or np.allclose(values, before, rtol=ROUNDING, atol=0.0):
+                if not self.groups or np.allclose(values, before, rtol=NEGLIGIBLE, atol=0.0):
                     break
         return values
 
@@ -374,7 +375,7 @@ class Likelihood:
             logs = measure.distribution.logpdf(self.free.unclipped(ends)[..., j])
             slope = -(logs[2] - logs[0]) / (2.0 * _PRIOR_STEP)
             bend = -(logs[2] - 2.0 * logs[1] + logs[0]) / _PRIOR_STEP**2
-            root = np.sqrt(np.where(np.isfinite(bend), np.maximum(bend, ROUNDING), 1.0))
+            root = np.sqrt(np.where(np.isfinite(bend), np.maximum(bend, NEGLIGIBLE), 1.0))
             rho[:, q] = np.where(np.isfinite(slope), slope, 0.0) / root
             rows[:, q, j] = root
         return rho, rows
@@ -604,7 +605,7 @@ def vanishing_noise(trial: Trial, i: int, one: Predicted, data: Array) -> NDArra
         sizes = np.abs(np.broadcast_to(rows, (len(rows), data.size)))
         largest = sizes.max(axis=1, keepdims=True)
         shares = np.divide(sizes, largest, out=np.zeros(sizes.shape), where=largest > 0.0)
-        return np.asarray(shares.max(axis=0) <= max(ROUNDING, error))
+        return np.asarray(shares.max(axis=0) <= max(NEGLIGIBLE, error))
 
     silent = none(value_of(one.sigma)) | none(data[None])
     return none(value_of(one.value)) & silent

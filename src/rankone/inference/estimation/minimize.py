@@ -19,7 +19,6 @@ from rankone.inference.estimation.experiments import failure_of
 from rankone.inference.estimation.fitted_models import model_of
 from rankone.inference.estimation.free_parameters import (
     SAME,
-    STEP,
     Bounds,
     FreeParameters,
     ParameterValues,
@@ -33,6 +32,7 @@ from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
+from rankone.support.precision import DIFFERENCE
 from rankone.support.wording import count, quote, shown
 
 
@@ -492,11 +492,11 @@ class Objective:
         gradient = np.empty(z.size)
         for j in range(z.size):  # along the tangent: the unknowns move with the parameter
             step = np.zeros(z.size)
-            step[j] = STEP
-            change = slopes[:, :, j] * STEP
+            step[j] = DIFFERENCE
+            change = slopes[:, :, j] * DIFFERENCE
             ahead = self.at(states + change, z + step, inside=False)
             behind = self.at(states - change, z - step, inside=False)
-            gradient[j] = (ahead - behind) / (2.0 * STEP)
+            gradient[j] = (ahead - behind) / (2.0 * DIFFERENCE)
         return factor * self.at(states, z), factor * gradient
 
 

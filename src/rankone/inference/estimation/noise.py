@@ -26,9 +26,9 @@ from rankone.inference.estimation.formulas import (
     slope_of,
     value_of,
 )
-from rankone.inference.estimation.free_parameters import ROUNDING
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import did_you_mean, quote, shown
 
 STUDENT_FREEDOM = 4.0
@@ -111,7 +111,7 @@ class Noise:
             for name, x in at.items()
         }
         ratio = float(self.formula(more)) / float(self.formula(at))
-        return abs(ratio - _HOMOGENEITY_FACTOR) < ROUNDING
+        return abs(ratio - _HOMOGENEITY_FACTOR) < NEGLIGIBLE
 
     def selected(self, present: NDArray[np.bool_]) -> Noise:
         """The noise of some of the data."""

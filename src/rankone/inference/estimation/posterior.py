@@ -15,16 +15,10 @@ from rankone.inference.estimation import results
 from rankone.inference.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
 from rankone.inference.estimation.experiments import trial_of
 from rankone.inference.estimation.fit import Fit
-from rankone.inference.estimation.free_parameters import (
-    LAST_DIGITS,
-    ROUNDING,
-    TINY,
-    Bounds,
-    FreeParameters,
-)
+from rankone.inference.estimation.free_parameters import FreeParameters
 from rankone.inference.estimation.least_squares import minima_across_jumps
 from rankone.inference.estimation.likelihood import Likelihood
-from rankone.inference.estimation.observations import Measurements, Sigma
+from rankone.inference.estimation.observations import Measurements
 from rankone.inference.estimation.search import fit
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import with_fixed
@@ -32,7 +26,8 @@ from rankone.solution.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.labelled import Labelled, Table, Variables
-from rankone.support.options import checked_count, checked_number
+from rankone.support.options import checked_count, checked_number, takes_options_of
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
 from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.distributions import Distribution, Measure, from_text
@@ -88,7 +83,7 @@ class LogPosterior:
         points, slopes = free.values(z), free.slopes(z)
         for j, measure in enumerate(self.measures):
             if measure.distribution is not None:
-                near = ROUNDING * (measure.upper - measure.lower)
+                near = NEGLIGIBLE * (measure.upper - measure.lower)
                 at = np.clip(points[:, j], measure.lower + near, measure.upper - near)
                 with np.errstate(divide="ignore"):
                     logs = logs + measure.distribution.logpdf(at)
@@ -238,24 +233,18 @@ class Posterior(Labelled):
         return results.by_parameter(columns, self.parameters, self.covariance)
 
 
+@takes_options_of(fit)
 def posterior(
     self: SolutionCore,
-    times: Measurements | Any,
+    times: object,
     data: Measurements | None = None,
     *,
-    observe: object = None,
-    sigma: Sigma = None,
-    noise: object = None,
     prior: Distributions = None,
-    fixed: Mapping[Any, Any] | None = None,
-    doses: Mapping[Any, str] | None = None,
-    bounds: Bounds = None,
-    weights: Measurements | None = None,
-    missing: str = "error",
     seed: int = 0,
     steps: int = 1000,
     chains: int = 1,
     executor: ExecutorLike | None = None,
+    **options: Any,
 ) -> Posterior:
     """The distribution of the parameters after the data are known, for any kind of noise.
 
@@ -264,7 +253,7 @@ def posterior(
 
     Parameters
     ----------
-    times, data, observe, sigma, noise, fixed, doses, bounds, weights, missing
+    times, data, **options
         As for :meth:`fit`. A sigma that is not given, and levels of noise, are integrated over
         with the density 1/sigma.
     prior : mapping, optional
@@ -296,19 +285,7 @@ def posterior(
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, TUNING.most_steps)
     chains = checked_number("chains", chains, 1, TUNING.most_chains)
-    best = fit(
-        self,
-        times,
-        data,
-        observe=observe,
-        sigma=sigma,
-        noise=noise,
-        weights=weights,
-        fixed=fixed,
-        doses=doses,
-        bounds=bounds,
-        missing=missing,
-    )
+    best = fit(self, times, data, **options)
     return posterior_of(best, prior, seed=seed, steps=steps, chains=chains, executor=executor)
 
 
@@ -410,16 +387,16 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
     """Points where the posterior is large (k, n), and its extents there (n,), others held."""
     problem, n = log_density.problem, len(log_density.measures)
     generator = np.random.default_rng(11)
-    unit = max(fit._unit, LAST_DIGITS) if math.isfinite(fit._unit) else 1.0
+    unit = max(fit._unit, COINCIDENT) if math.isfinite(fit._unit) else 1.0
     starts = np.vstack([fit._best.z, spread(TUNING.mode_starts, n, generator)])
     minima = minima_across_jumps(problem, starts)
     good = minima.cost <= minima.cost.min() + TUNING.mode_depth**2 * unit**2
     near, extents = [], np.ones(n)
     for z, jacobian in zip(minima.z[good], minima.jacobian[good], strict=True):
-        slopes = np.maximum(np.linalg.norm(jacobian, axis=0), LAST_DIGITS)
+        slopes = np.maximum(np.linalg.norm(jacobian, axis=0), COINCIDENT)
         extents = np.minimum(extents, unit / slopes)
         _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-        root = right.T * np.minimum(unit / np.maximum(singular, LAST_DIGITS), 1.0)
+        root = right.T * np.minimum(unit / np.maximum(singular, COINCIDENT), 1.0)
         normal = generator.standard_normal((TUNING.drawn_points // good.sum(), len(root.T)))
         near.append(z + normal @ root.T)
     wide = generator.random((8 * TUNING.drawn_points, n))
@@ -438,4 +415,4 @@ def _spreads(measures: tuple[Measure, ...], free: FreeParameters) -> Array:
     ends = np.array([measure.sample(np.array([0.16, 0.84])) for measure in measures]).T
     low, high = free.places(ends)
     informed = np.array([measure.distribution is not None for measure in measures])
-    return np.where(informed, np.maximum(0.5 * (high - low), LAST_DIGITS), 1.0)
+    return np.where(informed, np.maximum(0.5 * (high - low), COINCIDENT), 1.0)

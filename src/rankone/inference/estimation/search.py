@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from rankone.inference.estimation.estimates import leverages_of
 from rankone.inference.estimation.experiments import Experiment, Trial, failures_of, trials_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.free_parameters import (
-    ROUNDING,
     Bounds,
     ParameterValues,
     free_parameters,
@@ -42,13 +41,14 @@ from rankone.inference.estimation.likelihood import (
     within_support,
 )
 from rankone.inference.estimation.noise import noise_of
-from rankone.inference.estimation.observations import Measurements, Observations, Sigma
+from rankone.inference.estimation.observations import Measurements, Observations
 from rankone.inference.estimation.tables import is_table
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.options import checked_number
+from rankone.support.options import checked_number, takes_options_of
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
 
@@ -57,25 +57,25 @@ _MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort
 _MOST_STARTS = 128  # Most starts, whatever the effort
 
 
-def fit(
-    self: SolutionCore,
-    times: Measurements | Any,
-    data: Measurements | None = None,
-    *,
-    observe: object = None,
-    sigma: Sigma = None,
-    noise: object = None,
-    weights: Measurements | None = None,
-    fixed: Mapping[Any, Any] | None = None,
-    doses: Mapping[Any, str] | None = None,
-    start: ParameterValues = None,
-    bounds: Bounds = None,
-    prior: Distributions = None,
-    starts: int = 4,
-    effort: str | float = "normal",
-    level: float = 0.95,
-    missing: str = "error",
-) -> Fit:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What fits are asked for beside the data; see :meth:`Solution.fit`."""
+
+    fixed: Mapping[Any, Any] | None = None
+    start: ParameterValues = None
+    bounds: Bounds = None
+    prior: Distributions = None
+    starts: int = 4
+    effort: str | float = "normal"
+    level: float = 0.95
+
+
+_OF_DATA = {each.name for each in fields(Experiment)} - {"data", "times", "fixed"}
+
+
+@takes_options_of(Experiment)
+@takes_options_of(Options)
+def fit(self: SolutionCore, times: object, data: Measurements | None = None, **options: Any) -> Fit:
     """Parameters from data, by least squares or maximum likelihood with exact derivatives.
 
     Parameters
@@ -134,6 +134,8 @@ def fit(
         Probability of the intervals.
     missing : {"error", "drop"}
         Whether NaN among the data is an error, or left out.
+    name : str, optional
+        The name of the experiment in messages and plots.
 
     Returns
     -------
@@ -153,40 +155,28 @@ def fit(
         solution before the last of the data at all points that are tried.
     """
     self._evaluator  # noqa: B018 - raises if nothing was solved
+    fixed = options.pop("fixed", None)
     every = fixed.items() if isinstance(fixed, Mapping) else ()
     conditions = {key: own for key, own in every if isinstance(own, Mapping)}
-    experiment = Experiment(
-        times if data is None else data,
-        None if data is None else times,
-        fixed=conditions,
-        observe=observe,
-        sigma=sigma,
-        noise=noise,
-        weights=weights,
-        missing=missing,
-        doses=doses,
-    )
     if data is None and not isinstance(times, Mapping) and not is_table(times):
         raise OptionError(
             "data are missing", remedy="give fit(times, data), or fit(table) with a column of time"
         )
+    of_data = {name: options.pop(name) for name in _OF_DATA & options.keys()}
+    clock: Any = None if data is None else times
+    experiment = Experiment(times if data is None else data, clock, fixed=conditions, **of_data)
     if isinstance(fixed, Mapping):
         fixed = {key: x for key, x in fixed.items() if key not in conditions}
-    options = Options(fixed, start, bounds, prior, starts, effort, level)
-    return fitted(trials_of([(self, experiment)]), options)
+    wanted = Options(fixed=fixed, **options)
+    return fitted(trials_of([(self, experiment)]), wanted)
 
 
+@takes_options_of(Options)
 def fit_experiments(
     pairs: Sequence[tuple[SolutionCore, Experiment]],
     *,
     noise: object = None,
-    fixed: ParameterValues = None,
-    start: ParameterValues = None,
-    bounds: Bounds = None,
-    prior: Distributions = None,
-    starts: int = 4,
-    effort: str | float = "normal",
-    level: float = 0.95,
+    **options: Any,
 ) -> Fit:
     """Fit several experiments together, of one solution or of several that share parameters.
 
@@ -222,8 +212,7 @@ def fit_experiments(
         if not isinstance(solution, SolutionCore):
             raise OptionError(f"{shown(solution)} is not a Solution", term=solution)
     listed = [(solution, _with_noise(experiment, noise)) for solution, experiment in listed]
-    options = Options(fixed, start, bounds, prior, starts, effort, level)
-    return fitted(trials_of(listed), options)
+    return fitted(trials_of(listed), Options(**options))
 
 
 def _with_noise(experiment: Experiment, noise: object) -> Experiment:
@@ -232,19 +221,6 @@ def _with_noise(experiment: Experiment, noise: object) -> Experiment:
         return experiment  # refused with the other things that are none
     own = (experiment.noise, experiment.sigma, experiment.weights)
     return replace(experiment, noise=noise) if all(each is None for each in own) else experiment
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a fit is asked for beside the data; see :func:`fit`."""
-
-    fixed: ParameterValues = None
-    start: ParameterValues = None
-    bounds: Bounds = None
-    prior: Distributions = None
-    starts: int = 4
-    effort: str | float = "normal"
-    level: float = 0.95
 
 
 def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
@@ -499,7 +475,7 @@ def _others(
     """
     chosen = [ends.z[k]]
     values = [j for j in range(len(problem.free.names)) if j not in problem.levels]
-    margin = max(limit, ROUNDING * abs(float(ends.cost[k])))
+    margin = max(limit, NEGLIGIBLE * abs(float(ends.cost[k])))
     for z, cost, ended in zip(ends.z, ends.cost, ends.converged, strict=True):
         apart = all(
             np.abs(z - minimum)[values].max(initial=0.0) > DISTINCT_DISTANCE for minimum in chosen

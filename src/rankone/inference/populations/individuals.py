@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.formulas import Dual, Operand, value_of, with_shape
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, ROUNDING
 from rankone.inference.estimation.noise import terms
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
 from rankone.support.arrays import Array
+from rankone.support.precision import COINCIDENT, NEGLIGIBLE
 
 MOST_STEPS = 60
 """Most steps of the search for the random effects."""
@@ -232,7 +232,7 @@ class EmpiricalBayes:
         """For each subject and parameter -1 or 1 at an end of the box, else 0: (n, E)."""
         place = self.layout.typical(psi[None])[0]
         place[:, list(self.layout.random)] += eta
-        slack = ROUNDING * (self.upper - self.lower)
+        slack = NEGLIGIBLE * (self.upper - self.lower)
         at_upper, at_lower = place >= self.upper - slack, place <= self.lower + slack
         return np.asarray(at_upper.astype(int) - at_lower.astype(int))
 
@@ -276,7 +276,7 @@ class _Descent:
             return False
         there = self._at(self.eta + step)
         before = self.here.cost + _squared(self.whitened)
-        better = there.cost + _squared(whitened) <= before + LAST_DIGITS * np.abs(before)
+        better = there.cost + _squared(whitened) <= before + COINCIDENT * np.abs(before)
         better &= np.isfinite(there.cost)
         change = (there.gradient - self.here.gradient)[..., self.random]
         self.correction = _secant(

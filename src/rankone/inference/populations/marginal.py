@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import failure_of
-from rankone.inference.estimation.free_parameters import ROUNDING, TINY
 from rankone.inference.populations.individuals import (
     MOST_STEPS,
     EmpiricalBayes,
@@ -28,6 +27,7 @@ from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.support.wording import quote
 
 
@@ -538,7 +538,7 @@ def _mean_step(marginal: Marginal, psi: Array, individuals: Individuals) -> Arra
     pull = whole[..., random] @ (covariance @ working[:, random, None])
     right = np.einsum("nep,ne->p", layout.designs, working - pull[..., 0])
     information = marginal.information_of_means(psi, individuals)[0]
-    return -np.asarray(np.linalg.lstsq(information, right, rcond=ROUNDING)[0])
+    return -np.asarray(np.linalg.lstsq(information, right, rcond=NEGLIGIBLE)[0])
 
 
 def _noise_step(marginal: Marginal, individuals: Individuals, covariance: Array) -> Array:

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import LAST_DIGITS, SAME, STEP, TINY
+from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.noise import terms
@@ -24,6 +24,7 @@ from rankone.inference.populations.subjects import Measured, Subjects
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import COINCIDENT, DIFFERENCE, TINY
 from rankone.support.wording import did_you_mean, listing, quote
 
 # Share of the largest component of a flat direction from which a parameter moves along it
@@ -211,9 +212,9 @@ class PopulationEstimates:
         """Derivatives (F, F) of the coordinates of spreads, in columns, by the entries of L."""
         layout = self._layout
         factors = self._psi[layout.factors]
-        steps = STEP * np.eye(factors.size)
+        steps = DIFFERENCE * np.eye(factors.size)
         changes = [_spreads(layout, factors + h) - _spreads(layout, factors - h) for h in steps]
-        return np.array(changes) / (2.0 * STEP)
+        return np.asarray(np.array(changes) / (2.0 * DIFFERENCE))
 
     def _spread_coordinates(self) -> Iterator[tuple[str, float, float]]:
         """For each spread its name, the correction of its coordinate, and the variance of that."""
@@ -520,7 +521,7 @@ def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
     shares, turns = np.linalg.eigh(root.T @ (box[:, None] * root))
     lost, root = shares > BOX_SHARE, root @ turns
     seen = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
-    endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(LAST_DIGITS)
+    endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(COINCIDENT)
     return seen, np.concatenate([root[:, lost], endless], axis=1)
 
 
@@ -532,7 +533,7 @@ def _of_means(information: Array, box: Array, scale: Array) -> tuple[Array, Arra
     """
     unit = scale[: information.shape[-1]]
     whole = (information + np.diag(box[: unit.size])) * unit[:, None] * unit
-    whole = whole + LAST_DIGITS * np.eye(unit.size)
+    whole = whole + COINCIDENT * np.eye(unit.size)
     variances = np.diagonal(np.linalg.inv(whole), 0, 1, 2) * unit**2
     return np.linalg.slogdet(whole)[1], np.asarray(variances)
 

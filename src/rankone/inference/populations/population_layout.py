@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy import special
 
 from rankone.inference.estimation.formulas import formula_of
-from rankone.inference.estimation.free_parameters import ROUNDING, TINY
 from rankone.inference.estimation.tables import label_of, numbers_of
 from rankone.inference.populations.subjects import SUBJECT, Subjects
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
@@ -218,7 +218,7 @@ def _of_subject(subject: str, rows: Array, given: object) -> float:
             term=given,
             remedy="fill its cells, or leave the subject out",
         )
-    if np.ptp(own) > ROUNDING * np.abs(own).max():
+    if np.ptp(own) > NEGLIGIBLE * np.abs(own).max():
         raise OptionError(
             f"covariates: {quote(given)} changes within the subject {quote(subject)}",
             term=given,
@@ -229,7 +229,7 @@ def _of_subject(subject: str, rows: Array, given: object) -> float:
 
 def _check_varied(given: object, x: Array) -> None:
     """Raise an OptionError for a covariate that is the same for all subjects."""
-    if x.size > 1 and np.ptp(x) <= ROUNDING * max(float(np.abs(x).max()), TINY):
+    if x.size > 1 and np.ptp(x) <= NEGLIGIBLE * max(float(np.abs(x).max()), TINY):
         raise OptionError(
             f"covariates: {quote(given)} is {x[0]:g} for all {count(x.size, 'subject')}",
             term=given,
