@@ -7,25 +7,8 @@ from tests.honesty.cases import KINDS
 from tests.honesty.cases import case as make
 from tests.honesty.verdicts import judged
 
-COUNTS = {
-    "pulses": 6,
-    "features": 6,
-    "systems": 3,
-    "products": 3,
-    "steep": 2,
-    "general": 4,
-    "passages": 3,
-    "surfaces": 4,
-    "peaks": 3,
-    "moving": 1,
-    "data": 2,
-    "doses": 4,
-    "events": 4,
-    "switches": 3,
-    "levels": 2,
-    "orders": 2,
-}
-"""Cases of each kind."""
+COUNT = 2
+"""Cases of each kind; the suite, ``python -m tests.honesty``, has as many as are asked for."""
 SOLVED = ("pulses", "features")
 """Kinds that have to be solved, not only to be refused where they are not."""
 QUICK = {
@@ -43,7 +26,7 @@ QUICK = {
     ("switches", 0),
 }
 """What is tried in every run: one case of a kind, of those that take less than a second."""
-CASES = [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
+CASES = sorted(QUICK | {(kind, seed) for kind in KINDS for seed in range(COUNT)})
 
 
 ONE = {("systems", 1): 0, ("products", 1): 1, ("general", 3): 1, ("doses", 3): 0}
@@ -55,10 +38,6 @@ def test_the_statement_holds_for_one_unknown(kind, seed):
     made = make(kind, seed)
     asked = ONE[kind, seed] % len(made.unknowns)
     assert judged(made, longest=np.inf, asked=asked, effort="low").verdict == "ok"
-
-
-def test_every_kind_is_tried():
-    assert COUNTS.keys() == KINDS.keys()
 
 
 @pytest.mark.parametrize(

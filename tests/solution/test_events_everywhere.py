@@ -28,10 +28,7 @@ import rankone as ro
 from rankone import plotting
 from tests.share.conformance.cases import PROBLEMS, RTOL
 from tests.share.conformance.cases import solution_of as solved
-from tests.share.export import node
-from tests.share.export.node import needs_node
-from tests.share.export.test_fmu import fmpy, runs
-from tests.share.export.test_models import compiled_driver, imported, needs_compiler, run_driver
+from tests.share.export.test_models import imported
 
 pytestmark = pytest.mark.slow
 
@@ -527,50 +524,6 @@ def test_plots(case, monkeypatch):
 def test_python_models(case, tmp_path):
     model = imported(case.solution.export(tmp_path / "model.py"))
     case.agrees(lambda times, point: model.value({"t": times, **point}))
-
-
-@needs_compiler
-def test_c_models(case, tmp_path):
-    case.solution.export(tmp_path / "model.c")
-    program = compiled_driver(tmp_path, "-O2")
-
-    def values(times, point):
-        columns = {name: np.full(times.size, value) for name, value in point.items()}
-        return run_driver(program, case.solution, {"t": times, **columns})[0]
-
-    case.agrees(values)
-
-
-@needs_node
-def test_javascript_models(case, tmp_path):
-    case.solution.export(tmp_path / "model.mjs")
-
-    def values(times, point):
-        columns = {name: np.full(times.size, value) for name, value in point.items()}
-        return node.run_driver(tmp_path, case.solution, {"t": times, **columns})[0]
-
-    case.agrees(values)
-
-
-@runs
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_fmus(case, fmi, tmp_path):
-    path = str(case.solution.export(tmp_path / "model.fmu", fmi=fmi))
-    start, end = case.solution.time
-    for point in case.points(2):
-        found = fmpy.simulate_fmu(
-            path,
-            start_values=point,
-            output_interval=(end - start) / 40,
-            logger=lambda *_: None,
-        )
-        last = case.solution.end(point)
-        times = np.intersect1d(found["time"], case.away(point, 41))
-        times = times[times < last]
-        rows = np.searchsorted(found["time"], times)
-        wanted = case.trajectory(times, point).values
-        ours = np.stack([found[name][rows] for name in case.solution.unknowns])
-        assert_close(ours, wanted, 2.0 * RTOL * case.size)
 
 
 @takes("explore")

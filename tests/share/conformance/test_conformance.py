@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.problems import EXAMPLES
 from tests.share.conformance.cases import (
     CASES,
     RTOL,
@@ -41,6 +42,10 @@ def is_slow(language, name):
     return case.slow or language not in ("python", "javascript", *case.often.split())
 
 
+ALIKE = {*EXAMPLES} - {"lotka_volterra"} | {n for n in CASES if ", " in n} | {"bar"}
+"""For FMUs and sanitizers like others: their C is that of the language, which has all cases."""
+
+
 def matrix(*attributes, kinds=None, languages=NAMES):
     """Languages that offer all attributes, times cases."""
     return pytest.mark.parametrize(
@@ -54,6 +59,7 @@ def matrix(*attributes, kinds=None, languages=NAMES):
             if OFFERED[language].issuperset(attributes)
             and (kinds is None or case.kind in kinds)
             and (language != "page" or name == "synthetic" or "page" in case.often)
+            and (language not in FMI or name not in ALIKE)
         ],
     )
 
@@ -299,13 +305,16 @@ def test_python_is_formatted(models):
         assert run.returncode == 0, run.stdout + run.stderr
 
 
-EVERY = [pytest.param(n, marks=[pytest.mark.slow] * is_slow("c", n)) for n in CASES]
 ONE_OF_A_KIND = ("unequal", "rocket", "washed")
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ONE_OF_A_KIND)) for n in CASES],
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (n not in ONE_OF_A_KIND))
+        for n in CASES
+        if n not in ALIKE
+    ],
 )
 def test_plain_c_under_sanitizers(name, models):
     """Also the same bits as with the instructions of this machine."""
