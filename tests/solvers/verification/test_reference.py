@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -262,7 +263,7 @@ def test_states_are_read_in_blocks_where_they_are_many(monkeypatch):
     rhs = {"x": "-k*x", "y": "x - y*y"}
     problem = ro.Problem.from_strings(rhs, {"x": "1", "y": "0"}, {"k": (1, 2)}, (0, 30))
     whole = ro.solve(problem, rtol=1e-4, method="cross")
-    monkeypatch.setattr(resolution, "_HELD_NUMBERS", 1)
+    monkeypatch.setattr(resolution, "AT_ONCE", 1)
     in_blocks = ro.solve(problem, rtol=1e-4, method="cross")
     assert len(whole.history) == len(in_blocks.history)
     assert whole.history[0].slabs == in_blocks.history[0].slabs > 1
@@ -297,7 +298,7 @@ def test_a_few_trajectories_show_the_sizes_of_states_from_zero_before_all(monkey
             return work_done(), trajectories(np.array(domain.horizon[1:]))
 
     with_pilots, states = work()
-    monkeypatch.setattr(reference, "_MANY_NUMBERS", np.inf)
+    monkeypatch.setattr(reference, "CHECK", replace(reference.CHECK, many_numbers=10**9))
     without, wanted = work()
     assert with_pilots < 0.8 * without
     assert np.all(np.abs(states - wanted) <= 1e-4 * np.abs(wanted).max(axis=1, keepdims=True))
