@@ -6,7 +6,7 @@ import itertools
 import math
 import numbers
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 import sympy as sp
@@ -102,7 +102,7 @@ def _check_symbol(symbol: object, time: sp.Symbol) -> None:
 
 
 def _interval_and_distribution(
-    symbol: sp.Symbol, bounds: Any, tail: float
+    symbol: sp.Symbol, bounds: object, tail: float
 ) -> tuple[tuple[float, float], str | None]:
     """The interval of a parameter, and its distribution as a text; None if that is uniform."""
     bounds, scale = split(bounds)
@@ -124,7 +124,9 @@ def _interval_and_distribution(
     return interval, distribution
 
 
-def check_correlation(correlation: Any, box: Box) -> dict[tuple[str, str], float]:
+def check_correlation(
+    correlation: Mapping[Any, float] | None, box: Box
+) -> dict[tuple[str, str], float]:
     """Return correlations by the names of pairs, each pair in the order of the box."""
     names = [symbol.name for symbol in box]
     try:
@@ -140,10 +142,12 @@ def check_correlation(correlation: Any, box: Box) -> dict[tuple[str, str], float
     }
 
 
-def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
+def _interval(symbol: sp.Symbol, bounds: object) -> tuple[float, float]:
     """The interval of a parameter; it has to agree with the assumptions of the symbol."""
     remedy = f"give numbers (lower, upper), for example {{{symbol}: (0.5, 1.5)}}"
     try:
+        if not isinstance(bounds, Iterable):
+            raise TypeError
         lower, upper = bounds
     except (TypeError, ValueError):
         raise ProblemError(
@@ -196,10 +200,10 @@ def check_assumptions(symbol: sp.Symbol, low: float, high: float, subject: str) 
             )
 
 
-def real_number(value: Any, subject: str, remedy: str) -> float:
+def real_number(value: object, subject: str, remedy: str) -> float:
     """Return a value as a finite float; a ProblemError says what else it is."""
     try:
-        if isinstance(value, str | bool):
+        if isinstance(value, str | bool) or not isinstance(value, SupportsFloat):
             raise TypeError
         if isinstance(value, sp.Basic):
             check_size(value)
@@ -331,7 +335,7 @@ def pieces_of(
     return [dict(zip(names, box, strict=True)) for box in boxes]
 
 
-def _edges(coordinate: Coordinate, cuts: Any) -> list[float]:
+def _edges(coordinate: Coordinate, cuts: object) -> list[float]:
     """The ends of the intervals of one parameter, ascending."""
     name, ends = coordinate.name, (float(coordinate.lower), float(coordinate.upper))
     if not isinstance(cuts, Sequence | np.ndarray) or isinstance(cuts, str):

@@ -60,7 +60,7 @@ def _is_matrix(side: object) -> bool:
     return isinstance(side, sp.MatrixExpr | sp.MatrixBase)
 
 
-def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) -> sp.Expr:
+def _residual(equation: sp.Basic, index: int, time: sp.Symbol, shorthand: Shorthand) -> sp.Expr:
     """Left minus right side of the equation of this number, counted from 1."""
 
     def error(message: str, term: object, remedy: str) -> ProblemError:
@@ -84,7 +84,7 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
         raise error(out_of_range.message, out_of_range.term, str(out_of_range.remedy)) from None
 
 
-def _difference(equation: Any, error: Callable[..., ProblemError]) -> sp.Expr:
+def _difference(equation: sp.Basic, error: Callable[..., ProblemError]) -> sp.Expr:
     """Left minus right side of an equation as it is written."""
     if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
         raise error(
@@ -386,7 +386,7 @@ def check_initial(
     return {state: start[state] for state in symbols.states if state in start}
 
 
-def state_of(key: Any, symbols: Symbols) -> sp.Expr:
+def state_of(key: sp.Basic, symbols: Symbols) -> sp.Expr:
     """Translate a key of ``initial`` into the unknown or derivative it stands for."""
     time, t0, _ = symbols.time
     instant, state = None, key

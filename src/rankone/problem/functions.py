@@ -18,8 +18,10 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
+from sympy.printing.numpy import NumPyPrinter
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
@@ -71,7 +73,7 @@ class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[m
     def _eval_is_extended_real(self) -> bool:
         return True
 
-    def _numpy_text(self, printer: Any) -> str:
+    def _numpy_text(self, printer: NumPyPrinter) -> str:
         return f"{self.written()}({', '.join(str(printer._print(a)) for a in self.args)})"
 
 
@@ -320,7 +322,7 @@ def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., 
     return namespace
 
 
-def _floats(argument: str, sequence: Any) -> tuple[float, ...]:
+def _floats(argument: str, sequence: ArrayLike) -> tuple[float, ...]:
     """A tuple of finite floats, or an error."""
     try:
         if np.ma.is_masked(sequence) or np.iscomplexobj(sequence):

@@ -14,7 +14,7 @@ from typing import Any, ParamSpec
 import sympy as sp
 
 from rankone.problem.algebra.algebraic import Reduction
-from rankone.problem.algebra.matrices import MatrixSystem, initial_values
+from rankone.problem.algebra.matrices import MatrixLike, MatrixSystem, initial_values
 from rankone.problem.box import check_time, counts_of, pieces_of
 from rankone.problem.changes import changes_of, with_constants, with_parameters
 from rankone.problem.checked import CheckedProblem
@@ -281,14 +281,14 @@ class Problem(CheckedProblem):
     @_timed
     def from_matrices(
         cls,
-        M: Any,
-        C: Any = None,
-        K: Any = None,
-        force: Any = None,
+        M: MatrixLike | None,
+        C: MatrixLike | None = None,
+        K: MatrixLike | None = None,
+        force: MatrixLike | None = None,
         *,
         time: tuple[sp.Symbol, float, float],
         parameters: Mapping[sp.Symbol, Any],
-        initial: Any,
+        initial: MatrixLike | Sequence[MatrixLike],
         names: str | Sequence[str] = "q",
         **further: Any,
     ) -> Problem:
@@ -341,13 +341,13 @@ class Problem(CheckedProblem):
     @_timed
     def from_reactions(
         cls,
-        stoichiometry: Any,
+        stoichiometry: MatrixLike,
         laws: Sequence[Any],
         *,
-        orders: Any = None,
+        orders: MatrixLike | None = None,
         time: tuple[sp.Symbol, float, float],
         parameters: Mapping[sp.Symbol, Any],
-        initial: Any,
+        initial: MatrixLike | Sequence[MatrixLike],
         names: str | Sequence[str] = "x",
         **further: Any,
     ) -> Problem:
@@ -608,7 +608,7 @@ class Problem(CheckedProblem):
         return _rebuilt, (type(self), {**self.written, "parameters": self.written_parameters()})
 
 
-def _kept(argument: Any) -> Any:
+def _kept(argument: object) -> object:
     """An argument that does not change when the caller changes his own."""
     if isinstance(argument, Mapping) and not isinstance(argument, SteadyState):
         return dict(argument)

@@ -7,7 +7,6 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -222,7 +221,7 @@ def _check_constants(constants: object, time: sp.Symbol) -> dict[sp.Symbol, sp.E
     return numbers
 
 
-def constant_value(symbol: sp.Symbol, value: Any) -> sp.Expr:
+def constant_value(symbol: sp.Symbol, value: object) -> sp.Expr:
     """The exact number of a constant; a ProblemError if it has another value."""
     subject = f"the constant {quote(symbol)}"
     if isinstance(value, sp.Expr) and value.free_symbols:

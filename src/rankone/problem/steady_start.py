@@ -92,7 +92,7 @@ class SteadyState(Mapping[Any, Any]):
             settle = checked_number("settle", self.settle, 1e-300, 1e300, float)
             object.__setattr__(self, "settle", settle)
 
-    def __getitem__(self, state: Any) -> Any:
+    def __getitem__(self, state: sp.Expr) -> Any:
         return self.start[state]
 
     def __iter__(self) -> Iterator[Any]:
@@ -117,7 +117,7 @@ def conditioned(written: Mapping[str, Any], rest: SteadyState, symbols: Symbols)
         for symbol, value in changed_symbols(written, rest.conditions.items(), states)
     }
 
-    def under(expression: Any) -> Any:
+    def under(expression: sp.Basic | float) -> sp.Basic:
         _check_defined(sp.sympify(expression), changed)
         return sp.sympify(expression).xreplace(changed)
 
@@ -170,7 +170,7 @@ def check_autonomous(residuals: Sequence[sp.Expr], time: sp.Symbol) -> None:
             )
 
 
-def _condition(symbol: sp.Symbol, value: Any, written: Mapping[str, Any]) -> sp.Expr:
+def _condition(symbol: sp.Symbol, value: object, written: Mapping[str, Any]) -> sp.Expr:
     """What stands for a constant or parameter before the start."""
     subject, remedy = f"the condition of {quote(symbol)}", "give a number, for example {dose: 0}"
     expression = as_expression(value, subject, remedy)

@@ -413,12 +413,12 @@ class _Writer:
     def _named(self, mapping: Mapping[Any, Any]) -> dict[str, Any]:
         return {self._name(key): value for key, value in mapping.items()}
 
-    def _name(self, key: Any) -> str:
+    def _name(self, key: sp.Basic) -> str:
         if isinstance(key, sp.Subs):
             key = key.expr.xreplace({key.variables[0]: self.time})
         return name_of(key)
 
-    def _text(self, expression: Any) -> str | float:
+    def _text(self, expression: sp.Basic | float) -> str | float:
         """A formula of states by name: a number, or a text that reads back as it is."""
         plain = exact(self._by_name(sp.sympify(expression)))
         if plain.is_Rational and exact(sp.Float(float(plain))) == plain:
@@ -482,6 +482,6 @@ def _pairs(entries: Mapping[str, Any]) -> Lines:
         yield f"{key if _BARE_KEY.fullmatch(key) else _literal(key)} = {_literal(value)}"
 
 
-def _literal(value: Any) -> str:
+def _literal(value: object) -> str:
     """A text, number, truth value or list as TOML writes it; JSON is a part of that."""
     return json.dumps(value, ensure_ascii=False, default=float)

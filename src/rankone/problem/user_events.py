@@ -147,7 +147,7 @@ def check_events(events: object, symbols: Symbols) -> tuple[Event, ...]:
     return checked
 
 
-def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
+def moving_jumps(jumps: object, symbols: Symbols) -> tuple[object, list[Event]]:
     """The jumps at known times, and those whose times depend on parameters, as events.
 
     A ProblemError if a time depends on something else.

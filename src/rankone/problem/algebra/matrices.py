@@ -6,12 +6,13 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse
 import sympy as sp
+from numpy.typing import ArrayLike
 
 from rankone.problem.expressions.derivatives import rate_of, unknown_of
 from rankone.problem.expressions.notation import exact, expression_of
@@ -26,7 +27,11 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, quote, shown
 
-Addends: TypeAlias = "list[tuple[sp.Expr, Any]]"
+Matrix: TypeAlias = "Array | scipy.sparse.csr_matrix | sp.MatrixBase"
+"""Numbers, dense or sparse, or expressions."""
+MatrixLike: TypeAlias = "ArrayLike | scipy.sparse.spmatrix | sp.MatrixBase | Mapping[Any, Any]"
+"""What users write for a matrix or a vector; a mapping has coefficients and what they multiply."""
+Addends: TypeAlias = "list[tuple[sp.Expr, Matrix]]"
 """Coefficients and the arrays, sparse or SymPy matrices, that they multiply."""
 MOST_SYMBOLIC_ROWS = 6
 """Rows of a mass matrix that SymPy inverts in no time, whatever is in it."""
@@ -34,7 +39,7 @@ _LARGEST_CONDITION = 1e12  # Of a mass matrix of numbers: its inverse keeps four
 _FORMS = "a SymPy matrix, an array, a sparse matrix of SciPy, or {coefficient: array}"
 
 
-def explicit(side: Any, index: int) -> sp.MatrixBase:
+def explicit(side: object, index: int) -> sp.MatrixBase:
     """One side of an equation as a matrix of expressions."""
     try:
         matrix = side.as_explicit() if isinstance(side, sp.MatrixExpr) else side
@@ -51,7 +56,7 @@ def explicit(side: Any, index: int) -> sp.MatrixBase:
     return matrix
 
 
-def addends_of(written: Any, subject: str) -> Addends:
+def addends_of(written: object, subject: str) -> Addends:
     """A matrix or vector as a sum of coefficients times arrays."""
     if not isinstance(written, Mapping):
         return [(sp.S.One, array_of(written, subject))]
@@ -70,7 +75,7 @@ def addends_of(written: Any, subject: str) -> Addends:
     return addends
 
 
-def array_of(written: Any, subject: str) -> Any:
+def array_of(written: object, subject: str) -> Matrix:
     """An array of floats, or a SymPy matrix if there are expressions."""
     if isinstance(written, sp.MatrixExpr):
         written = explicit(written, 0)
@@ -90,7 +95,7 @@ def array_of(written: Any, subject: str) -> Any:
     return array.astype(float)
 
 
-def _sparse(written: Any, subject: str) -> Any:
+def _sparse(written: scipy.sparse.spmatrix, subject: str) -> scipy.sparse.csr_matrix:
     """A sparse matrix of floats, by rows, without zeros."""
     if written.dtype.kind not in "iuf" or len(written.shape) != 2:
         raise ProblemError(f"{subject} is {shown(written)}", term=written, remedy=f"give {_FORMS}")
@@ -107,7 +112,7 @@ def _check_finite(entries: Array, subject: str) -> None:
         raise ProblemError(message, term=subject, remedy="check the array")
 
 
-def entries_of(array: Any) -> Iterator[tuple[tuple[int, ...], sp.Expr]]:
+def entries_of(array: Matrix) -> Iterator[tuple[tuple[int, ...], sp.Expr]]:
     """The entries that are not zero, with their places."""
     if isinstance(array, sp.MatrixBase):
         for place in itertools.product(*map(range, array.shape)):
@@ -118,31 +123,31 @@ def entries_of(array: Any) -> Iterator[tuple[tuple[int, ...], sp.Expr]]:
         yield place, exact(sp.Float(entry))
 
 
-def numbers_of(array: Any) -> Iterator[tuple[tuple[int, ...], float]]:
+def numbers_of(array: Matrix) -> Iterator[tuple[tuple[int, ...], float]]:
     """The entries of an array, or a sparse matrix, that are not zero, with their places."""
-    if scipy.sparse.issparse(array):
-        array = array.tocoo()
-        places, entries = [array.row, array.col], array.data
-    else:
+    if isinstance(array, np.ndarray):
         places = [*np.nonzero(array)]
         entries = array[tuple(places)]
+    else:
+        array = array.tocoo()
+        places, entries = [array.row, array.col], array.data
     yield from zip(zip(*(p.tolist() for p in places), strict=True), entries.tolist(), strict=True)
 
 
-def off_diagonal(array: Any) -> Any:
+def off_diagonal(array: Matrix) -> list[float] | list[bool]:
     """What is off the diagonal, as numbers or truth values."""
     if isinstance(array, sp.MatrixBase):
         return [entry != 0 for (i, j), entry in entries_of(array) if i != j]
     return [entry for (i, j), entry in numbers_of(array) if i != j]
 
 
-def product_of(inverse: Array | None, array: Any) -> Any:
+def product_of(inverse: Array | None, array: Matrix) -> Matrix:
     """An array multiplied from the left; what rounding leaves of zeros is zero."""
     if inverse is None:
         return array
     if isinstance(array, sp.MatrixBase):
         return sp.Matrix(inverse) * array
-    if scipy.sparse.issparse(array):
+    if not isinstance(array, np.ndarray):
         array = array.toarray()
     product = inverse @ array
     size = np.abs(inverse) @ np.abs(array)
@@ -168,7 +173,7 @@ def inverse_of(mass: Addends) -> Array:
             remedy=f"with more than {MOST_SYMBOLIC_ROWS} rows let it be diagonal, or of numbers "
             "alone: change to coordinates in which it is",
         )
-    dense = (a.toarray() if scipy.sparse.issparse(a) else a for _, a in mass)
+    dense = (a if isinstance(a, np.ndarray | sp.MatrixBase) else a.toarray() for _, a in mass)
     pairs = zip((float(c) for c, _ in mass), dense, strict=True)
     total = sum(c * np.array(a, dtype=float) for c, a in pairs)
     if np.linalg.cond(total) > _LARGEST_CONDITION:
@@ -225,7 +230,11 @@ class MatrixSystem:
 
     @classmethod
     def of(
-        cls, matrices: Mapping[str, Any], force: Any, time: sp.Symbol, names: str | Sequence[str]
+        cls,
+        matrices: Mapping[str, object],
+        force: object,
+        time: sp.Symbol,
+        names: str | Sequence[str],
     ) -> MatrixSystem:
         """The system of the matrices ``M``, ``C`` and ``K``; a ProblemError if they do not fit."""
         orders = {"M": 2, "C": 1, "K": 0}
@@ -351,13 +360,13 @@ class MatrixSystem:
                 rows[i].append(coefficient * entry)
         return [sp.Add(*row) for row in rows]
 
-    def initial(self, written: Any) -> dict[sp.Expr, Any]:
+    def initial(self, written: object) -> dict[sp.Expr, Any]:
         """Initial values of all states; see :func:`initial_values`."""
         return initial_values(written, self.unknowns, self.time, self.order)
 
 
 def initial_values(
-    written: Any, unknowns: Sequence[sp.Expr], time: sp.Symbol, order: int
+    written: object, unknowns: Sequence[sp.Expr], time: sp.Symbol, order: int
 ) -> dict[sp.Expr, Any]:
     """Initial values of all states: of an array, of a pair of arrays, or of a mapping.
 
@@ -400,7 +409,7 @@ def _by_state(
     return {named.get(key, key) if isinstance(key, str) else key: at for key, at in written.items()}
 
 
-def _is_column(written: object) -> bool:
+def _is_column(written: object) -> TypeGuard[Iterable[object]]:
     """Whether something is an array of one dimension, a list, or a matrix of one column."""
     if isinstance(written, sp.MatrixBase):
         return 1 in written.shape

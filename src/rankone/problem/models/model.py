@@ -175,7 +175,7 @@ class Model:
             decided |= decisive
             point = self._starting_point(start, decided)
 
-        def full(expression: Any) -> Any:
+        def full(expression: sp.Basic) -> sp.Basic:
             return self._full(expression).xreplace(decided)
 
         unknowns = {symbol.name: unknown for symbol, unknown in functions.items()}
@@ -225,7 +225,7 @@ class Model:
                     remedy="write an assignment rule",
                 )
 
-    def _full(self, expression: Any) -> Any:
+    def _full(self, expression: sp.Basic) -> sp.Basic:
         """An expression or condition in unknowns and numbers, without definitions."""
         return expression.xreplace(self._expanded).xreplace(self._functions)
 
@@ -283,7 +283,7 @@ class Model:
 
     # -- the box ----------------------------------------------------------------------------------
 
-    def _box(self, parameters: Any, spread: float | None) -> dict[sp.Symbol, Any]:
+    def _box(self, parameters: object, spread: float | None) -> dict[sp.Symbol, Any]:
         """The intervals by symbol."""
         if isinstance(parameters, str) or not isinstance(parameters, Iterable):
             raise ProblemError(

@@ -18,7 +18,7 @@ import scipy.sparse
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.problem.algebra.matrices import array_of, named_unknowns, numbers_of
+from rankone.problem.algebra.matrices import Matrix, array_of, named_unknowns, numbers_of
 from rankone.problem.box import Box
 from rankone.problem.expressions.notation import exact, expression_of
 from rankone.problem.expressions.parsing import parse_expression, syntax_trees
@@ -269,7 +269,12 @@ class Network:
 
     @classmethod
     def of(
-        cls, stoichiometry: Any, laws: Any, orders: Any, time: sp.Symbol, names: str | Sequence[str]
+        cls,
+        stoichiometry: object,
+        laws: object,
+        orders: object,
+        time: sp.Symbol,
+        names: str | Sequence[str],
     ) -> Network:
         """The network of a matrix and laws; a ProblemError if they do not fit."""
         matrix = _matrix(stoichiometry, "the stoichiometric matrix")
@@ -332,7 +337,7 @@ class Network:
         return [sp.Eq(u.diff(self.time), sp.Add(*own), evaluate=False) for u, own in pairs]
 
 
-def _matrix(written: Any, subject: str) -> Any:
+def _matrix(written: object, subject: str) -> Matrix:
     """A matrix of numbers, dense or sparse."""
     array = array_of(written, subject)
     if isinstance(array, sp.MatrixBase):
@@ -352,7 +357,7 @@ def _matrix(written: Any, subject: str) -> Any:
     return array
 
 
-def _laws(written: Any, reactions: int) -> tuple[sp.Expr, ...]:
+def _laws(written: object, reactions: int) -> tuple[sp.Expr, ...]:
     """The law of each reaction as an expression."""
     remedy = f"give {count(reactions, 'law')}, numbers or expressions, one for each reaction"
     if isinstance(written, str | Mapping) or not hasattr(written, "__iter__"):
@@ -367,7 +372,7 @@ def _laws(written: Any, reactions: int) -> tuple[sp.Expr, ...]:
     return tuple(laws)
 
 
-def _law(written: Any) -> sp.Expr:
+def _law(written: object) -> sp.Expr:
     law = expression_of(written)
     if law is None:
         raise ProblemError(
@@ -378,7 +383,7 @@ def _law(written: Any) -> sp.Expr:
     return exact(law)
 
 
-def _orders(written: Any, matrix: Any) -> tuple[Powers, ...]:
+def _orders(written: object, matrix: Matrix) -> tuple[Powers, ...]:
     """For each reaction the species that multiply its law, and their powers."""
     species, reactions = matrix.shape
     if written is None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import NamedTuple, TypeAlias
 
 import sympy as sp
 from sympy.core.function import Application
@@ -46,7 +46,15 @@ FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
 """Functions of one argument that are smooth wherever they are finite and real."""
 
 _Arguments = tuple[tuple[tuple[Product, Fraction], ...], ...]
-_Node = tuple[object, ...]
+_Term: TypeAlias = "tuple[Fraction | None, int, tuple[_Node | int, ...]]"
+"""Coefficient, None for a slot, number of the function, and operations or slots of symbols."""
+
+
+class _Node(NamedTuple):
+    """An operation on sums of terms."""
+
+    operation: str
+    sums: tuple[tuple[_Term, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -165,16 +173,16 @@ class _Key:
 
     def of(self, applied: _Applied) -> _Node:
         """The tree of an operation."""
-        nodes: list[_Node] = []
+        sums: list[tuple[_Term, ...]] = []
         for k, argument in enumerate(applied.arguments):
             whole = all(coefficient.denominator == 1 for _, coefficient in argument)
             exponent = k > 0 and applied.operation == "power"
-            nodes.append(self._sum(argument, applied, as_written=exponent and whole))
-        return (applied.operation, *nodes)
+            sums.append(self._sum(argument, applied, as_written=exponent and whole))
+        return _Node(applied.operation, tuple(sums))
 
     def _sum(
         self, terms: Iterable[tuple[Product, Fraction]], outer: _Applied, *, as_written: bool
-    ) -> _Node:
+    ) -> tuple[_Term, ...]:
         """The tree of a sum; numbers beside functions decide how these are written."""
         among = {s for (_, symbols), _ in terms for s in symbols}
         inner = {s: a for s in among if (a := self._inside(s, outer)) is not None}
@@ -184,7 +192,7 @@ class _Key:
             (function, symbols), coefficient = term
             return function, len(symbols), coefficient not in (1, -1), symbols
 
-        node: list[object] = []
+        written: list[_Term] = []
         for (function, symbols), coefficient in sorted(terms, key=pattern):
             in_slot = coefficient not in (1, -1) and not as_written
             if in_slot:
@@ -193,8 +201,8 @@ class _Key:
                 self.of(inner[s]) if s in inner else self.symbols.setdefault(s, len(self.symbols))
                 for s in symbols
             )
-            node.append((None if in_slot else coefficient, function, tuple(factors)))
-        return tuple(node)
+            written.append((None if in_slot else coefficient, function, tuple(factors)))
+        return tuple(written)
 
     def _inside(self, symbol: int, outer: _Applied) -> _Applied | None:
         """The operation of a symbol that is written inside of another."""
@@ -224,17 +232,17 @@ class _Expression:
         self._slots, self._numbers, self._functions = slots, iter(numbers), functions
 
     def of(self, node: _Node) -> sp.Expr:
-        operation, *arguments = node
-        name = str(operation)
-        function = _ARITHMETIC.get(name) or FUNCTIONS[name]
-        return function(*[self._sum(argument) for argument in arguments])
+        function = _ARITHMETIC.get(node.operation) or FUNCTIONS[node.operation]
+        return function(*map(self._sum, node.sums))
 
-    def _sum(self, terms: Any) -> sp.Expr:
+    def _sum(self, terms: Iterable[_Term]) -> sp.Expr:
         return sp.Add(*[self._term(*term) for term in terms])
 
-    def _term(self, coefficient: Fraction | None, function: int, factors: Any) -> sp.Expr:
+    def _term(
+        self, coefficient: Fraction | None, function: int, factors: Iterable[_Node | int]
+    ) -> sp.Expr:
         constant = next(self._numbers) if coefficient is None else rational(coefficient)
-        written = [self.of(f) if isinstance(f, tuple) else self._slots[f] for f in factors]
+        written = [self.of(f) if isinstance(f, _Node) else self._slots[f] for f in factors]
         return sp.Mul(constant, self._functions[function], *written)
 
 
