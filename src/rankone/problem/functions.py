@@ -21,7 +21,6 @@ import sympy as sp
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
-from sympy.printing.numpy import NumPyPrinter
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
@@ -73,7 +72,7 @@ class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[m
     def _eval_is_extended_real(self) -> bool:
         return True
 
-    def _numpy_text(self, printer: NumPyPrinter) -> str:
+    def _numpy_text(self, printer: sp.printing.printer.Printer) -> str:
         return f"{self.written()}({', '.join(str(printer._print(a)) for a in self.args)})"
 
 
