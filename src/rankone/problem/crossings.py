@@ -14,11 +14,11 @@ import scipy
 
 from rankone.problem.numeric import NumericEvents
 from rankone.support.arrays import Array
+from rankone.support.precision import EPSILON, ROUNDING
 
 SHARES = np.linspace(0.125, 1.0, 8)
 """Shares of a step at which it is looked on which side of a surface it is."""
-_TIME_ROUNDING = 64.0 * np.finfo(float).eps  # Relative error of the time of a reset
-_ROOT_ACCURACY = 4.0 * np.finfo(float).eps  # Relative accuracy of times: a few roundings
+_ROOT_ACCURACY = 4.0 * EPSILON  # Relative accuracy of times: a few roundings
 _HALVINGS = 60  # Of a sample's distance from the start of a step, in search of a short excursion
 
 
@@ -100,7 +100,7 @@ class Sides:
         heights = self.events.when(time, state, self.point)
         slopes = self.events.slopes(time, rates, state, self.point)
         noise = self.events.noise(time, state, self.point, np.abs(state))
-        definite = np.abs(heights) > noise + _TIME_ROUNDING * np.abs(np.nan_to_num(slopes) * time)
+        definite = np.abs(heights) > noise + ROUNDING * np.abs(np.nan_to_num(slopes) * time)
         return np.where(definite, np.sign(heights), 0.0)
 
     def crossings(

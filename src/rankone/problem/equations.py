@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.problem.algebra.matrices import scalar_equations
 from rankone.problem.box import Time
-from rankone.problem.expressions.derivatives import rate_of
+from rankone.problem.expressions.derivatives import KEPT, rate_of
 from rankone.problem.expressions.notation import exact, expression_of
 from rankone.problem.shorthand import Shorthand, unsupported, wrong_argument
 from rankone.support.errors import ProblemError
@@ -19,7 +19,6 @@ from rankone.support.wording import count, did_you_mean, listing, name_defect, q
 
 _MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
-_KEPT = 20_000  # Residuals whose functions of time are kept
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
@@ -156,7 +155,7 @@ def algebraic_unknowns(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
     return first
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def _functions_in(residual: sp.Expr) -> frozenset[sp.Expr]:
     """The functions of time in a residual, which many checks look at."""
     return frozenset(residual.atoms(AppliedUndef))
@@ -169,7 +168,7 @@ def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, i
             yield i, unknown, order
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def _derivatives_in(residual: sp.Expr) -> tuple[tuple[sp.Expr, int], ...]:
     """The functions that a residual differentiates, and the orders."""
     derivatives = _in_order(residual.atoms(sp.Derivative))

@@ -18,25 +18,22 @@ from rankone.problem.crossings import Crossing, Sides, first_change
 from rankone.problem.numeric import NumericEquations
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
+from rankone.support.precision import COINCIDENT, EPSILON, NEGLIGIBLE, ROUNDING
 from rankone.support.wording import quote
 from rankone.trajectories.system.events import overlap
 
 LEAST_RTOL, MOST_RTOL = 1e-12, 0.1
 _SMALL_STATE = 1e-3  # States below this share of their largest value need not be as accurate
-_LEAST_TOLERANCE = 1e-13  # Of a step, over the largest value: below it rounding counts
+_LEAST_TOLERANCE = 8.0 * ROUNDING  # Of a step, over the largest value: below it rounding counts
 _FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
 _FIRST_TIMES = 9  # Times in it at which rates are taken
 _FIRST_SHARE = 1e-6  # Size of a state that starts at zero, over its change in that time
 _LEAST_ABSOLUTE = 1e-150  # Least absolute tolerance: what is divided by its square is a number
-_LEAST_SIZE = 1e-12  # Size of states if nothing tells it
-_ROUNDING = 8.0 * np.finfo(float).eps  # Relative change of the states that tells the noise of rates
-_SAME_INSTANT = 1e-12  # Part of the horizon within which two times are one
+_NOISE = 8.0 * EPSILON  # Relative change of the states that tells the noise of rates
 _LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
 _FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
 _MOST_STALLS = 200  # Steps in a row that are shorter than rounding of time; the first ones may be
 _MOST_STEPS = 200_000  # Steps of a trajectory: about a minute
-_SHORT_STEP = 1e-10  # Part of the horizon of the first step after one that failed
-_REACH = 1e-9  # Part of the horizon over which a trajectory is continued straight to an event
 _MOST_CROSSINGS = 2000  # Places where rates jump with the states: sliding crosses without end
 _MOST_ROUNDS = 100  # Rounds of events at one instant
 _SHARE_BEFORE = 0.98  # Of the time to a jump of the rates, up to which the next step may go
@@ -70,7 +67,7 @@ class Integration:
     ) -> None:
         self.equations, self.point, self.times, self.rtol = equations, point, times, rtol
         _, self._start, self._end = equations.time
-        self._instant = _SAME_INSTANT * (self._end - self._start)
+        self._instant = COINCIDENT * (self._end - self._start)
         self.values = np.full((len(equations.states), times.size), np.nan)
         self._occurrences: list[list[float]] = [[] for _ in equations.events.names]
         self._due: list[list[float]] = [[] for _ in equations.events.names]
@@ -156,7 +153,7 @@ class Integration:
             if failure is not None or stalls > _MOST_STALLS or not np.isfinite(solver.y).all():
                 if self._time - start <= self._instant:
                     self._reach_event()
-                self._first_step = _SHORT_STEP * (self._end - self._start)
+                self._first_step = NEGLIGIBLE * (self._end - self._start)
                 return
             self._steps += 1
             if self._steps > _MOST_STEPS:
@@ -235,8 +232,8 @@ class Integration:
         at_zero = sizes == 0.0
         sizes[at_zero] = _FIRST_SHARE * change[at_zero]
         positive = sizes[sizes > 0.0]
-        sizes[sizes == 0.0] = _FIRST_SHARE * positive.min() if positive.size else _LEAST_SIZE
-        beside = self._rates(start, state * (1.0 + _ROUNDING))
+        sizes[sizes == 0.0] = _FIRST_SHARE * positive.min() if positive.size else COINCIDENT
+        beside = self._rates(start, state * (1.0 + _NOISE))
         noise = np.where(np.isfinite(beside), span * np.abs(beside - first), 0.0)
         resolved = np.maximum(noise, np.finfo(float).smallest_subnormal)
         return np.maximum(max(_SMALL_STATE * self.rtol, _LEAST_TOLERANCE) * sizes, resolved)
@@ -284,7 +281,7 @@ class Integration:
         """
         rates = self._rates(self._time, self._state)
         ahead = self._sides.ahead(self._time, self._state, rates)
-        reach = _REACH * (self._end - self._start)
+        reach = NEGLIGIBLE * (self._end - self._start)
         near = {k: delay for k, delay in ahead.items() if delay <= reach}
         if not near or not np.isfinite(rates).all():
             raise self._blow_up()

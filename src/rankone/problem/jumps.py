@@ -16,6 +16,7 @@ from rankone.problem.expressions.notation import exact, latex_of, text_of
 from rankone.problem.forms import Jump
 from rankone.problem.functions import Table
 from rankone.support.errors import ProblemError, warn
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
@@ -33,8 +34,6 @@ LATE_REMEDY = "remove it, unless `t_final` is to be later"
 """What to do about what happens behind the end of time."""
 _AS_JUMPS = "give the values after it as jumps={time: {unknown: value}}"
 _ADD_IMPULSE = "an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))"
-_LEAST_GAP = 1e-9  # Least time between two jumps, in horizons: closer ones differ by rounding alone
-_BESIDE = 1e-9  # Relative distance to either side of an impulse at which its factor is compared
 
 
 def check_jumps(jumps: object, symbols: Symbols) -> Resets:
@@ -67,7 +66,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     if late:
         first = f"the jump at {time[0]} = {late[0]:.12g}"
         further = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        near = f" by {_LEAST_GAP:g} of the horizon" if late[0] < time[2] else ""
+        near = f" by {NEGLIGIBLE:g} of the horizon" if late[0] < time[2] else ""
         warn(
             f"{first}{further}: not before the end of time, {time[2]:.12g}{near}",
             remedy=LATE_REMEDY,
@@ -95,7 +94,7 @@ def _instant(instant: object, time: Time) -> float:
 def _check_apart(times: Iterable[float], time: Time) -> None:
     """Raise if two jumps are so close that only rounding tells them apart."""
     for a, b in itertools.pairwise(sorted(times)):
-        if b - a < _LEAST_GAP * (time[2] - time[1]):
+        if b - a < NEGLIGIBLE * (time[2] - time[1]):
             raise ProblemError(
                 f"the jumps at {time[0]} = {a!r} and {b!r} are too close to each other",
                 remedy="make one jump of them",
@@ -195,7 +194,7 @@ def system_jumps(
 
 def at_start(jump: Jump, time: Time) -> bool:
     """Whether a jump is at the start of time, or later by rounding alone."""
-    return jump.time - time[1] < _LEAST_GAP * (time[2] - time[1])
+    return jump.time - time[1] < NEGLIGIBLE * (time[2] - time[1])
 
 
 def at_end(jump: Jump, time: Time) -> bool:
@@ -204,7 +203,7 @@ def at_end(jump: Jump, time: Time) -> bool:
 
 
 def _is_late(at: float, time: Time) -> bool:
-    return at >= time[2] - _LEAST_GAP * (time[2] - time[1])
+    return at >= time[2] - NEGLIGIBLE * (time[2] - time[1])
 
 
 def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:
@@ -399,11 +398,11 @@ def _check_steady(
     factor: sp.Expr, impulse: sp.Expr, at: float, time: sp.Symbol, origin: int | None
 ) -> None:
     """Raise if the factor of an impulse switches at the same time."""
-    near = _BESIDE * max(abs(at), 1.0)
+    near = NEGLIGIBLE * max(abs(at), 1.0)
     steps = (table for table in factor.atoms(Table) if table.kind == "previous")
     for switch in (*factor.atoms(*_SWITCHING), *steps):
         before, after = (_value_at(switch, time, at + side * near) for side in (-1, 1))
-        if not (after - before).is_number or abs(after - before) >= math.sqrt(_BESIDE):
+        if not (after - before).is_number or abs(after - before) >= math.sqrt(NEGLIGIBLE):
             raise ProblemError(
                 f"{quote(impulse)} is multiplied by {quote(switch)}, which may switch at the same "
                 "time",

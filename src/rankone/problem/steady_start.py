@@ -21,7 +21,8 @@ from rankone.support.options import checked_number
 from rankone.support.wording import quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
-_USUAL_HORIZONS = 100.0  # Horizons of the problem that trajectories may take to settle
+USUAL_HORIZONS = 100.0
+"""Horizons of the problem that trajectories may take to settle."""
 _LONGER = 10.0  # How much longer trajectories are followed, to the last digit
 _RTOL = 1e-11  # Of the trajectories that come to rest
 _LOOKS = 2.0  # Factor from one time to the next at which they are looked at
@@ -103,7 +104,7 @@ class SteadyState(Mapping[Any, Any]):
 
     def longest(self, time: tuple[sp.Symbol, float, float]) -> float:
         """The longest time that a trajectory may take, of a problem over a time."""
-        return self.settle or _USUAL_HORIZONS * (time[2] - time[1])
+        return self.settle or USUAL_HORIZONS * (time[2] - time[1])
 
 
 def conditioned(written: Mapping[str, Any], rest: SteadyState, symbols: Symbols) -> dict[str, Any]:

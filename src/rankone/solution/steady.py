@@ -12,6 +12,7 @@ import sympy as sp
 from rankone.compiler.passes import FirstOrderSystem
 from rankone.problem.expressions.notation import plain_text
 from rankone.problem.problem import Problem
+from rankone.problem.steady_start import USUAL_HORIZONS
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
@@ -30,7 +31,6 @@ from rankone.trajectories.steady.rest import SteadyStates, at_rest
 from rankone.trajectories.system.verdict import MeasuredError, Note, Status, SteadyBranch
 
 _SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle
-_USUAL_HORIZONS = 100.0  # Horizons of the problem that trajectories may take to settle
 _FINER = 0.01  # Factor of the tolerance until gradients are within it
 _LEAST_RTOL = 1e-10
 
@@ -95,7 +95,7 @@ def steady_state(
     compiled = problem if isinstance(problem, CompiledProblem) else compile_problem(problem)
     _check_autonomous(compiled.first_order)
     system, (start, end) = compiled.system, compiled.system.horizon
-    longest = _USUAL_HORIZONS * (end - start)
+    longest = USUAL_HORIZONS * (end - start)
     if settle is not None:
         longest = checked_number("settle", settle, _SHORTEST, 1e300, float)
     states = compiled.first_order.states

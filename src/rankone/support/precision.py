@@ -19,6 +19,8 @@ COINCIDENT = 4096.0 * EPSILON
 """Difference below which two times or places are one, about 1e-12, in sizes of these."""
 NEGLIGIBLE = 1e-9
 """Share below which a difference counts as none; about the error of the tightest solve."""
+EXACT_DIGITS = 20
+"""Decimal digits of numbers that stand for exact ones: a few more than floats hold."""
 MANY_STATES = 64
 """States from which on tables and sparse matrices serve better than a line and a row for each."""
 AT_ONCE = 1 << 19

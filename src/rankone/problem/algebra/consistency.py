@@ -21,10 +21,10 @@ from rankone.problem.jumps import Resets
 from rankone.problem.user_events import Event
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import listing, quote
 
 _POINTS = 6  # Points of the box at which initial values have to satisfy constraints
-_INCONSISTENT = 1e-9  # Share of its largest term that a constraint may be off
 
 Values = Mapping[sp.Expr, sp.Expr]
 """States and what they are set to."""
@@ -79,7 +79,7 @@ def check_consistent(
             if not all(value.is_number for value in values):
                 break
             off = sp.Add(*values)
-            if abs(off) > _INCONSISTENT * max(map(abs, values), default=0):
+            if abs(off) > NEGLIGIBLE * max(map(abs, values), default=0):
                 raise _inconsistent(constraint, float(sp.re(off)), coordinates, at)
 
 

@@ -21,6 +21,7 @@ from rankone.problem.expressions.derivatives import rate_of
 from rankone.problem.expressions.notation import exact
 from rankone.problem.forms import Coordinate
 from rankone.support.errors import ProblemError
+from rankone.support.precision import EXACT_DIGITS, SEED
 from rankone.support.wording import listing, quote
 
 Row = dict[int, sp.Expr]
@@ -209,11 +210,9 @@ def _check_row(
 # left over where the equations do not determine them all: a constraint on what they depend on.
 
 
-_DIGITS = 30  # Of the values that tell whether an expression vanishes
-_VANISHING = 1e-18  # Relative size of a value that counts as zero
+_VANISHING = 10.0 ** (2 - EXACT_DIGITS)  # Relative size of a value that counts as zero
 _TRIALS = 2  # Points at which an expression that vanishes has to be zero
 _LARGEST_ADJUGATE = 3  # Rows of a matrix that is inverted by cofactors, as people do
-_SEED = 1988  # Of those points: the same equations are always judged alike
 
 
 @dataclass(frozen=True)
@@ -379,7 +378,7 @@ def evaluation(coordinates: Sequence[Coordinate], trial: int) -> Callable[[sp.Ex
 
     Each trial has a point of its own; a value is not a number where a function has none.
     """
-    generator = random.Random(_SEED + trial)
+    generator = random.Random(SEED + trial)
     intervals = {c.symbol: (sp.Rational(c.lower), sp.Rational(c.upper)) for c in coordinates}
     drawn: dict[sp.Expr, sp.Expr] = {}
 
@@ -389,7 +388,7 @@ def evaluation(coordinates: Sequence[Coordinate], trial: int) -> Callable[[sp.Ex
             share = sp.Rational(generator.randint(1, 999), 1000)
             lower, upper = intervals.get(leaf, (sp.Rational(1, 2), sp.Rational(3, 2)))
             drawn[leaf] = lower + share * (upper - lower)
-        return sp.N(expression.xreplace(drawn), _DIGITS)
+        return sp.N(expression.xreplace(drawn), EXACT_DIGITS)
 
     return at
 

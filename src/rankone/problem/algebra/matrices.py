@@ -25,6 +25,7 @@ from rankone.problem.tables.term_table import (
 )
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
+from rankone.support.precision import COINCIDENT
 from rankone.support.wording import count, quote, shown
 
 Matrix: TypeAlias = "Array | scipy.sparse.csr_matrix | sp.MatrixBase"
@@ -35,7 +36,7 @@ Addends: TypeAlias = "list[tuple[sp.Expr, Matrix]]"
 """Coefficients and the arrays, sparse or SymPy matrices, that they multiply."""
 MOST_SYMBOLIC_ROWS = 6
 """Rows of a mass matrix that SymPy inverts in no time, whatever is in it."""
-_LARGEST_CONDITION = 1e12  # Of a mass matrix of numbers: its inverse keeps four digits
+_LARGEST_CONDITION = 1.0 / COINCIDENT  # Of a mass matrix of numbers: its inverse keeps four digits
 _FORMS = "a SymPy matrix, an array, a sparse matrix of SciPy, or {coefficient: array}"
 
 

@@ -27,15 +27,15 @@ from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.forms import Coordinate
 from rankone.problem.functions import nodes_of
 from rankone.support.arrays import Array
+from rankone.support.precision import COINCIDENT, ROUNDING
 from rankone.support.wording import quote
 
 _SAMPLES = 501  # Evenly spaced points, and Chebyshev points, that bracket changes of sign
 _ZOOMS = 6  # Refinements around a sample, each by about 250: the last spacing is rounding
-_VANISHES = 1e-13  # Value at a zero, relative to the samples beside it: what rounding leaves
-_BESIDE_ZERO = 1e-12  # Distance from a zero, in intervals, at which the function is evaluated again
+# Value at a zero, relative to the samples beside it: what rounding leaves
+_VANISHES = 8.0 * ROUNDING
 _FLAT_RATIO = 0.5  # Least value over that beside it that tells a flat minimum from a zero
 _MOST_CELLS = 1 << 14  # Cells of several comparisons; conditions with more stay as they are
-_SAME_LEVEL = 1e-14  # Relative distance below which two levels are one except for rounding
 _WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
 Truth = NDArray[np.bool_]
 
@@ -139,7 +139,7 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
         point, smallest = _zoom_in(function, points, int(i))
         nearby = np.abs(heights[max(int(i) - 1, 0) : int(i) + 2])
         if smallest <= _VANISHES * float(np.nanmax(nearby)):
-            step = _BESIDE_ZERO * (points[-1] - points[0])
+            step = COINCIDENT * (points[-1] - points[0])
             beside = np.abs(function(point + step * np.array([-1, 1])))
             if smallest < _FLAT_RATIO * float(np.nanmax(beside)):
                 return point
@@ -375,6 +375,6 @@ def _distinct(levels: Iterable[float]) -> list[float]:
     for level in sorted(levels):
         if not math.isfinite(level):
             raise _TooIntricate
-        if not distinct or level - distinct[-1] > _SAME_LEVEL * max(abs(level), abs(distinct[-1])):
+        if not distinct or level - distinct[-1] > ROUNDING * max(abs(level), abs(distinct[-1])):
             distinct.append(level)
     return distinct

@@ -10,6 +10,7 @@ from sympy.core.relational import Relational
 
 from rankone.problem.expressions.derivatives import slope
 from rankone.problem.functions import Table, nodes_of
+from rankone.support.precision import EXACT_DIGITS
 
 CONTINUOUS = (sp.Abs, sp.Max, sp.Min, sp.asin, sp.acos, sp.Pow)
 """Functions that are continuous, but not smooth everywhere."""
@@ -67,7 +68,6 @@ _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
 _PERIODIC = (sp.sin, sp.cos)
 _HIGH_POWER = 100  # A power from which a function counts as a peak where its base is extreme
 _FEW_ADDENDS = 4  # Most addends of a sum that may be a threshold
-_SHIFT_DIGITS = 20  # Decimal digits of a logarithm in a threshold: more than a float holds
 
 
 def peaks(
@@ -126,7 +126,7 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
         if variables(step) and not _squares(step, variables):
             shift = sp.log(sp.Abs(ratio))
             if shift.is_number:
-                shift = sp.Rational(str(sp.N(shift, _SHIFT_DIGITS)))
+                shift = sp.Rational(str(sp.N(shift, EXACT_DIGITS)))
             yield step + shift
 
 

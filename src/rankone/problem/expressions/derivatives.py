@@ -16,10 +16,11 @@ from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-_KEPT = 10_000  # Functions that are kept
+KEPT = 20_000
+"""Functions of time, and numbers, that are kept: as many as a large system has."""
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def unknown_of(name: str, time: sp.Symbol) -> sp.Expr:
     """The function of time with a name: ``x(t)``."""
     return sp.Function(name)(time)

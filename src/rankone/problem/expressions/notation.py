@@ -10,6 +10,7 @@ thresholds and times of switches, centres and widths of peaks, logarithms and ro
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Container, Iterable
 from typing import Any
 
@@ -148,7 +149,7 @@ def _has_thresholds(node: sp.Expr, constants: frozenset[sp.Symbol]) -> bool:
 # stays ``1/3``. Nothing is evaluated for that.
 
 
-_SAFE_DIGITS = 15  # Significant decimal digits that every floating-point number holds
+_SAFE_DIGITS = sys.float_info.dig  # Decimal digits that every floating-point number holds
 _EXTREME_RATIO = 1e30  # Numbers beyond it, or its reciprocal, go back into their exponential
 _LARGEST_SCALE_DIGITS = 6  # Decimal digits of the scale s in (x/s)**n: units rarely differ by more
 LARGEST_SCALE_BITS = 100_000
@@ -157,9 +158,10 @@ _SUM_ERROR_ULPS = 2  # Last places by which sums of a few decimal numbers miss t
 _LARGEST_LOGARITHM = 1e5  # Of a function of numbers that is evaluated: floats end near 710
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
 _FACTORIALS = (sp.gamma, sp.factorial, sp.loggamma)
-_DIGITS = 17  # Decimal digits that tell all floating-point numbers apart
+_DIGITS = sys.float_info.dig + 2  # Decimal digits that tell all floating-point numbers apart
 _LARGEST_DENOMINATOR = 10**6  # Fractions with larger ones become decimals: nobody reads them
-_LARGEST_INTEGER = 10**15  # Larger ones are written as decimals: a float holds no more digits
+# Larger ones are written as decimals: a float holds no more digits
+_LARGEST_INTEGER = 10**_SAFE_DIGITS
 _LONGEST_SIDE = 400  # Characters of one side of an equation; longer ones are cut in the middle
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 

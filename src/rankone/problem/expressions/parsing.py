@@ -14,6 +14,7 @@ import itertools
 import keyword
 import math
 import re
+import sys
 import tokenize
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -74,7 +75,8 @@ _LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any floa
 _LARGEST_LOGARITHM = 300 * math.log(
     10
 )  # Of a power of numbers: near the largest float, with room for a factor
-_LARGEST_DECIMAL = 10**308  # Range of decimal numbers, with its reciprocal: that of floats
+# Range of decimal numbers, with its reciprocal: that of floats
+_LARGEST_DECIMAL = 10**sys.float_info.max_10_exp
 _LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more take SymPy forever
 # Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time
 _LARGEST_ROOT = 12

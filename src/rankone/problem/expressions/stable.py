@@ -17,14 +17,16 @@ import numpy as np
 import sympy as sp
 from scipy import special
 
+from rankone.support.precision import EXACT_DIGITS
+
 # Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied
 _ORDINARY_RATIO = sp.Integer(10) ** 30
 _HIGH_POWER = 8  # From this power on a quotient of powers is written as the power of a quotient
 _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
-_DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
-# Numerators and denominators up to this stay exact; larger ones are rounded to the digits above
-_LARGEST_INTEGER = 10**_DIGITS
-_LARGEST_OF_NUMPY = 2**63 - 1  # Integers beyond it are objects, of which NumPy takes no functions
+# Numerators and denominators up to this stay exact; larger ones are rounded to EXACT_DIGITS
+_LARGEST_INTEGER = 10**EXACT_DIGITS
+# Integers beyond it are objects, of which NumPy takes no functions
+_LARGEST_OF_NUMPY = int(np.iinfo(np.int64).max)
 _SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number except for rounding
 
 
@@ -106,7 +108,7 @@ NUMPY: dict[str, Callable[..., object]] = {
 def in_floats(expression: sp.Basic) -> sp.Basic:
     """An expression with floating-point numbers for integers that NumPy takes for objects."""
     large = [n for n in expression.atoms(sp.Integer) if abs(n) > _LARGEST_OF_NUMPY]
-    return expression.xreplace({n: sp.Float(n, _DIGITS) for n in large})
+    return expression.xreplace({n: sp.Float(n, EXACT_DIGITS) for n in large})
 
 
 def stable(expression: sp.Expr) -> sp.Expr:
@@ -328,7 +330,7 @@ def _scaled_as_elsewhere(
             scale, times = power.args[0] / base, exponent / power.args[1]
             if not times.is_Integer or factor == power or not scale.is_Rational:
                 continue
-            left = sp.N(number, _DIGITS) / sp.N(scale, _DIGITS) ** exponent
+            left = sp.N(number, EXACT_DIGITS) / sp.N(scale, EXACT_DIGITS) ** exponent
             if 1 / _ORDINARY_RATIO <= abs(left) <= _ORDINARY_RATIO:
                 remaining = (f for f in factors if f is not factor)
                 return sp.Mul(_rational(left), power**times, *remaining)
@@ -376,7 +378,7 @@ def _size(number: sp.Expr) -> sp.Rational | None:
     """The absolute value of a number as a fraction."""
     if number.is_Rational:
         return abs(number)
-    decimal = sp.N(abs(number), _DIGITS)
+    decimal = sp.N(abs(number), EXACT_DIGITS)
     return sp.Rational(str(decimal)) if decimal.is_Float else None
 
 
@@ -384,7 +386,7 @@ def _rational(number: sp.Expr) -> sp.Expr:
     """A number as a fraction of limited length."""
     if number.is_Rational and max(abs(number.p), number.q) <= _LARGEST_INTEGER:
         return number
-    return sp.Rational(str(sp.N(number, _DIGITS)))
+    return sp.Rational(str(sp.N(number, EXACT_DIGITS)))
 
 
 def _logarithm(logarithm: sp.Expr) -> sp.Expr:

@@ -23,9 +23,9 @@ from rankone.problem.tables.term_table import (
     Value,
     rational,
 )
+from rankone.support.precision import EXACT_DIGITS
 
 _HIGHEST_POWER = 8  # Of an unknown; higher ones of numbers of any size are for the general way
-_DIGITS = 20  # Decimal digits of numbers that are no fractions: a few more than floats hold
 _LONG = 4  # Arguments of this many terms and more are searched for what cancels
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)
@@ -175,7 +175,7 @@ class TermSums:
             function = self.functions[f]
             if f and function.is_number:
                 if f not in self._fractions:
-                    self._fractions[f] = Fraction(str(sp.N(function, _DIGITS)))
+                    self._fractions[f] = Fraction(str(sp.N(function, EXACT_DIGITS)))
                 f, coefficient = 0, coefficient * self._fractions[f]
             changed[f, symbols] = changed.get((f, symbols), 0) + coefficient
         return changed

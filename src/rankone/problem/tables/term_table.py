@@ -18,10 +18,11 @@ import sympy as sp
 from sympy.core.function import Application
 
 from rankone.problem.box import Box
-from rankone.problem.expressions.derivatives import rate_of
+from rankone.problem.expressions.derivatives import KEPT, rate_of
 from rankone.problem.expressions.notation import exact
 from rankone.support.arrays import Deferred, Item
 from rankone.support.errors import ProblemError
+from rankone.support.precision import MANY_STATES
 from rankone.tensors.bases.coordinates import name_of
 
 Product = tuple[int, tuple[int, ...]]
@@ -259,11 +260,10 @@ def rational(number: Fraction) -> sp.Rational:
 # written out when somebody looks at them.
 
 
-FEWEST_TABULATED = 64
+FEWEST_TABULATED = MANY_STATES
 """Unknowns from which a problem is kept as a table: fewer are compiled as quickly either way."""
 # Functions that a coefficient may have: they are smooth wherever they are finite
 _SMOOTH = (sp.sin, sp.cos, sp.tan, sp.exp, sp.sinh, sp.cosh, sp.tanh)
-_KEPT = 10_000  # Fractions of numbers that are kept
 
 Entry = tuple[Fraction, int, int, tuple[int, ...]]
 """Coefficient, state whose rate it is in, number of the function, states multiplied."""
@@ -449,14 +449,14 @@ def has_distinct_names(
     return len({*names}) == len(names) and all(n.isprintable() and n.strip() for n in names)
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def fraction_of(number: float) -> Fraction:
     """The decimal fraction that a number stands for; see :func:`exact`."""
     rational = exact(sp.Float(number))
     return Fraction(int(rational.p), int(rational.q))
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def _rational(number: float) -> sp.Rational | None:
     try:
         return exact(sp.Float(number))
