@@ -11,28 +11,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from rankone.inference.calibration import result
 from rankone.inference.calibration.experiment_objective import COARSE
 from rankone.inference.calibration.records import Interval
-from rankone.inference.calibration.result import (
-    Box,
-    Calibration,
-    Reach,
-    covariance_of,
-    deviations_at,
-    unidentified,
-)
 from rankone.inference.calibration.trajectory_likelihood import OfExperiments, profile_reaches
+from rankone.inference.estimation import least_squares
 from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.free_parameters import SAME, Bounds, FreeParameters
-from rankone.inference.estimation.least_squares import (
-    Descent,
-    Expansion,
-    Starts,
-    bounded_step,
-    descents,
-    random_starts,
-)
 from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
@@ -49,7 +35,7 @@ MOST_END_PARAMETERS = 6
 _SEARCHES = ("trajectories", "boxes")
 
 
-@takes_options_of(Starts)
+@takes_options_of(least_squares.Starts)
 def calibrate(
     problem: Problem,
     experiments: Experiment | Sequence[Experiment],
@@ -60,7 +46,7 @@ def calibrate(
     box: bool = True,
     rtol: float = 1e-5,
     **options: Any,
-) -> Calibration:
+) -> result.Calibration:
     """Parameters from data over bounds that are too wide for one solution.
 
     Random starts go down by least squares on trajectories and their exact derivatives. Around the
@@ -108,7 +94,7 @@ def calibrate(
     check_kind("calibrate", problem, Problem, remedy="build one with rankone.Problem(...)")
     if search not in _SEARCHES:
         raise OptionError(f"search={search!r} is unknown", remedy=f"use {listing(_SEARCHES)}")
-    begin = Starts(**options).checked()
+    begin = least_squares.Starts(**options).checked()
     if begin.executor is not None and search == "boxes":
         raise OptionError(
             "search='boxes' takes no executor: each box begins where the one before led",
@@ -126,7 +112,9 @@ def calibrate(
     _check_conditions(likelihood)
     middle = likelihood.expanded(np.full(len(likelihood.names), 0.5))
     boxes = BoxSearch(problem, listed, likelihood, middle, rtol, _own_bounds(likelihood, bounds))
-    ways = _by_boxes(boxes, begin) if search == "boxes" else descents(likelihood, begin)
+    ways = (
+        _by_boxes(boxes, begin) if search == "boxes" else least_squares.descents(likelihood, begin)
+    )
     return _result(boxes, ways, box)
 
 
@@ -148,13 +136,13 @@ def _own_bounds(likelihood: OfExperiments, bounds: Bounds) -> dict[str, tuple[fl
     return {name: ends for name, ends in named.items() if name not in likelihood.dynamic}
 
 
-def _by_boxes(boxes: BoxSearch, begin: Starts) -> list[Descent]:
+def _by_boxes(boxes: BoxSearch, begin: least_squares.Starts) -> list[least_squares.Descent]:
     """Ways down from box to box, the best first."""
     ways, rtol = [], boxes.rtol
-    for z in random_starts(begin.starts, len(boxes.likelihood.names), begin.seed):
+    for z in least_squares.random_starts(begin.starts, len(boxes.likelihood.names), begin.seed):
         boxes.at, before = boxes.likelihood.expanded(z), len(boxes.boxes)
         boxes.rtol = max(rtol, COARSE)
-        way = Descent(boxes.at, z)
+        way = least_squares.Descent(boxes.at, z)
         if np.isfinite(boxes.at.cost):
             way.arrived = boxes.search()
         way.at, way.iterations = boxes.at, len(boxes.boxes) - before
@@ -163,18 +151,18 @@ def _by_boxes(boxes: BoxSearch, begin: Starts) -> list[Descent]:
     return sorted(ways, key=lambda way: way.at.cost)
 
 
-def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
+def _result(boxes: BoxSearch, ways: list[least_squares.Descent], box: bool) -> result.Calibration:
     """What is said of the best way, with a box around its end."""
     likelihood, boxes.at = boxes.likelihood, ways[0].at
     boxes.fit = boxes.solution = None
-    remark, reaches = "", dict[str, Reach]()
+    remark, reaches = "", dict[str, result.Reach]()
     if np.isfinite(boxes.at.cost):
         reaches = profile_reaches(likelihood, boxes.at)
         remark = _around(boxes, reaches) if box else ""
         if boxes.at.cost < ways[0].at.cost - UNNOTICED:
             reaches = profile_reaches(likelihood, boxes.at)
     ways[0].at = boxes.at
-    return Calibration.of(
+    return result.Calibration.of(
         likelihood,
         ways,
         reaches,
@@ -186,12 +174,12 @@ def _result(boxes: BoxSearch, ways: list[Descent], box: bool) -> Calibration:
     )
 
 
-def _around(boxes: BoxSearch, reaches: Mapping[str, Reach]) -> str:
+def _around(boxes: BoxSearch, reaches: Mapping[str, result.Reach]) -> str:
     """Take a box around the optimum; a sentence that says why there is none."""
     likelihood = boxes.likelihood
-    deviations = deviations_at(boxes.at, likelihood.variance(boxes.at))
+    deviations = result.deviations_at(boxes.at, likelihood.variance(boxes.at))
     free = {
-        *unidentified(likelihood.names, deviations),
+        *result.unidentified(likelihood.names, deviations),
         *(n for n, reach in reaches.items() if reach.free),
     }
     inside = {name: reaches[name] for name in likelihood.dynamic if name not in free}
@@ -287,7 +275,7 @@ def box_around(
         sizes = np.abs(np.diag(r))[:MOST_PARAMETERS]
         count = max(int(np.sum(sizes > TUNING.insensitive * sizes[0])), 1)
     chosen = order[:count]
-    spreads = np.sqrt(np.diag(covariance_of(rest[:, chosen])))
+    spreads = np.sqrt(np.diag(result.covariance_of(rest[:, chosen])))
     deviations = dict(zip(chosen.tolist(), spreads.tolist(), strict=True))
     return {
         name: _interval(free, name, values[name], deviations[j])
@@ -337,10 +325,10 @@ class BoxSearch:
     problem: Problem
     experiments: Sequence[Experiment]
     likelihood: OfExperiments
-    at: Expansion
+    at: least_squares.Expansion
     rtol: float
     bounds: Mapping[str, tuple[float | str, ...]] = field(default_factory=dict)
-    boxes: list[Box] = field(default_factory=list)
+    boxes: list[result.Box] = field(default_factory=list)
     fit: Fit | None = None
     solution: Solution | None = None
 
@@ -349,7 +337,7 @@ class BoxSearch:
         factor, before = 1.0, len(self.boxes)
         while True:
             taken = len(self.boxes) - before
-            if taken and bounded_step(self.at, 1.0)[1] <= UNNOTICED:
+            if taken and least_squares.bounded_step(self.at, 1.0)[1] <= UNNOTICED:
                 return True
             if taken == TUNING.most_boxes or factor <= TUNING.least_factor:
                 return False
@@ -361,7 +349,7 @@ class BoxSearch:
                 factor * (TUNING.growing if grows else TUNING.shrinking), TUNING.most_factor
             )
 
-    def around(self, reaches: Mapping[str, Reach]) -> None:
+    def around(self, reaches: Mapping[str, result.Reach]) -> None:
         """A box around the optimum that holds the intervals of some parameters.
 
         It shrinks until it is solved, and moves where the fit ends at one of its sides.
@@ -377,7 +365,7 @@ class BoxSearch:
             at = self.likelihood.named(self.at.z)
             self.fit = replace(self.fit, held={name: at[name] for name in held})
 
-    def _end_sides(self, name: str, reach: Reach, factor: float) -> tuple[float, float]:
+    def _end_sides(self, name: str, reach: result.Reach, factor: float) -> tuple[float, float]:
         """How far the box goes from the optimum to either side, in z."""
         z, unit = self.at.z[self.likelihood.names.index(name)], self._unit(name)
         lengths = np.maximum([z - reach.lower, reach.upper - z], 0.0)
@@ -406,7 +394,7 @@ class BoxSearch:
         if len(dynamic) <= most:
             return list(dynamic)
         units = factor * np.array([self._unit(name) for name in dynamic])
-        step, _ = bounded_step(self.at, float(units.max()))
+        step, _ = least_squares.bounded_step(self.at, float(units.max()))
         columns = [names.index(name) for name in dynamic]
         weighed = self.at.jacobian[:, columns] * (np.abs(step[columns]) + 0.01 * units)
         _, r, order = scipy.linalg.qr(weighed, mode="economic", pivoting=True)
@@ -414,11 +402,11 @@ class BoxSearch:
         sensitive = max(int(np.sum(sizes > TUNING.insensitive * sizes[0])), 1)
         return [dynamic[j] for j in sorted(order[:sensitive])]
 
-    def _taken(self, sides: Mapping[str, tuple[float, float]]) -> Box:
+    def _taken(self, sides: Mapping[str, tuple[float, float]]) -> result.Box:
         """Solve on the box that goes so far in z from the best point, and fit in it."""
         intervals = self._intervals(sides)
         solution = self._solved(intervals)
-        box = Box(intervals, solution is not None, self.rtol)
+        box = result.Box(intervals, solution is not None, self.rtol)
         if solution is not None:
             box = self._fitted(solution, box)
         self.boxes.append(box)
@@ -463,7 +451,7 @@ class BoxSearch:
         margin = 0.0 if low < high else TUNING.margin * (abs(low) or 1.0)
         return low - margin, high + margin
 
-    def _fitted(self, solution: Solution, box: Box) -> Box:
+    def _fitted(self, solution: Solution, box: result.Box) -> result.Box:
         """Fit in a box, and go where trajectories say that it is better."""
         at = self.likelihood.named(self.at.z)
         fit = fit_experiments(
@@ -483,7 +471,7 @@ class BoxSearch:
             self.at = trial
         return box._replace(log_likelihood=log_likelihood, inside=inside and agrees)
 
-    def _is_inside(self, name: str, x: float, box: Box) -> bool:
+    def _is_inside(self, name: str, x: float, box: result.Box) -> bool:
         """Whether a fit is away from the sides of a box, or at a bound."""
         free = self.likelihood.likelihood.free
         j = free.names.index(name)

@@ -12,14 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from rankone.inference.calibration import experiment_objective
 from rankone.inference.calibration.calibrate import box_around
-from rankone.inference.calibration.experiment_objective import (
-    ACCURACY,
-    Evaluation,
-    Objective,
-    check_bounds,
-    coordinates_of,
-)
 from rankone.inference.calibration.petab_files import open_petab, records_of
 from rankone.inference.calibration.records import Free, Parameter, Records, Settings, parameter_rows
 from rankone.inference.calibration.result import Calibration, linear_reaches
@@ -92,7 +86,10 @@ class CalibrationProblem:
         return tuple(name for name, p in self.parameters.items() if p.estimated)
 
     def objective(
-        self, values: Mapping[str, float] | None = None, *, rtol: float = ACCURACY
+        self,
+        values: Mapping[str, float] | None = None,
+        *,
+        rtol: float = experiment_objective.ACCURACY,
     ) -> float:
         """Minus the logarithm of the likelihood of the measurements, and of the priors.
 
@@ -124,8 +121,11 @@ class CalibrationProblem:
         return self._evaluated(values, (), rtol).objective
 
     def evaluate(
-        self, values: Mapping[str, float] | None = None, *, rtol: float = ACCURACY
-    ) -> Evaluation:
+        self,
+        values: Mapping[str, float] | None = None,
+        *,
+        rtol: float = experiment_objective.ACCURACY,
+    ) -> experiment_objective.Evaluation:
         """The objective with its gradient, residuals and their Jacobian.
 
         Derivatives are forward sensitivities of the trajectories, by the coordinates of the
@@ -283,11 +283,14 @@ class CalibrationProblem:
         if isinstance(box, Mapping):
             return box, around.x
         active, estimated = self._settings.active, [self.parameters[n] for n in self.estimated]
-        check_bounds(estimated)
+        experiment_objective.check_bounds(estimated)
         if box is not None:
             box_of(self.parameters, active, around.x, box, _SPREAD)  # raises for what is no name
         jacobian = self.evaluate(around.x).jacobian * [p.width for p in estimated]
-        free, values = coordinates_of(estimated, self.point(around.x)), self.point(around.x)
+        free, values = (
+            experiment_objective.coordinates_of(estimated, self.point(around.x)),
+            self.point(around.x),
+        )
         return box_around(free, jacobian, values, active, box), around.x
 
     def point(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
@@ -325,12 +328,12 @@ class CalibrationProblem:
     # -- evaluation -------------------------------------------------------------------------------
 
     @cached_property
-    def _objective(self) -> Objective:
-        return Objective(self._records, self._settings)
+    def _objective(self) -> experiment_objective.Objective:
+        return experiment_objective.Objective(self._records, self._settings)
 
     def _evaluated(
         self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
-    ) -> Evaluation:
+    ) -> experiment_objective.Evaluation:
         point = self.point(values)
         accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
         return self._objective.evaluated(point, by, accuracy)

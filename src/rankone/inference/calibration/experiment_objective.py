@@ -30,15 +30,8 @@ from rankone.inference.estimation.free_parameters import FreeParameters
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
+from rankone.support import errors
 from rankone.support.arrays import Array
-from rankone.support.errors import (
-    BlowUpError,
-    ConvergenceError,
-    EvaluationError,
-    OptionError,
-    ProblemError,
-    RankoneError,
-)
 from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import listing, quote
 from rankone.tensors.bases.coordinates import Coordinates
@@ -111,7 +104,7 @@ class _Block:
         if wrong.size:
             value = predicted[wrong[0]]
             what = ", which has no logarithm," if np.isfinite(value) else ""
-            raise EvaluationError(
+            raise errors.EvaluationError(
                 f"the observable {quote(name)} is {value:.6g}{what} at row "
                 f"{self.rows[wrong[0]] + 1} of the measurement table",
                 term=name,
@@ -119,7 +112,7 @@ class _Block:
             )
         wrong = np.flatnonzero(~(noise > 0.0))
         if wrong.size:
-            raise ProblemError(
+            raise errors.ProblemError(
                 f"the noise of {quote(name)} is {noise[wrong[0]] / self.unit:.6g} at row "
                 f"{self.rows[wrong[0]] + 1} of the measurement table",
                 term=name,
@@ -246,14 +239,16 @@ def coordinates_of(parameters: Sequence[Parameter], values: Mapping[str, float])
 def check_bounds(parameters: Sequence[Parameter]) -> None:
     """Raise an OptionError if there is none, or bounds are not finite on their scale."""
     if not parameters:
-        raise OptionError("no parameter of the table is estimated", remedy="set estimate to 1")
+        raise errors.OptionError(
+            "no parameter of the table is estimated", remedy="set estimate to 1"
+        )
     endless = [
         p.name
         for p in parameters
         if not (math.isfinite(p.scaled(p.lower)) and math.isfinite(p.scaled(p.upper)))
     ]
     if endless:
-        raise OptionError(
+        raise errors.OptionError(
             f"{listing(endless)} have no finite bounds on their scale",
             term=endless[0],
             remedy="give positive bounds, or the scale `lin`",
@@ -300,7 +295,7 @@ class CompiledModel:
     def check_smooth(self, by: Sequence[str]) -> None:
         """Raise if a parameter of the table that derivatives are asked for decides on jumps."""
         if by and jumps_with_states(self.compiled):
-            raise ProblemError(
+            raise errors.ProblemError(
                 "rates jump with the states, and cannot be differentiated yet",
                 remedy="ask for the objective alone",
             )
@@ -309,7 +304,7 @@ class CompiledModel:
             numbers = self.settings.at[condition.name]
             for name in sorted(decisive):
                 if numbers[name] in by:
-                    raise ProblemError(
+                    raise errors.ProblemError(
                         f"rates jump where {quote(name)} says, and it is estimated: nothing can be "
                         "differentiated by it yet",
                         term=numbers[name],
@@ -360,7 +355,7 @@ class ExperimentSolution(IntegratedSolution):
         self._coordinates = Coordinates((metadata.time, *names), ((0.0, np.inf), *box))
         count = len(model.records.experiments)
         self.most_work = np.inf if exact else _MOST_WORK / count
-        self.failures = () if exact else (*IntegratedSolution.failures, RankoneError)
+        self.failures = () if exact else (*IntegratedSolution.failures, errors.RankoneError)
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.model, self.experiment, self.tolerance, self.exact)
@@ -409,7 +404,7 @@ class ExperimentSolution(IntegratedSolution):
         reached = np.isfinite(followed.states).all(axis=1)
         if not reached.all():
             time = float(times[reached].max(initial=0.0))
-            raise BlowUpError(
+            raise errors.BlowUpError(
                 f"the trajectory of {quote(self.experiment.name)} cannot be continued beyond "
                 f"t = {time:.6g}",
                 time=time,
@@ -468,8 +463,8 @@ class _Point:
         self._check_rest(start.state)
         try:
             state = steady(moved[:, None])[:, 0]
-        except (ConvergenceError, BlowUpError) as error:
-            raise ConvergenceError(
+        except (errors.ConvergenceError, errors.BlowUpError) as error:
+            raise errors.ConvergenceError(
                 f"no steady state is reached: {error.message}",
                 remedy="the parameters are probably far from those of the data",
             ) from None
@@ -485,7 +480,9 @@ class _Point:
             tolerances = _relative_to(states[:, k], COARSE)
             (path,) = SingleIntegrator().paths(self.system, point[None], span, tolerances)
             if path.end < end:
-                raise BlowUpError(f"a trajectory blows up at t = {path.end:.6g}", time=path.end)
+                raise errors.BlowUpError(
+                    f"a trajectory blows up at t = {path.end:.6g}", time=path.end
+                )
             ends[:, k], largest[:, k] = path.state, path.largest()
         return ends, largest
 
@@ -495,7 +492,7 @@ class _Point:
         rates = [self.system.rhs(at, *columns) for at in (0.0, *(f * horizon for f in _LATER))]
         sizes = np.abs(state).max(initial=0.0) / horizon
         if np.abs(np.diff(np.stack(rates), axis=0)).max(initial=0.0) > NEGLIGIBLE * sizes:
-            raise ProblemError(
+            raise errors.ProblemError(
                 "rates at a steady state depend on the time",
                 remedy="give a condition before the start in which nothing depends on the time",
             )
@@ -557,7 +554,7 @@ def _usual(parameter: Parameter) -> float:
     ends = parameter.scaled(parameter.lower), parameter.scaled(parameter.upper)
     middle = parameter.value(0.5 * sum(ends))
     if not np.isfinite(middle):
-        raise ProblemError(
+        raise errors.ProblemError(
             f"parameter {quote(parameter.name)} has neither a nominal value nor finite bounds",
             term=parameter.name,
         )

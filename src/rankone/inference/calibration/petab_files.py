@@ -13,27 +13,20 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.inference.calibration.records import (
-    SCALES,
-    Assigned,
-    Condition,
-    Observable,
-    Parameter,
-    Prior,
-    Records,
-    Series,
-    SimulatedExperiment,
-)
+from rankone.inference.calibration import records
 from rankone.inference.estimation.formulas import Formula, formula_of
 from rankone.problem.models.model import Model
 from rankone.problem.models.sbml import read_with_starts
 from rankone.support.errors import OptionError, ProblemError, optional_module
 from rankone.support.files import as_path
 from rankone.support.wording import clip, count, did_you_mean, listing, quote
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _PRIORS = {
     "uniform": ("uniform", "lin"),
@@ -166,7 +159,7 @@ def _messages() -> Iterator[list[str]]:
         logger.propagate, logger.handlers = before
 
 
-def records_of(problem: Any, path: str | PathLike[str]) -> Records:
+def records_of(problem: Any, path: str | PathLike[str]) -> records.Records:
     """The records of a problem of ``petab``."""
     if not len(problem.measurement_df):
         raise ProblemError("the measurement table has no rows", remedy="there is nothing to fit")
@@ -182,7 +175,7 @@ def records_of(problem: Any, path: str | PathLike[str]) -> Records:
     }
     series = tuple(_series(problem.measurement_df, observables, [*experiments]))
     _check_names(model, {parameter.name for parameter in parameters}, series)
-    return Records(
+    return records.Records(
         name=Path(path).stem,
         model=model,
         starts=starts,
@@ -196,7 +189,7 @@ def _check_model(
     model: Model,
     starts: Mapping[str, str],
     parameters: Sequence[str],
-    conditions: Collection[Condition],
+    conditions: Collection[records.Condition],
 ) -> None:
     """Raise a ProblemError if the model has events, or determines what tables set."""
     if model.happenings:
@@ -225,7 +218,9 @@ def _check_model(
             )
 
 
-def _check_names(model: Model, parameters: Collection[str], series: Iterable[Series]) -> None:
+def _check_names(
+    model: Model, parameters: Collection[str], series: Iterable[records.Series]
+) -> None:
     """Raise a ProblemError for names in formulas or placeholders that have no value."""
     names = {*(symbol.name for symbol in model.rates), *parameters, *model.parameters, "time"}
     for each in series:
@@ -258,18 +253,18 @@ def _model_file(path: str | PathLike[str]) -> Path:
 # -- parameters and conditions --------------------------------------------------------------------
 
 
-def _is_empty(cell: Any) -> bool:
+def _is_empty(cell: object) -> bool:
     return cell is None or cell == "" or (isinstance(cell, float) and math.isnan(cell))
 
 
-def _number(row: Any, column: str) -> float:
+def _number(row: pd.Series, column: str) -> float:
     return math.nan if _is_empty(row.get(column)) else float(row[column])
 
 
-def _parameters(table: Any) -> Iterator[Parameter]:
+def _parameters(table: pd.DataFrame) -> Iterator[records.Parameter]:
     for name, row in table.iterrows():
         scale = "lin" if _is_empty(row.get("parameterScale")) else str(row["parameterScale"])
-        if scale not in SCALES:
+        if scale not in records.SCALES:
             raise ProblemError(
                 f"the parameter table gives {quote(name)} the scale {quote(scale)}", term=name
             )
@@ -277,10 +272,10 @@ def _parameters(table: Any) -> Iterator[Parameter]:
         bounds = _number(row, "lowerBound"), _number(row, "upperBound")
         nominal = _number(row, "nominalValue")
         prior = _prior(str(name), row, scale) if estimated else None
-        yield Parameter(str(name), scale, *bounds, nominal, estimated, prior)
+        yield records.Parameter(str(name), scale, *bounds, nominal, estimated, prior)
 
 
-def _prior(name: str, row: Any, scale: str) -> Prior | None:
+def _prior(name: str, row: pd.Series, scale: str) -> records.Prior | None:
     """What the objective adds for a parameter; nothing unless a prior of the objective is named."""
     kind = row.get("objectivePriorType")
     if _is_empty(kind):
@@ -296,7 +291,7 @@ def _prior(name: str, row: Any, scale: str) -> Prior | None:
         return None
     shape, coordinate = _PRIORS[kind]
     first, second = _prior_numbers(name, shape, str(numbers))
-    return Prior(shape, coordinate or scale, first, second, of_value=coordinate is not None)
+    return records.Prior(shape, coordinate or scale, first, second, of_value=coordinate is not None)
 
 
 def _prior_numbers(name: str, shape: str, text: str) -> tuple[float, float]:
@@ -316,7 +311,7 @@ def _prior_numbers(name: str, shape: str, text: str) -> tuple[float, float]:
     return first, second
 
 
-def _assigned(cell: Any) -> Assigned:
+def _assigned(cell: float | str) -> records.Assigned:
     """A number, or the name of a parameter."""
     try:
         return float(cell)
@@ -324,17 +319,17 @@ def _assigned(cell: Any) -> Assigned:
         return str(cell).strip()
 
 
-def _conditions(table: Any) -> dict[str, Condition]:
+def _conditions(table: pd.DataFrame) -> dict[str, records.Condition]:
     columns = [column for column in table.columns if column != "conditionName"]
     return {
-        str(name): Condition(
+        str(name): records.Condition(
             str(name), {c: None if _is_empty(row[c]) else _assigned(row[c]) for c in columns}
         )
         for name, row in table.iterrows()
     }
 
 
-def _experiment_keys(table: Any) -> list[tuple[str, str]]:
+def _experiment_keys(table: pd.DataFrame) -> list[tuple[str, str]]:
     """The conditions of each measurement, before and during it; the first may be empty."""
     before = ["" if _is_empty(row.get("preequilibrationConditionId")) else
               str(row["preequilibrationConditionId"]) for _, row in table.iterrows()]  # fmt: skip
@@ -342,15 +337,15 @@ def _experiment_keys(table: Any) -> list[tuple[str, str]]:
 
 
 def _experiments(
-    table: Any, conditions: dict[str, Condition]
-) -> dict[tuple[str, str], SimulatedExperiment]:
+    table: pd.DataFrame, conditions: dict[str, records.Condition]
+) -> dict[tuple[str, str], records.SimulatedExperiment]:
     return {
-        key: SimulatedExperiment(conditions[key[1]], conditions[key[0]] if key[0] else None)
+        key: records.SimulatedExperiment(conditions[key[1]], conditions[key[0]] if key[0] else None)
         for key in dict.fromkeys(_experiment_keys(table))
     }
 
 
-def _check_sizes(model: Any, experiments: Iterable[SimulatedExperiment]) -> None:
+def _check_sizes(model: Any, experiments: Iterable[records.SimulatedExperiment]) -> None:
     """Raise where a compartment changes after a steady state: what becomes of its contents?"""
     for compartment in model.getListOfCompartments():
         name = compartment.getId()
@@ -369,22 +364,22 @@ def _check_sizes(model: Any, experiments: Iterable[SimulatedExperiment]) -> None
 # -- observables and measurements -----------------------------------------------------------------
 
 
-def _observable(name: str, row: Any, model: Model) -> Observable:
+def _observable(name: str, row: pd.Series, model: Model) -> records.Observable:
     distribution = "normal" if _is_empty(row.get("noiseDistribution")) else row["noiseDistribution"]
     cell = row.get("observableTransformation")
     transformation = "lin" if _is_empty(cell) else str(cell)
-    if distribution not in _DISTRIBUTIONS or transformation not in SCALES:
+    if distribution not in _DISTRIBUTIONS or transformation not in records.SCALES:
         raise ProblemError(
             f"the observable table, row {quote(name)}: noise {quote(distribution)} on the scale "
             f"{quote(transformation)} is not supported",
             term=name,
-            remedy=f"noise is {listing(_DISTRIBUTIONS)}, scales are {listing(SCALES)}",
+            remedy=f"noise is {listing(_DISTRIBUTIONS)}, scales are {listing(records.SCALES)}",
         )
     formula, noise = (_formula(name, row[f"{c}Formula"], c, model) for c in ("observable", "noise"))
-    return Observable(name, formula, noise, transformation, str(distribution))
+    return records.Observable(name, formula, noise, transformation, str(distribution))
 
 
-def _formula(name: str, text: Any, column: str, model: Model) -> Formula:
+def _formula(name: str, text: object, column: str, model: Model) -> Formula:
     """A formula in states, numbers of the model, parameters and time."""
     sympify = optional_module("petab.v1.math", "formulas of PEtab need petab", "").sympify_petab
     expression = model.in_states(sympify(text))
@@ -399,8 +394,10 @@ def _formula(name: str, text: Any, column: str, model: Model) -> Formula:
 
 
 def _series(
-    table: Any, observables: dict[str, Observable], experiments: Sequence[tuple[str, str]]
-) -> Iterator[Series]:
+    table: pd.DataFrame,
+    observables: dict[str, records.Observable],
+    experiments: Sequence[tuple[str, str]],
+) -> Iterator[records.Series]:
     """The measurements of each observable that has some."""
     keys = _experiment_keys(table)
     for name, observable in observables.items():
@@ -409,7 +406,7 @@ def _series(
             continue
         some = table.iloc[rows]
         _check_measurements(rows, some)
-        yield Series(
+        yield records.Series(
             observable,
             rows,
             np.array([experiments.index(keys[k]) for k in rows]),
@@ -419,7 +416,7 @@ def _series(
         )
 
 
-def _check_measurements(rows: Sequence[int], some: Any) -> None:
+def _check_measurements(rows: Sequence[int], some: pd.DataFrame) -> None:
     """Raise a ProblemError if a time or a measurement is not a number that may be."""
     for row, at, measured in zip(rows, some["time"], some["measurement"], strict=True):
         if not float(at) >= 0.0:
@@ -434,9 +431,9 @@ def _check_measurements(rows: Sequence[int], some: Any) -> None:
             )
 
 
-def _placeholders(name: str, some: Any) -> dict[str, list[Assigned]]:
+def _placeholders(name: str, some: pd.DataFrame) -> dict[str, list[records.Assigned]]:
     """What rows put in the place of ``observableParameter1_name`` and the like, a value each."""
-    placeholders: dict[str, list[Assigned]] = {}
+    placeholders: dict[str, list[records.Assigned]] = {}
     for word in ("observable", "noise"):
         for _, row in some.iterrows():
             cell = row.get(f"{word}Parameters")

@@ -11,34 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.calibration.experiment_objective import (
-    Objective,
-    deciding_jumps,
-    jumps_with_states,
-)
-from rankone.inference.calibration.result import (
-    Comparison,
-    Reach,
-    compared,
-    covariance_at,
-    limited_by,
-    linear_reaches,
-    spread_of,
-    unidentified,
-)
+from rankone.inference.calibration import experiment_objective, result
+from rankone.inference.estimation import least_squares
 from rankone.inference.estimation.experiments import Experiment, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
 from rankone.inference.estimation.free_parameters import SAME, Bounds, ends_at_bounds
 from rankone.inference.estimation.identification import MOST_REFINEMENTS, between
 from rankone.inference.estimation.intervals import quantile_of
-from rankone.inference.estimation.least_squares import (
-    LARGEST_RADIUS,
-    LEAST_RADIUS,
-    Expansion,
-    bounded_step,
-    minima,
-)
 from rankone.inference.estimation.likelihood import (
     START_ROUNDS,
     Held,
@@ -77,7 +57,7 @@ class OfExperiments:
         fixed: Mapping[object, float] | None,
     ) -> OfExperiments:
         """The likelihood of experiments; the bounds are those of the problem unless given."""
-        if jumps_with_states(compiled):
+        if experiment_objective.jumps_with_states(compiled):
             raise ProblemError(
                 "rates jump with the states: trajectories cannot be differentiated yet",
                 remedy="write a smooth transition, or `max` and `min` if nothing jumps; a solution "
@@ -86,7 +66,9 @@ class OfExperiments:
         integrated = IntegratedSolution(compiled.system, compiled.metadata())
         trials = trials_of([(integrated, each) for each in experiments])
         likelihood = problem_of(trials, Options(bounds=bounds, fixed=fixed))
-        for name in sorted(deciding_jumps(compiled) & {*likelihood.free.names}):
+        for name in sorted(
+            experiment_objective.deciding_jumps(compiled) & {*likelihood.free.names}
+        ):
             raise ProblemError(
                 f"rates jump where {quote(name)} says: nothing can be differentiated by it yet",
                 term=name,
@@ -111,7 +93,7 @@ class OfExperiments:
         """Those that trajectories depend on; the others belong to observables and noise."""
         return tuple(name for name in self.names if name in self.parameters)
 
-    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
+    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> least_squares.Expansion:
         """At z (n,); see :class:`~rankone.inference.estimation.least_squares.Expandable`.
 
         Coordinates that are ``held`` (n,) do not move to their best values. A deviation that is
@@ -137,18 +119,18 @@ class OfExperiments:
         """The coordinates z (n,) of parameters by name."""
         return self.likelihood.free.places(np.array([values[name] for name in self.names]))
 
-    def log_likelihood(self, at: Expansion) -> float:
+    def log_likelihood(self, at: least_squares.Expansion) -> float:
         """The logarithm of the density of the data with all constants, by trajectories."""
         if not np.isfinite(at.cost):
             return -np.inf
         return self.likelihood.largest_log_likelihood(at.z, self._squares(at))
 
-    def comparisons(self, at: Expansion) -> tuple[Comparison, ...]:
+    def comparisons(self, at: least_squares.Expansion) -> tuple[result.Comparison, ...]:
         """Measurements and predictions at z (n,); none without trajectories."""
         if not np.isfinite(at.cost):
             return ()
         variance, unit = self.variance(at), 1.0
-        covariance = covariance_at(at, variance)
+        covariance = result.covariance_at(at, variance)
         if not self.likelihood.unit_known:
             unit = math.sqrt(self._squares(at) / self._freedom)
         each = self.likelihood.predictions(self.likelihood.free.values(at.z[None]))
@@ -163,22 +145,22 @@ class OfExperiments:
                 np.broadcast_to(value_of(each), (1, size))[0] for each in (own.value, own.sigma)
             )
             comparisons.append(
-                compared(
+                result.compared(
                     (observations.names[i], trial.name),
                     (observations.times[here], observations.values[here]),
                     predicted,
                     sigma * unit,
-                    spread_of(at.jacobian[rows], covariance) / math.sqrt(variance),
+                    result.spread_of(at.jacobian[rows], covariance) / math.sqrt(variance),
                     "log" if noise.logarithmic else "lin",
                 )
             )
         return tuple(comparisons)
 
-    def variance(self, at: Expansion) -> float:
+    def variance(self, at: least_squares.Expansion) -> float:
         """The variance of the residuals; one where standard deviations are known or estimated."""
         return 1.0 if self.likelihood.unit_known else self.likelihood.size / self._freedom
 
-    def _squares(self, at: Expansion) -> float:
+    def _squares(self, at: least_squares.Expansion) -> float:
         """The cost where standard deviations are known, else the sum of squares."""
         if self.likelihood.unit_known:
             return at.cost
@@ -206,7 +188,7 @@ class OfExperiments:
         noise_given = self.likelihood.unit_known and not self.likelihood.levels
         return quantile_of(LEVEL, noise_given, self._freedom)
 
-    def rise(self, at: Expansion) -> float:
+    def rise(self, at: least_squares.Expansion) -> float:
         """By how much the cost is larger at the ends of intervals; see :meth:`.Intervals.rise`."""
         if self.likelihood.levels or not self.likelihood.unit_known:
             return self.likelihood.size * math.log1p(self.quantile**2 / self._freedom)
@@ -222,10 +204,12 @@ class OfFiles(OfExperiments):
     (2020) 594) are the start of a search for given states, which takes no trajectory.
     """
 
-    objective: Objective
+    objective: experiment_objective.Objective
 
     @classmethod
-    def of_problem(cls, objective: Objective, values: Mapping[str, float]) -> OfFiles:
+    def of_problem(
+        cls, objective: experiment_objective.Objective, values: Mapping[str, float]
+    ) -> OfFiles:
         """Of all estimated parameters; the others have their ``values``."""
         likelihood = objective.likelihood(values)
         return cls(objective.settings.active, likelihood, objective)
@@ -235,7 +219,7 @@ class OfFiles(OfExperiments):
         """The coordinates (n,) that are at their best."""
         return np.array([name not in self.parameters for name in self.names])
 
-    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> Expansion:
+    def expanded(self, z: Array, held: NDArray[np.bool_] | None = None) -> least_squares.Expansion:
         """At z (n,); see :class:`~rankone.inference.estimation.least_squares.Expandable`."""
         problem, free = self.likelihood, self.likelihood.free
         with np.errstate(all="ignore"):
@@ -256,11 +240,11 @@ class OfFiles(OfExperiments):
         inside = (z[nested] > 0.0) & (z[nested] < 1.0)
         if not (inside.all() and np.isin(nested, self.likelihood.closed).all()):
             held = np.tile(~self.nested, (2, 1))
-            ends = minima(_GivenStates(self.likelihood, states), starts, held)
+            ends = least_squares.minima(_GivenStates(self.likelihood, states), starts, held)
             z = ends.z[int(np.argmin(ends.cost))]
         return z, self.likelihood.free.values(z[None])
 
-    def log_likelihood(self, at: Expansion) -> float:
+    def log_likelihood(self, at: least_squares.Expansion) -> float:
         """Minus the objective, at its full accuracy; minus infinity without trajectories."""
         if not np.isfinite(at.cost):
             return -np.inf
@@ -291,10 +275,10 @@ class _GivenStates(NamedTuple):
         return self.problem.expanded(z, self.problem.free.values(z), states, still)
 
 
-def _finite(z: Array, cost: float, residuals: Array, jacobian: Array) -> Expansion:
+def _finite(z: Array, cost: float, residuals: Array, jacobian: Array) -> least_squares.Expansion:
     """An expansion, of infinite cost where not all of it is finite."""
     finite = np.isfinite(cost) and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
-    return Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
+    return least_squares.Expansion(z, float(cost) if finite else np.inf, residuals, jacobian)
 
 
 # -----------------------------------------------------------------------------
@@ -323,7 +307,7 @@ class _End(NamedTuple):
     others: tuple[str, ...] = ()
 
 
-def profile_reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
+def profile_reaches(problem: OfExperiments, at: least_squares.Expansion) -> dict[str, result.Reach]:
     """How far each parameter can go from an optimum with 95 %; levels of noise by linearisation.
 
     Not identified are those whose variance the data hardly reduce and that only bounds stop. An
@@ -331,9 +315,9 @@ def profile_reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
     a descent does not leave a valley that is flat and long.
     """
     variance = problem.variance(at)
-    covariance = covariance_at(at, variance)
-    wide = unidentified(problem.names, np.sqrt(np.diag(covariance)))
-    reaches = linear_reaches(problem.names, at, variance)
+    covariance = result.covariance_at(at, variance)
+    wide = result.unidentified(problem.names, np.sqrt(np.diag(covariance)))
+    reaches = result.linear_reaches(problem.names, at, variance)
     inside = [at]
     ways = [
         (j, sign)
@@ -350,22 +334,22 @@ def profile_reaches(problem: OfExperiments, at: Expansion) -> dict[str, Reach]:
     for j, name in enumerate(problem.names):
         if (j, 1.0) in ends:
             low, high = ends[j, -1.0], ends[j, 1.0]
-            limited = limited_by(low.bound, high.bound)
+            limited = result.limited_by(low.bound, high.bound)
             boxed = (low.bound or low.other) and (high.bound or high.other)
             free = limited == "both" or (name in wide and boxed)
             others = {*low.others, *high.others}
             names = tuple(name for name in problem.names if name in others)
-            reaches[name] = Reach(low.z, high.z, limited, free, names)
+            reaches[name] = result.Reach(low.z, high.z, limited, free, names)
     return reaches
 
 
 def _end(
     problem: OfExperiments,
-    best: Expansion,
+    best: least_squares.Expansion,
     covariance: Array,
     way: tuple[int, float],
-    point: Expansion,
-    inside: list[Expansion],
+    point: least_squares.Expansion,
+    inside: list[least_squares.Expansion],
 ) -> _End:
     """Where the rise of the cost reaches the limit in one direction, or the bound.
 
@@ -410,12 +394,14 @@ def _end(
     return _End(float(last.z[j]), False, bool(names) or not told, others)
 
 
-def _root(at: Expansion, best: Expansion, limit: float) -> float:
+def _root(at: least_squares.Expansion, best: least_squares.Expansion, limit: float) -> float:
     """The root of the rise of the cost over the limit."""
     return math.sqrt(max(at.cost - best.cost, 0.0) / limit)
 
 
-def _beyond_bounds(problem: OfExperiments, at: Expansion, j: int, limit: float) -> tuple[str, ...]:
+def _beyond_bounds(
+    problem: OfExperiments, at: least_squares.Expansion, j: int, limit: float
+) -> tuple[str, ...]:
     """Parameters at a bound that would go beyond it with one held, and lower the cost by much.
 
     Much is a share of the ``limit``.
@@ -425,7 +411,9 @@ def _beyond_bounds(problem: OfExperiments, at: Expansion, j: int, limit: float) 
     rest = np.delete(np.arange(at.z.size), j)
     slope = (at.jacobian.T @ at.residuals)[rest]
     variance = problem.variance(at)
-    covariance = np.linalg.inv(np.linalg.inv(covariance_at(at, variance))[np.ix_(rest, rest)])
+    covariance = np.linalg.inv(
+        np.linalg.inv(result.covariance_at(at, variance))[np.ix_(rest, rest)]
+    )
     step = -covariance @ slope / variance
     if -float(slope @ step) <= _HELD * limit:
         return ()
@@ -438,15 +426,15 @@ def _beyond_bounds(problem: OfExperiments, at: Expansion, j: int, limit: float) 
     )
 
 
-def _settled(problem: OfExperiments, z: Array, j: int, enough: float) -> Expansion:
+def _settled(problem: OfExperiments, z: Array, j: int, enough: float) -> least_squares.Expansion:
     """The best point with one coordinate held, from z (n,)."""
     held = np.arange(z.size) == j
-    at, radius = problem.expanded(z, held), LARGEST_RADIUS
+    at, radius = problem.expanded(z, held), least_squares.LARGEST_RADIUS
     for _ in range(MOST_REFINEMENTS):
         if not np.isfinite(at.cost):
             break
-        step, promised = bounded_step(at, np.where(held, 0.0, radius))
-        if promised <= enough or radius <= LEAST_RADIUS:
+        step, promised = least_squares.bounded_step(at, np.where(held, 0.0, radius))
+        if promised <= enough or radius <= least_squares.LEAST_RADIUS:
             break
         trial = problem.expanded(np.clip(at.z + np.where(held, 0.0, step), 0.0, 1.0), held)
         better = trial.cost < at.cost

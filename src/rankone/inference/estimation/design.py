@@ -339,8 +339,8 @@ class Criterion:
 
     def __call__(self, information: Array) -> Array:
         """Values (...) for information (..., p, p); minus infinity where not all is seen."""
-        seen = _identified(information)
-        safe = np.where(seen[..., None, None], information, np.eye(information.shape[-1]))
+        identified = _identified(information)
+        safe = np.where(identified[..., None, None], information, np.eye(information.shape[-1]))
         covariance = np.linalg.inv(safe)[..., self.rows, :][..., self.rows]
         if self.name == "D":
             criterion = -np.linalg.slogdet(covariance)[1] / len(self.rows)
@@ -348,7 +348,7 @@ class Criterion:
             criterion = -np.log(np.trace(covariance, axis1=-2, axis2=-1))
         else:
             criterion = -np.log(np.linalg.eigvalsh(covariance)[..., -1])
-        return np.where(seen, criterion, -np.inf)
+        return np.where(identified, criterion, -np.inf)
 
 
 def _chosen(blocks: Candidates, times: int, criterion: Criterion) -> tuple[NDArray[np.intp], int]:

@@ -69,8 +69,8 @@ def leverages_of(problem: Likelihood, jacobian: Array) -> Array:
         rows[here] = True
     location = np.where(rows[:, None], jacobian, 0.0)[:, others]
     left, singular, _ = np.linalg.svd(location, full_matrices=False)
-    seen = singular > USED_RATIO * max(float(singular.max(initial=0.0)), TINY)
-    return np.asarray(np.sum(left[:, seen] ** 2, axis=1))
+    visible = singular > USED_RATIO * max(float(singular.max(initial=0.0)), TINY)
+    return np.asarray(np.sum(left[:, visible] ** 2, axis=1))
 
 
 def model_errors(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.inference.estimation import tables
 from rankone.inference.estimation.fitted_models import Model, model_of
 from rankone.inference.estimation.formulas import Dual, Operand, coordinate
 from rankone.inference.estimation.free_parameters import ParameterValues
@@ -18,16 +19,6 @@ from rankone.inference.estimation.observations import (
     Sigma,
     label,
     observed,
-)
-from rankone.inference.estimation.tables import (
-    AFTER_ALL,
-    Block,
-    Doses,
-    Response,
-    blocks_of,
-    columns_of,
-    doses_in,
-    is_table,
 )
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
@@ -112,7 +103,7 @@ class Trial:
     fixed: dict[str, float]
     observations: Observations
     model: Model
-    doses: Doses | None = None
+    doses: tables.Doses | None = None
     places: NDArray[np.intp] | None = None
 
     @property
@@ -232,7 +223,7 @@ def trial_of(
     solution: SolutionCore,
     fixed: dict[str, float],
     observations: Observations,
-    doses: Doses | None = None,
+    doses: tables.Doses | None = None,
     places: NDArray[np.intp] | None = None,
 ) -> Trial:
     """The trial of checked observations; without ``places`` they come after doses at their time."""
@@ -246,8 +237,8 @@ def trial_of(
     each = np.concatenate(data)
     times, response = observations.times[each], None
     if doses is not None:
-        after = AFTER_ALL if places is None else places[each]
-        response = Response(*(own[0] for own in doses.response(times[None], after)))
+        after = tables.AFTER_ALL if places is None else places[each]
+        response = tables.Response(*(own[0] for own in doses.response(times[None], after)))
     model = model_of(solution, np.concatenate(rows), times, response)
     return Trial(name, solution, fixed, observations, model, doses, places)
 
@@ -274,7 +265,7 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
             remedy="give (solution, rankone.Experiment(data, ...))",
         )
     mapping = experiment.times is None and isinstance(experiment.data, Mapping)
-    if is_table(experiment.data) or mapping:
+    if tables.is_table(experiment.data) or mapping:
         yield from _trials_of_table(solution, experiment)
         return
     if experiment.doses is not None:
@@ -300,10 +291,10 @@ def _trials_of_table(solution: SolutionCore, experiment: Experiment) -> Iterable
     """A trial for each block of a table."""
     table, fixed, by_subject = experiment.data, experiment.fixed, None
     if experiment.doses is not None:
-        columns = columns_of(table)
-        by_subject, table = doses_in(solution, columns, experiment.doses, experiment.observe)
+        columns = tables.columns_of(table)
+        by_subject, table = tables.doses_in(solution, columns, experiment.doses, experiment.observe)
         fixed = by_subject.with_reference(solution, fixed)
-    blocks = blocks_of(solution, table, experiment.observe)
+    blocks = tables.blocks_of(solution, table, experiment.observe)
     fixed_in_blocks = fixed_by_label(solution, fixed, blocks)
     doses = None
     if by_subject is not None:
@@ -320,7 +311,9 @@ def _trials_of_table(solution: SolutionCore, experiment: Experiment) -> Iterable
         yield trial_of(name, solution, held, row, doses.selected(np.array([k])), places)
 
 
-def observed_in(solution: SolutionCore, experiment: Experiment, block: Block) -> Observations:
+def observed_in(
+    solution: SolutionCore, experiment: Experiment, block: tables.Block
+) -> Observations:
     """What was measured in one block of a table."""
     if block.sigma is not None and experiment.sigma is not None:
         raise OptionError("sigma is given, and the table has a column of it", remedy="give one")
@@ -361,7 +354,7 @@ def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str,
 
 
 def fixed_by_label(
-    solution: SolutionCore, fixed: Mapping[Any, Any], blocks: Sequence[Block]
+    solution: SolutionCore, fixed: Mapping[Any, Any], blocks: Sequence[tables.Block]
 ) -> list[dict[str, float]]:
     """The parameters that each block of a table fixes."""
     nested = {str(key): entry for key, entry in fixed.items() if isinstance(entry, Mapping)}

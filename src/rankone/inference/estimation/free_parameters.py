@@ -243,7 +243,7 @@ def _inside(solutions: Sequence[SolutionCore], name: str, given: object) -> floa
     return float(array)
 
 
-def _pair(name: str, interval: Any) -> tuple[object, object, bool]:
+def _pair(name: str, interval: object) -> tuple[object, object, bool]:
     """The ends of bounds, and whether they are over decades."""
     ends = interval if isinstance(interval, list | tuple | np.ndarray) else ()
     if len(ends) == 3 and ends[2] == "log":

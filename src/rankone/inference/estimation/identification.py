@@ -351,8 +351,8 @@ def identify(
     root = right.T / np.maximum(singular, rounding / sigma)
     shares, turned = np.linalg.eigh(root.T @ (box[:, None] * root))
     lost = shares > 1.0 - TUNING.lost
-    seen = root @ turned[:, ~lost] / np.sqrt(1.0 - shares[~lost])
-    plain = Identification((), root, box, seen, root @ turned[:, lost])
+    by_data = root @ turned[:, ~lost] / np.sqrt(1.0 - shares[~lost])
+    plain = Identification((), root, box, by_data, root @ turned[:, lost])
     unit = np.eye(best.z.size)
     half = quantile * np.array([plain.deviation(slope) for slope in unit])
     limit = max((quantile * sigma) ** 2, COINCIDENT * best.cost)

@@ -349,8 +349,8 @@ class Intervals(Estimates):
             others = [other for other in flat if other != name]
             boxed = self._identification.boxed(slope) and others
             more = [f"bounds of {listing(others)}"] if boxed and not own else []
-            given = [f"{listing(self.held)} held"] if self.held else []
-            words[name] = ", ".join([*([own] if own else more), *given])
+            conditions = [f"{listing(self.held)} held"] if self.held else []
+            words[name] = ", ".join([*([own] if own else more), *conditions])
         return words
 
     @property

@@ -18,14 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.formulas import (
-    FUNCTIONS,
-    Formula,
-    Operand,
-    formula_of,
-    slope_of,
-    value_of,
-)
+from rankone.inference.estimation import formulas
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.precision import NEGLIGIBLE
@@ -64,7 +57,7 @@ class Noise:
 
     distribution: str
     spread: Array
-    formula: Formula | None = None
+    formula: formulas.Formula | None = None
     levels: tuple[str, ...] = ()
     relative: tuple[str, ...] = ()
 
@@ -83,11 +76,11 @@ class Noise:
         """Whether parameters of a fit change the standard deviation."""
         return self.formula is not None
 
-    def sigma(self, at: Mapping[str, Operand]) -> Operand:
+    def sigma(self, at: Mapping[str, formulas.Operand]) -> formulas.Operand:
         """The standard deviation of each datum; of its logarithm for log-normal noise."""
         if self.formula is None:
             return self.spread
-        sigma: Operand = self.formula(at)
+        sigma: formulas.Operand = self.formula(at)
         return sigma * self.spread
 
     @property
@@ -138,13 +131,15 @@ def noise_of(kind: object, observable: str, spread: Array, *, given: bool) -> No
             )
         if kind != "proportional":
             return Noise(distribution, spread)
-        return Noise(distribution, spread, _named(formula_of("abs(p)"), {_PREDICTION: observable}))
+        return Noise(
+            distribution, spread, _named(formulas.formula_of("abs(p)"), {_PREDICTION: observable})
+        )
     levels = {
         word: name
         for word, name in zip(_LEVELS, usual_levels(observable), strict=True)
         if word in text
     }
-    formula = _named(formula_of(text), {**levels, _PREDICTION: observable})
+    formula = _named(formulas.formula_of(text), {**levels, _PREDICTION: observable})
     relative = [levels[word] for word in levels if word == "relative" or kind == "log-normal"]
     return Noise(distribution, spread, formula, tuple(levels.values()), tuple(relative))
 
@@ -154,7 +149,7 @@ def usual_levels(observable: str) -> tuple[str, ...]:
     return tuple(f"{word}_{observable}" for word in _LEVELS)
 
 
-def _named(formula: Formula, names: Mapping[str, str]) -> Formula:
+def _named(formula: formulas.Formula, names: Mapping[str, str]) -> formulas.Formula:
     """A formula with other names; they need not be words."""
     body = formula.body
 
@@ -162,7 +157,7 @@ def _named(formula: Formula, names: Mapping[str, str]) -> Formula:
         def visit_Name(self, node: ast.Name) -> ast.Name:
             return ast.Name(names.get(node.id, node.id), ast.Load())
 
-    return Formula(formula.text, Renamed().visit(body))
+    return formulas.Formula(formula.text, Renamed().visit(body))
 
 
 class Terms(NamedTuple):
@@ -182,8 +177,8 @@ class Terms(NamedTuple):
 def terms(
     noise: Noise,
     data: Array,
-    prediction: Operand,
-    sigma: Operand,
+    prediction: formulas.Operand,
+    sigma: formulas.Operand,
     width: int | None,
     present: NDArray[np.bool_] | None = None,
 ) -> Terms:
@@ -193,8 +188,8 @@ def terms(
     Data that are not ``present`` (m,) add nothing.
     """
     if noise.logarithmic:
-        prediction, data = FUNCTIONS["log"](prediction), np.log(data)
-    p, s = value_of(prediction), value_of(sigma)
+        prediction, data = formulas.FUNCTIONS["log"](prediction), np.log(data)
+    p, s = formulas.value_of(prediction), formulas.value_of(sigma)
     r = (p - data) / s
     shares = np.ones(r.shape)
     location, scale = 1.0, noise.scale_root
@@ -222,9 +217,9 @@ def terms(
     if w:
         m = r.shape[-1]
         per_sigma = np.asarray(counted / s)[..., None]
-        jacobian[..., :m, :] = location * slope_of(prediction, w) * per_sigma
+        jacobian[..., :m, :] = location * formulas.slope_of(prediction, w) * per_sigma
         if noise.estimated:
-            jacobian[..., m:, :] = scale * slope_of(sigma, w) * per_sigma
+            jacobian[..., m:, :] = scale * formulas.slope_of(sigma, w) * per_sigma
     return Terms(each.sum(axis=-1), residuals, jacobian, r, shares)
 
 

@@ -354,8 +354,8 @@ def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
     from_problem = {
         name: from_text(text) for each in solutions for name, text in each.metadata.distributions
     }
-    known = (each for each in fit._problem.priors if isinstance(each, Measure))
-    of_fit = {each.name: each for each in known if each.name not in prior}
+    informed = (each for each in fit._problem.priors if isinstance(each, Measure))
+    of_fit = {each.name: each for each in informed if each.name not in prior}
     measures = measures_of(free.names, box, prior, from_problem)
     return tuple(of_fit.get(each.name, each) for each in measures)
 

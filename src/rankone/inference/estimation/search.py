@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rankone.inference.estimation import least_squares, likelihood
 from rankone.inference.estimation.estimates import leverages_of
 from rankone.inference.estimation.experiments import Experiment, Trial, failures_of, trials_of
 from rankone.inference.estimation.fit import Fit
@@ -25,21 +26,6 @@ from rankone.inference.estimation.identification import (
     jumps_within,
 )
 from rankone.inference.estimation.intervals import checked_level, quantile_of
-from rankone.inference.estimation.least_squares import (
-    Minima,
-    minima,
-    minima_across_jumps,
-    squares_of,
-)
-from rankone.inference.estimation.likelihood import (
-    Likelihood,
-    check_certain,
-    idle_levels,
-    level_uncertainty,
-    ranges_of,
-    with_linear_ranges,
-    within_support,
-)
 from rankone.inference.estimation.noise import noise_of
 from rankone.inference.estimation.observations import Measurements, Observations
 from rankone.inference.estimation.tables import is_table
@@ -234,23 +220,23 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
     problem = problem_of(trials, options)
     points = spread(screened, len(problem.free.names), np.random.default_rng(7))
     points[0] = 0.5
-    problem = with_linear_ranges(problem, points)
+    problem = likelihood.with_linear_ranges(problem, points)
     if options.start is not None:
         named = by_name("start", options.start, problem.free.order)
         problem = replace(problem, free=with_start(problem.free, named))
     _check_size(problem)
-    check_certain(problem, points)
-    ends = minima_across_jumps(problem, _starts(problem, starts, points))
+    likelihood.check_certain(problem, points)
+    ends = least_squares.minima_across_jumps(problem, _starts(problem, starts, points))
     k = chosen(problem, ends)
     bounded = by_name("bounds", options.bounds, problem.free.order)
-    idle = idle_levels(problem, ends.z[k], float(ends.cost[k]), bounded)
+    idle = likelihood.idle_levels(problem, ends.z[k], float(ends.cost[k]), bounded)
     if idle:
         held = {**by_name("fixed", options.fixed, problem.free.order), **idle}
         return fitted(trials, replace(options, fixed=held))
     return judged(problem, ends, k, level, points)
 
 
-def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
+def problem_of(trials: tuple[Trial, ...], options: Options) -> likelihood.Likelihood:
     """The likelihood of trials, with what is fixed, bounded or known before."""
     trials = with_levels(trials, always=bool(options.prior))
     solutions = list({id(trial.solution): trial.solution for trial in trials}.values())
@@ -258,7 +244,7 @@ def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     every = {name for solution in solutions for name in solution.parameters}
     asked = (options.fixed, options.bounds, options.prior)
     declared = [str(getattr(key, "name", key)) for each in asked for key in (each or ())]
-    ranges = ranges_of(trials, declared)
+    ranges = likelihood.ranges_of(trials, declared)
     absent = [name for name in every if name not in used]
     for option, choices in (("fixed", options.fixed), ("bounds", options.bounds)):
         for key in choices or ():
@@ -276,7 +262,7 @@ def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
     box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
     measures = measures_of(free.names, box, priors, {})
     informed = tuple(measure for measure in measures if measure.distribution is not None)
-    return Likelihood(trials, within_support(free, informed), informed)
+    return likelihood.Likelihood(trials, likelihood.within_support(free, informed), informed)
 
 
 def with_levels(trials: tuple[Trial, ...], *, always: bool = False) -> tuple[Trial, ...]:
@@ -304,7 +290,7 @@ def _with_constant_noise(trial: Trial) -> Observations:
     return replace(trial.observations, noises=noises, sigma_known=True)
 
 
-def _check_size(problem: Likelihood) -> None:
+def _check_size(problem: likelihood.Likelihood) -> None:
     """Raise an OptionError if there are fewer data than parameters."""
     free_sigma = not problem.unit_known
     names = problem.free.names
@@ -318,7 +304,7 @@ def _check_size(problem: Likelihood) -> None:
         )
 
 
-def _starts(problem: Likelihood, starts: int, points: Array) -> Array:
+def _starts(problem: likelihood.Likelihood, starts: int, points: Array) -> Array:
     """The best points (k, n) of the cube that are apart, after the start that was given."""
     n = len(problem.free.names)
     places, costs = problem.costs(points, start=True)
@@ -358,10 +344,10 @@ _SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 _LEAST_FREEDOM = 0.5  # Least degrees of freedom of a level of noise that is corrected for them
 
 
-def chosen(problem: Likelihood, ends: Minima) -> int:
+def chosen(problem: likelihood.Likelihood, ends: least_squares.Minima) -> int:
     """The best minimum; among equally good ones the farthest from the bounds."""
     best = int(ends.cost.argmin())
-    mean = float(squares_of(ends.residuals[best : best + 1])[0]) / problem.size
+    mean = float(least_squares.squares_of(ends.residuals[best : best + 1])[0]) / problem.size
     good = np.flatnonzero(ends.cost <= ends.cost.min() + _EQUAL_COST_SHARE * mean)
     inside = np.minimum(ends.z[good], 1.0 - ends.z[good]).min(axis=1)
     apart = np.abs(ends.z[good] - ends.z[best]).max(axis=1)
@@ -370,7 +356,9 @@ def chosen(problem: Likelihood, ends: Minima) -> int:
     return int(good[np.argmax(inside)])
 
 
-def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Array) -> Fit:
+def judged(
+    problem: likelihood.Likelihood, ends: least_squares.Minima, k: int, level: float, points: Array
+) -> Fit:
     """The fit at one of the minima: what is identified there, and what else fits."""
     z, cost, jacobian = ends.z[k], float(ends.cost[k]), ends.jacobian[k]
     dof = degrees_of_freedom(problem, cost, jacobian)
@@ -386,7 +374,7 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
     identification, levels = identify(problem, centre, jacobian, q, unit), None
     centre = replace(centre, root=identification.root)
     if problem.levels:
-        levels = level_uncertainty(problem, jacobian, identification.seen, freedom)
+        levels = likelihood.level_uncertainty(problem, jacobian, identification.seen, freedom)
         identification = identification.enlarged(levels)
     limit = problem.size * math.log1p(q**2 / least) if problem.levels else (q * unit) ** 2
     distinct = () if identification.flat else _others(problem, ends, k, limit)
@@ -410,15 +398,17 @@ def judged(problem: Likelihood, ends: Minima, k: int, level: float, points: Arra
     )
 
 
-def _at_levels(problem: Likelihood, reported: Array) -> Best:
+def _at_levels(problem: likelihood.Likelihood, reported: Array) -> Best:
     """The best point with the levels of noise that are reported, from which profiles go."""
     held = np.zeros((1, reported.size), dtype=bool)
     held[:, list(problem.levels)] = True
-    ends = minima(problem, reported[None], held)
+    ends = least_squares.minima(problem, reported[None], held)
     return Best(ends.z[0], float(ends.cost[0]), np.zeros((reported.size, 0)))
 
 
-def _corrected(problem: Likelihood, z: Array, jacobian: Array) -> tuple[Array, dict[int, float]]:
+def _corrected(
+    problem: likelihood.Likelihood, z: Array, jacobian: Array
+) -> tuple[Array, dict[int, float]]:
     """The estimate z (n,) with levels of noise corrected for the degrees of freedom used.
 
     With it the share of the data that is left to estimate each level, by its position.
@@ -447,7 +437,7 @@ def _corrected(problem: Likelihood, z: Array, jacobian: Array) -> tuple[Array, d
     return problem.free.places(values), shares
 
 
-def _largest_states(problem: Likelihood, points: Array) -> tuple[dict[str, float], ...]:
+def _largest_states(problem: likelihood.Likelihood, points: Array) -> tuple[dict[str, float], ...]:
     """For each trial the largest values of its states over points (N, n) of the cube."""
     at = problem.at(problem.free.values(points))
     sizes = []
@@ -467,7 +457,7 @@ def _largest_states(problem: Likelihood, points: Array) -> tuple[dict[str, float
 
 
 def _others(
-    problem: Likelihood, ends: Minima, k: int, limit: float
+    problem: likelihood.Likelihood, ends: least_squares.Minima, k: int, limit: float
 ) -> tuple[dict[str, float], ...]:
     """Minima apart from the chosen one whose costs are within a limit of it.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,14 +50,22 @@ class Block:
     rows: dict[str, NDArray[np.intp]]
 
 
-def is_table(data: object) -> bool:
+class Tabular(Protocol):
+    """Columns by name, as a pandas DataFrame has them."""
+
+    @property
+    def columns(self) -> Iterable[Any]: ...
+    def __getitem__(self, key: Any, /) -> Any: ...
+
+
+def is_table(data: object) -> TypeGuard[Tabular]:
     """Whether an object has columns by name, like a pandas DataFrame."""
     return hasattr(data, "columns") and hasattr(data, "__getitem__")
 
 
-def columns_of(table: Any) -> dict[str, Any]:
+def columns_of(table: Tabular | Mapping[Any, Any]) -> dict[str, Any]:
     """The columns of a table, or of a mapping, by name."""
-    keys = list(table.columns) if is_table(table) else list(table)
+    keys = list(table) if isinstance(table, Mapping) else list(table.columns)
     columns = {}
     for key in keys:
         try:
@@ -74,7 +82,9 @@ def columns_of(table: Any) -> dict[str, Any]:
     return columns
 
 
-def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> list[Block]:
+def blocks_of(
+    solution: SolutionCore, table: Tabular | Mapping[Any, Any], observe: object = None
+) -> list[Block]:
     """The experiments of a table.
 
     Empty cells (NaN or None) are left out, and so are rows without anything measured. A table with

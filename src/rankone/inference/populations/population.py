@@ -14,7 +14,8 @@ from rankone.inference.estimation.free_parameters import SAME, ParameterValues
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.observations import Sigma
-from rankone.inference.estimation.tables import columns_of, doses_in, is_empty, is_table
+from rankone.inference.estimation.tables import Tabular, columns_of, doses_in, is_empty, is_table
+from rankone.inference.populations import population_layout
 from rankone.inference.populations.individuals import EmpiricalBayes, Start
 from rankone.inference.populations.marginal import (
     Marginal,
@@ -24,12 +25,6 @@ from rankone.inference.populations.marginal import (
     start_of,
 )
 from rankone.inference.populations.population_fit import PopulationFit
-from rankone.inference.populations.population_layout import (
-    Correlated,
-    Layout,
-    covariate_columns,
-    layout_of,
-)
 from rankone.inference.populations.subjects import SUBJECT, Subjects, subjects_of
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
@@ -43,11 +38,11 @@ _MOST_RESTARTS = 3
 
 def fit_population(
     self: SolutionCore,
-    table: Any,
+    table: object,
     *,
     random: object,
     covariates: object = None,
-    correlated: Correlated = False,
+    correlated: population_layout.Correlated = False,
     observe: object = None,
     sigma: Sigma = None,
     noise: object = None,
@@ -130,7 +125,7 @@ def fit_population(
     subjects = subjects_of(self, experiment, rows, by_subject)
     if by_subject is not None:
         by_subject.check_observables((m.name, m.formula, m.noise) for m in subjects.measured)
-    layout = layout_of(subjects, columns, random, covariates, correlated)
+    layout = population_layout.layout_of(subjects, columns, random, covariates, correlated)
     _check_size(subjects, layout)
     marginal = Marginal(EmpiricalBayes(subjects, layout))
     named = by_name("start", start, tuple(self.parameters))
@@ -148,7 +143,7 @@ def fit_population(
     return PopulationFit(level, marginal, optimum, idle)
 
 
-def _columns(table: Any, subject: str) -> dict[str, Any]:
+def _columns(table: Tabular | Mapping[Any, Any], subject: str) -> dict[str, Any]:
     """The columns of a table; the column of subjects gets its usual name."""
     columns = columns_of(table)
     if subject not in columns:
@@ -173,11 +168,11 @@ def _without_covariates(
 ) -> dict[str, Any]:
     """The columns without those that are covariates alone."""
     kept = {*solution.parameters, *solution.states, solution.metadata.time, "time", SUBJECT}
-    alone = covariate_columns(covariates) - kept
+    alone = population_layout.covariate_columns(covariates) - kept
     return {name: column for name, column in columns.items() if name not in alone}
 
 
-def _check_size(subjects: Subjects, layout: Layout) -> None:
+def _check_size(subjects: Subjects, layout: population_layout.Layout) -> None:
     """Raise an OptionError where there are too few subjects or data."""
     n = len(subjects.names)
     if n < 2:
@@ -194,7 +189,7 @@ def _check_size(subjects: Subjects, layout: Layout) -> None:
 
 
 def _start_coordinates(
-    solution: SolutionCore, layout: Layout, named: Mapping[str, float]
+    solution: SolutionCore, layout: population_layout.Layout, named: Mapping[str, float]
 ) -> dict[int, float]:
     """Coordinates of a start by position."""
     coordinates = {}
@@ -243,7 +238,7 @@ def _without_idle(
 
 def _first_idle(
     marginal: Marginal, optimum: Optimum
-) -> tuple[str | None, Layout, NDArray[np.intp]]:
+) -> tuple[str | None, population_layout.Layout, NDArray[np.intp]]:
     """The first standard deviation that may as well be zero, the layout without it, and what stays.
 
     The last is the positions of the other population parameters.
@@ -264,11 +259,11 @@ class _Trial(NamedTuple):
 
     name: str
     psi: Array
-    layout: Layout
+    layout: population_layout.Layout
     kept: NDArray[np.intp]
 
 
-def _without_effects(layout: Layout, psi: Array) -> Iterator[_Trial]:
+def _without_effects(layout: population_layout.Layout, psi: Array) -> Iterator[_Trial]:
     """Each random effect in turn is left out, unless it is the only one."""
     for q, e in enumerate(layout.random if len(layout.random) > 1 else ()):
         gone = [k for k, entry in enumerate(layout.entries) if q in entry]
@@ -286,7 +281,7 @@ def _without_effects(layout: Layout, psi: Array) -> Iterator[_Trial]:
         yield _Trial(f"omega_{layout.names[e]}", trial, smaller, kept)
 
 
-def _without_levels(layout: Layout, psi: Array) -> Iterator[_Trial]:
+def _without_levels(layout: population_layout.Layout, psi: Array) -> Iterator[_Trial]:
     """Each level of noise in turn is left out, unless it is the only one."""
     for j, level in enumerate(layout.levels if len(layout.levels) > 1 else ()):
         trial = psi.copy()

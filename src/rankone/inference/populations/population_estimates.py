@@ -520,9 +520,9 @@ def _split(precision: Array, box: Array, scale: Array) -> tuple[Array, Array]:
     root = vectors[:, steep] * scale[:, None] / np.sqrt(eigenvalues[steep])
     shares, turns = np.linalg.eigh(root.T @ (box[:, None] * root))
     lost, root = shares > BOX_SHARE, root @ turns
-    seen = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
+    by_data = root[:, ~lost] / np.sqrt(1.0 - shares[~lost])
     endless = vectors[:, ~steep] * scale[:, None] / np.sqrt(COINCIDENT)
-    return seen, np.concatenate([root[:, lost], endless], axis=1)
+    return by_data, np.concatenate([root[:, lost], endless], axis=1)
 
 
 def _of_means(information: Array, box: Array, scale: Array) -> tuple[Array, Array]:

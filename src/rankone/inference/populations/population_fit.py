@@ -142,13 +142,13 @@ class PopulationFit(PopulationEstimates, results.Judged):
         rows = []
         for name, (low, high) in self.interval().items():
             shrunk = self.shrinkage.get(name.removeprefix("omega_")) if "omega_" in name else None
-            known = self.identifiable[name] and not math.isnan(low)
+            identified = self.identifiable[name] and not math.isnan(low)
             rows.append(
                 [
                     name,
                     f"{self.x[name]:.5g}",
-                    f"{self.std[name]:.3g}" if known else "",
-                    f"[{low:.5g}, {high:.5g}]" if known else "",
+                    f"{self.std[name]:.3g}" if identified else "",
+                    f"[{low:.5g}, {high:.5g}]" if identified else "",
                     "" if shrunk is None else f"{100 * shrunk:.0f} %",
                 ]
             )

@@ -10,18 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.inference.estimation import tables
 from rankone.inference.estimation.experiments import Experiment, fixed_by_label, observed_in
 from rankone.inference.estimation.formulas import Dual, Formula, Operand
 from rankone.inference.estimation.noise import Noise, log_likelihood
 from rankone.inference.estimation.observations import Observations, check_levels
-from rankone.inference.estimation.tables import (
-    GROUPS,
-    Block,
-    Doses,
-    DosesBySubject,
-    Response,
-    blocks_of,
-)
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.support.arrays import Array
@@ -51,7 +44,9 @@ class OwnTimes(Protocol):
         """The states of some of the records."""
 
 
-def own_times(solution: SolutionCore, rows: NDArray[np.intp], response: Response) -> OwnTimes:
+def own_times(
+    solution: SolutionCore, rows: NDArray[np.intp], response: tables.Response
+) -> OwnTimes:
     """States ``rows`` (M,) of a solution where records have a response."""
     outcome = solution.outcome
     if isinstance(outcome.timeline, BranchedTimeline):
@@ -74,7 +69,7 @@ class _OnSlabs:
         self,
         slabs: Sequence[SlabTrain],
         rows: NDArray[np.intp],
-        response: Response,
+        response: tables.Response,
         tolerance: float,
     ) -> None:
         times, weights = response
@@ -142,13 +137,13 @@ class _OnTimeline:
         self,
         evaluator: TimelineEvaluator | BranchEvaluator,
         rows: NDArray[np.intp],
-        response: Response,
+        response: tables.Response,
     ) -> None:
         self.evaluator, self.rows, self.response = evaluator, rows, response
 
     def selected(self, records: NDArray[np.intp]) -> _OnTimeline:
         """See :meth:`OwnTimes.selected`."""
-        fewer = Response(*(each[records] for each in self.response))
+        fewer = tables.Response(*(each[records] for each in self.response))
         return _OnTimeline(self.evaluator, self.rows, fewer)
 
     def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
@@ -185,7 +180,7 @@ class _OnTimeline:
 # records along the first axis; where a record has fewer data than others, the rest is not present.
 
 
-SUBJECT = GROUPS[1]
+SUBJECT = tables.GROUPS[1]
 """The column of subjects."""
 
 
@@ -228,7 +223,7 @@ class Subjects:
     held: dict[str, Array]
     measured: tuple[Measured, ...]
     states: OwnTimes
-    doses: Doses
+    doses: tables.Doses
 
     @property
     def size(self) -> int:
@@ -309,7 +304,7 @@ def subjects_of(
     solution: SolutionCore,
     experiment: Experiment,
     columns: Mapping[str, Any],
-    doses: DosesBySubject | None = None,
+    doses: tables.DosesBySubject | None = None,
 ) -> Subjects:
     """The subjects of a table, whose columns are given by name; rows of doses hold no data."""
     if SUBJECT not in columns:
@@ -319,7 +314,7 @@ def subjects_of(
             remedy=f"name the column that tells subjects apart: subject=...; the columns are "
             f"{listing(columns)}",
         )
-    blocks = blocks_of(solution, dict(columns), experiment.observe)
+    blocks = tables.blocks_of(solution, dict(columns), experiment.observe)
     held = fixed_by_label(solution, experiment.fixed, blocks)
     observed = [observed_in(solution, experiment, block) for block in blocks]
     for each in observed:
@@ -331,7 +326,7 @@ def subjects_of(
     stacked = {name: np.array([own[name] for own in held]) for name in held[0]}
     measured = _stacked(solution, [(observed[i], blocks[i]) for i in order])
     if doses is None:
-        own_doses = Doses.at_start(solution, order.size)
+        own_doses = tables.Doses.at_start(solution, order.size)
     else:
         own_doses = doses.of_records(solution, [names[i] for i in owners[order]])
     return Subjects(
@@ -345,7 +340,9 @@ def subjects_of(
     )
 
 
-def _states_of(solution: SolutionCore, measured: Sequence[Measured], doses: Doses) -> OwnTimes:
+def _states_of(
+    solution: SolutionCore, measured: Sequence[Measured], doses: tables.Doses
+) -> OwnTimes:
     """The states that observables depend on, at the times of their data."""
     pairs = [(one, state) for one in measured for state in one.states]
     rows = [np.full(one.times.shape[1], solution.states.index(state)) for one, state in pairs]
@@ -355,7 +352,7 @@ def _states_of(solution: SolutionCore, measured: Sequence[Measured], doses: Dose
 
 
 def _stacked(
-    solution: SolutionCore, records: Sequence[tuple[Observations, Block]]
+    solution: SolutionCore, records: Sequence[tuple[Observations, tables.Block]]
 ) -> tuple[Measured, ...]:
     """Each observable in all records."""
     names = dict.fromkeys(name for one, _ in records for name in one.names)
@@ -363,7 +360,7 @@ def _stacked(
 
 
 def _measured(
-    solution: SolutionCore, name: str, records: Sequence[tuple[Observations, Block]]
+    solution: SolutionCore, name: str, records: Sequence[tuple[Observations, tables.Block]]
 ) -> Measured:
     observed = [one for one, _ in records]
     places = [one.names.index(name) if name in one.names else None for one in observed]
