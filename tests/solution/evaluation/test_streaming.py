@@ -187,7 +187,7 @@ def test_a_solve_that_does_not_fit_is_refused():
 
 
 def test_samples_that_do_not_fit_are_refused_with_what_they_need(monkeypatch):
-    monkeypatch.setattr("rankone.solvers.engines.cross.sampled._COPIES", 1e6)
+    monkeypatch.setattr("rankone.solvers.engines.cross.sampled.COPIES", 1e6)
     problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, (0, 2))
     refused = ro.solve(problem, 1e-3, max_memory="50MB", method="cross")
     assert refused.status is ro.Status.MEMORY_LIMIT

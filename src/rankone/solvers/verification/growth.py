@@ -10,9 +10,8 @@ import scipy.sparse
 from rankone.solvers.verification.check_tuning import CHECK
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.solvers.verification.resolution import COPIES
 from rankone.support.arrays import Array
-from rankone.support.budget import reserve
+from rankone.support.budget import COPIES, reserve
 from rankone.support.costs import SparseFactors
 from rankone.support.precision import AT_ONCE
 from rankone.trajectories.system.system import PatternJacobian, pattern_of

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.verification.check_tuning import CHECK
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, charge, limited, memory_left, work_left
+from rankone.support.budget import COPIES, OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
 from rankone.support.precision import AT_ONCE
@@ -33,8 +33,6 @@ from rankone.trajectories.integrators.integrator import LEAST_TOLERANCE, DenseTr
 from rankone.trajectories.system.system import System
 
 NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
-COPIES = 8
-"""Copies of states at several times that are held while they are compared."""
 
 Integrate: TypeAlias = Callable[[Array, Array], DenseTrajectories]
 
