@@ -10,14 +10,9 @@ from typing import Any
 
 import sympy as sp
 
+from rankone.problem import user_events
+from rankone.problem.algebra import consistency
 from rankone.problem.algebra.algebraic import has_constraints, reduced
-from rankone.problem.algebra.consistency import (
-    check_consistent,
-    check_impulses,
-    consistent_events,
-    consistent_initial,
-    consistent_jumps,
-)
 from rankone.problem.algebra.mass import check_mass
 from rankone.problem.box import (
     Box,
@@ -54,25 +49,13 @@ from rankone.problem.shorthand import (
     check_symbols_as_unknowns,
 )
 from rankone.problem.steady_start import SteadyState, check_autonomous, conditioned
+from rankone.problem.tables import term_table
 from rankone.problem.tables.tabulated import tabulated_equations
-from rankone.problem.tables.term_table import (
-    FEWEST_TABULATED,
-    TabulatedEquations,
-    TermTable,
-    has_distinct_names,
-)
-from rankone.problem.user_events import (
-    check_events,
-    impulse_events,
-    moving_jumps,
-    warn_of_late,
-    without_rates,
-)
 from rankone.support.errors import ProblemError, RankoneWarning, warn
 from rankone.support.wording import is_line, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
-_Tabulated = tuple[TermTable, dict[sp.Expr, sp.Expr], Shorthand]
+_Tabulated = tuple[term_table.TermTable, dict[sp.Expr, sp.Expr], Shorthand]
 """A table, the initial values of its states, and its constants."""
 
 
@@ -129,7 +112,7 @@ class CheckedProblem(ProblemContent):
             used |= sp.Tuple(*rest.residuals, *rest.initial.values()).free_symbols
         warn_of_unused(symbols.parameters, used)
         self._determine_rates(symbols, moving)
-        warn_of_late(self.events, box, time)
+        user_events.warn_of_late(self.events, box, time)
 
     def _determine_rates(self, symbols: Symbols, moving: int) -> None:
         """Set the mass matrix, and what else tells the rates; ``moving`` jumps are events."""
@@ -151,9 +134,9 @@ class CheckedProblem(ProblemContent):
 
         Whatever else there is needs the equations as expressions, and so does what is not valid.
         """
-        if not isinstance(self.equations, TabulatedEquations) or not self._is_plain:
+        if not isinstance(self.equations, term_table.TabulatedEquations) or not self._is_plain:
             return None
-        if self.constants and len(self.equations) < FEWEST_TABULATED:
+        if self.constants and len(self.equations) < term_table.FEWEST_TABULATED:
             return None  # run-time values of what is compiled
         shorthand = check_shorthand(self.written["constants"], None, time)
         check_apart(shorthand, box, self.initial)
@@ -162,14 +145,14 @@ class CheckedProblem(ProblemContent):
         names = [*box, *shorthand.constants]
         if table is None or not table.fits(time, box):
             return None
-        if not has_distinct_names(table.states, time, names):
+        if not term_table.has_distinct_names(table.states, time, names):
             return None
         initial = table.start(self.initial, box, shorthand.constants)
         return None if initial is None else (table, initial, shorthand)
 
     def _keep_table(
         self,
-        table: TermTable,
+        table: term_table.TermTable,
         initial: dict[sp.Expr, sp.Expr],
         shorthand: Shorthand,
         time: Time,
@@ -249,13 +232,15 @@ class CheckedProblem(ProblemContent):
         initial = {state: closed(start) for state, start in initial.items()}
         if rest is not None:
             initial = {state: initial.get(state, sp.S.Zero) for state in symbols.states}
-        at_numbers, moving = moving_jumps(self.jumps, symbols)
+        at_numbers, moving = user_events.moving_jumps(self.jumps, symbols)
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
             for at, reset in check_jumps(at_numbers, symbols).items()
         }
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
-        events = check_events([*self.events, *moving] if moving else self.events, symbols)
+        events = user_events.check_events(
+            [*self.events, *moving] if moving else self.events, symbols
+        )
         of_events = [expression for event in events for expression in event.expressions]
         further = [*initial.values(), *after_jumps, *of_events]
         check_lengths(further, 0)
@@ -299,21 +284,21 @@ class CheckedProblem(ProblemContent):
         leading = set(self.mass.leading)
         if any(event.when.atoms(sp.Derivative) & leading for event in self.events):
             rates = dict(zip(self.mass.leading, self.mass.solved()[0], strict=True))
-            self._keep(events=without_rates(self.events, rates))
+            self._keep(events=user_events.without_rates(self.events, rates))
 
     def _reduce(self, states: Sequence[sp.Expr]) -> None:
         """Reduce algebraic equations, and complete initial values and resets by them."""
-        check_impulses(self.residuals, self.time[0])
+        consistency.check_impulses(self.residuals, self.time[0])
         reduction = reduced(self.residuals, self.unknowns, self.coordinates, self.initial)
-        initial = consistent_initial(self.initial, states, reduction, self.time)
-        check_consistent(initial, reduction, self.coordinates)
-        jumps = consistent_jumps(self.jumps or {}, reduction, self.time[0])
+        initial = consistency.consistent_initial(self.initial, states, reduction, self.time)
+        consistency.check_consistent(initial, reduction, self.coordinates)
+        jumps = consistency.consistent_jumps(self.jumps or {}, reduction, self.time[0])
         self._keep(
             reduction=reduction,
             mass=reduction.mass,
             initial=MappingProxyType(initial),
             jumps=MappingProxyType(jumps),
-            events=consistent_events(self.events, reduction),
+            events=consistency.consistent_events(self.events, reduction),
         )
 
     def _take_out_impulses(self, symbols: Symbols, first: int) -> None:
@@ -330,6 +315,8 @@ class CheckedProblem(ProblemContent):
         self._keep(
             equations=tuple(equation.xreplace(gone) for equation in self.equations),
             residuals=residuals,
-            events=check_events([*self.events, *impulse_events(impulses, symbols, first)], symbols),
+            events=user_events.check_events(
+                [*self.events, *user_events.impulse_events(impulses, symbols, first)], symbols
+            ),
             mass=check_mass(residuals, self.unknowns, self.coordinates),
         )

@@ -25,13 +25,7 @@ from sympy.core.function import ArgumentIndexError, FunctionClass
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
-from rankone.trajectories.system.features import (
-    AT_THE_ENDS,
-    POINTS,
-    PREFIX,
-    VALUES,
-    GuardedFunction,
-)
+from rankone.trajectories.system import features
 
 _KINDS = ("linear", "cubic", "previous")
 _LONGEST_LINE = 100  # Characters of a line of generated source
@@ -62,7 +56,7 @@ class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[m
     @classmethod
     def written(cls) -> str:
         """The name of the function in generated source."""
-        return PREFIX + str(cls.__name__)
+        return features.PREFIX + str(cls.__name__)
 
     @classmethod
     def definition(cls) -> list[str]:
@@ -99,7 +93,7 @@ class Table(DataFunction):
     @classmethod
     def definition(cls) -> list[str]:
         """Source lines that define it."""
-        points, values = f"{POINTS}{cls.__name__}", f"{VALUES}{cls.__name__}"
+        points, values = f"{features.POINTS}{cls.__name__}", f"{features.VALUES}{cls.__name__}"
         lines = [*_array(points, cls.points), *_array(values, cls.values)]
         if cls.kind == "linear":
             interpolated = f"np.interp(inside, {points}, {values})"
@@ -109,7 +103,7 @@ class Table(DataFunction):
             lines.append(f"SPLINE_{cls.__name__} = CubicSpline({points}, {values})")
             order = f", {cls.order}" if cls.order else ""
             interpolated = f"SPLINE_{cls.__name__}(inside{order})"
-        near = AT_THE_ENDS * (cls.points[-1] - cls.points[0])
+        near = features.AT_THE_ENDS * (cls.points[-1] - cls.points[0])
         return [
             *lines,
             "",
@@ -273,7 +267,7 @@ def _user_class(
     data = {"nargs": arguments, "derivatives": derivatives}
     key = name, value, derivatives, arguments
     user_class = _new_class(UserFunction, data, _user_class, key)
-    user_class._imp_ = staticmethod(GuardedFunction(name, value))
+    user_class._imp_ = staticmethod(features.GuardedFunction(name, value))
     return user_class
 
 

@@ -54,8 +54,10 @@ def compared(
 ) -> Boolean:
     """A comparison, as comparisons of smooth functions where it hides some."""
     height = right - left if relation in (sp.Lt, sp.Le) else left - right
-    parts = _Comparison(relation in (sp.Gt, sp.Lt), parameters).positive(height)
-    return relation(left, right) if parts is None or isinstance(parts, Relational) else parts
+    positive = _Comparison(relation in (sp.Gt, sp.Lt), parameters).positive(height)
+    if positive is None or isinstance(positive, Relational):
+        return relation(left, right)
+    return positive
 
 
 def definite_sign(expression: sp.Expr, parameters: Sequence[Coordinate]) -> sp.Expr | None:
@@ -183,8 +185,8 @@ class _Comparison:
         return height > 0 if self.strict else height >= 0
 
     def _joined(self, join: type[Boolean], heights: Sequence[sp.Expr]) -> Boolean | None:
-        parts = [self.positive(each) for each in heights]
-        return None if None in parts else join(*parts)
+        comparisons = [self.positive(each) for each in heights]
+        return None if None in comparisons else join(*comparisons)
 
     def _of_cases(self, height: sp.Expr, piecewise: sp.Piecewise) -> Boolean | None:
         """Where a height with a piecewise function is positive."""
