@@ -286,8 +286,8 @@ JAVASCRIPT = [
     ),
     Fault(
         X + "model.d.ts.in",
-        "export function timeDerivative(",
-        "declare function timeDerivative(",
+        "export const errors",
+        "declare const errors",
         f"{SUITE} declares",
     ),
     Fault(

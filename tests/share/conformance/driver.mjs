@@ -23,10 +23,16 @@ function answers(m, columns) {
   const [times, ...p] = columns;
   const points = times.map((t, i) => [t, p.map((column) => column[i])]);
   const named = (values) => Object.fromEntries(m.parameters.map((name, j) => [name, values[j]]));
+  // one after the other at each point: what was found for the first is used for the others
+  const each = points.map(([t, at]) => [
+    plain(m.evaluate(t, named(at))),
+    plain(m.gradient(t, at)),
+    plain(m.timeDerivative(t, new Float64Array(at))),
+  ]);
   const said = {
-    values: points.map(([t, at]) => plain(m.evaluate(t, named(at)))),
-    rates: points.map(([t, at]) => plain(m.timeDerivative(t, new Float64Array(at)))),
-    gradient: points.map(([t, at]) => plain(m.gradient(t, at))),
+    values: each.map(([values]) => values),
+    gradient: each.map(([, gradient]) => gradient),
+    rates: each.map(([, , rates]) => rates),
     batch: plain(m.evaluateBatch(times, p)),
     unknowns: m.names,
     parameters: m.parameters,
@@ -46,15 +52,15 @@ function answers(m, columns) {
       return kinds.every((kind) => kind === kinds[0]) ? kinds[0] : kinds.join();
     }));
   if (m.eventTimes) {
-    const each = points.map(([, at]) => at);
+    const parameters = points.map(([, at]) => at);
     const out = new Float64Array(9).fill(7);
     said.times = Object.fromEntries(
-      m.events.map((event) => [event, each.map((at) => plain(m.eventTimes(event, named(at))))]));
-    said.end = plain(each.map((at) => m.end(at)));
-    said.borders = each.map((at) => plain(m.borders(at)));
+      m.events.map((event) => [event, parameters.map((at) => plain(m.eventTimes(event, named(at))))]));
+    said.end = plain(parameters.map((at) => m.end(at)));
+    said.borders = parameters.map((at) => plain(m.borders(at)));
     said.instants = m.instants;
-    said.written = m.eventTimes(m.events[0], each[0], out) === out && out[8] === 7;
-    said.unknownEvent = refused(m, () => m.eventTimes("bonce", each[0]));
+    said.written = m.eventTimes(m.events[0], parameters[0], out) === out && out[8] === 7;
+    said.unknownEvent = refused(m, () => m.eventTimes("bonce", parameters[0]));
     said.missing = refused(m, () => (m.parameters.length ? m.end({}) : m.end([1])));
   }
   if (m.branch) said.branch = points.map(([, at]) => m.branch(at));
