@@ -194,7 +194,8 @@ def _end_with_parent() -> None:
 # What all tasks share, such as the problem: pickled once, and loaded once by each worker.
 
 
-_KEPT = 8  # Contents that a worker keeps
+KEPT = 8
+"""Contents, or loaded modules, that a process keeps."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def unpacked(sent: Parcel | Content) -> Content:
     return cast(Content, _loaded(sent)) if isinstance(sent, Parcel) else sent
 
 
-@lru_cache(_KEPT)
+@lru_cache(KEPT)
 def _loaded(parcel: Parcel) -> Any:
     try:
         return pickle.loads(parcel.data)

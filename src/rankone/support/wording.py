@@ -15,7 +15,6 @@ Subject = TypeVar("Subject")
 _LONGEST = 1000  # Characters of a message that is shown: about ten lines
 _LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
 _LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
-_MOST_LISTED = 16  # Names of a list in a message: more are read by nobody
 _LISTED = 6  # Those of a longer list that are shown
 _MOST_ROWS = 40  # Rows of a table that fit on one screen
 _ENDS = 8  # Lines of a longer list that are shown at its beginning, and at its end
@@ -63,7 +62,7 @@ def listing(subjects: Iterable[object], near: str | None = None) -> str:
     Of many those that are most like ``near``, or else the first ones, and how many others.
     """
     listed = list(subjects)
-    if len(listed) > _MOST_LISTED:
+    if len(listed) > 2 * _ENDS:
         first = listed[:_LISTED]
         if near is not None:
             by_text = {written(subject): subject for subject in listed}

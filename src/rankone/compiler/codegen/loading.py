@@ -14,6 +14,7 @@ from typing import TypeVar
 from threadpoolctl import threadpool_limits
 
 from rankone.support.errors import OptionError, check_kind
+from rankone.support.tasks import KEPT
 from rankone.support.wording import quote
 from rankone.trajectories.steady.bifurcations import started
 from rankone.trajectories.system.system import System, UserFunction, system_of
@@ -59,10 +60,6 @@ def load_module(
     return started(system_of(names))
 
 
-# Modules that a process keeps loaded: enough for the problems one session works on at a time
-_MAX_LOADED = 8
-
-
 @dataclass(frozen=True)
 class ModuleSpecification:
     """What a generated module is loaded from; modules cannot be pickled, their source can.
@@ -92,7 +89,7 @@ class ModuleSpecification:
         return function(_loaded(self), *arguments)
 
 
-@lru_cache(_MAX_LOADED)
+@lru_cache(KEPT)
 def _loaded(specification: ModuleSpecification) -> System:
     return specification.load()
 

@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.compiler.codegen.layout import Names, assignment, docstring, literal, table
+from rankone.compiler.codegen.layout import WIDTH, Names, assignment, docstring, literal, table
 from rankone.compiler.codegen.printer import common_subexpressions, factor_text
 from rankone.problem.expressions.admissible import known_functions
 from rankone.problem.forms import (
@@ -73,7 +73,6 @@ def _weights(
 
 
 _SHARED_ARGUMENT = "p"  # Name of the parameter in a function that serves several parameters
-_MAX_SUMMARY = 90  # Characters of a summary that lists the factors
 
 
 def coordinate_functions(
@@ -130,9 +129,9 @@ def _factor_function(
     names = Names(["np", "special", "out", argument])
     shared, texts = common_subexpressions(expressions, {symbol: argument}, names.numbered("c"))
     summary = f"Factors of {title}: {', '.join(map(factor_text, expressions))}."
-    if len(summary) > _MAX_SUMMARY:
+    if len(summary) > WIDTH - 10:
         summary = f"Factors of {title} ({len(expressions)})."
-    if len(summary) > _MAX_SUMMARY:
+    if len(summary) > WIDTH - 10:
         summary = f"Factors of several parameters ({len(expressions)})."
     lines = [f"def {name}({argument}):", *docstring([summary])]
     for target, text in shared:
@@ -155,7 +154,6 @@ Addend = tuple[Fraction | float, tuple[int, ...]]
 
 # A quotient that is a number only where it stands first or in parentheses
 _FRACTION = re.compile(r"^\d+ / \d+")
-_MAX_TERM_WIDTH = 80  # Characters of a factored term that is still easy to read
 
 Symbols = tuple[int, ...]
 """A product of numbered symbols, repeated for powers."""
@@ -256,7 +254,7 @@ def share(
     for terms in sums:
         shared = [(coefficient, next(remaining)) for coefficient, _ in terms]
         chunks, count = _factored(shared, names)
-        if any(len(chunk) > _MAX_TERM_WIDTH for chunk in chunks):
+        if any(len(chunk) > WIDTH - 20 for chunk in chunks):
             chunks, count = _plain(shared, names)
         written.append(tuple(chunks))
         operations += count

@@ -199,7 +199,6 @@ def _ordered(terms: list[Term]) -> tuple[Term, ...]:
 # Largest coefficient of a separated term, and with its reciprocal the smallest: the product of two
 # is still a floating-point number
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
-_MOST_BITS = 400  # Of the numerator times the denominator of what is far from both
 # Least power that explains an extreme coefficient; units of lower powers do not reach it
 _HIGH_POWER = 8
 
@@ -324,8 +323,6 @@ class _Separation:
         for state, power in monomial.powers:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
-        if coefficient.is_Rational and (coefficient.p * coefficient.q).bit_length() < _MOST_BITS:
-            return
         largest = _LARGEST_COEFFICIENT
         if not coefficient.is_comparable or 1 / largest < abs(coefficient) < largest:
             return

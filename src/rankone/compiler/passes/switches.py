@@ -46,7 +46,8 @@ MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
 _MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one rate
-_MOST_COPIES = 81  # Most pieces of a rate that is not linear in its sides
+# Most pieces of a rate that is not linear in its sides
+_MOST_COPIES = 3**_MOST_IN_BRANCHES
 _MOST_NODES = 20_000  # Of all rates with sides written out: compiling more takes minutes
 _LEAST = sp.Float("1e-300")  # Beside the square of a divisor that may be zero
 
