@@ -27,8 +27,7 @@ from rankone.problem.jumps import Impulses, Resets, at_end, at_start, system_jum
 from rankone.problem.user_events import Event, known_time
 from rankone.support.arrays import Array
 from rankone.tensors.bases.coordinates import name_of
-from rankone.trajectories.system.constraints import Constraints
-from rankone.trajectories.system.features import VectorLike
+from rankone.trajectories.system.features import Constraints, VectorLike
 
 Numbers = Callable[[float, Array, Array], Array]
 """Maps time, states (n,) and parameters (d,) to as many numbers as there are expressions."""

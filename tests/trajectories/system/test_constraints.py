@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rankone.trajectories.system.constraints import Constraints
+from rankone.trajectories.system.features import Constraints
 
 
 def circle(guessed=(1,)):

@@ -12,7 +12,6 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.trajectories.system.constraints import Constraints
 from rankone.trajectories.system.events import (
     RISING,
     EventOrder,
@@ -23,7 +22,7 @@ from rankone.trajectories.system.events import (
     SystemEvent,
     Turn,
 )
-from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
 from rankone.trajectories.system.system import Clock, ModuleSpecification, System, UserFunction
 from rankone.trajectories.system.timeline import CLOCK_STATES
 

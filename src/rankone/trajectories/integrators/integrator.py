@@ -15,8 +15,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import Cost, function_cost
 from rankone.tensors.bases.time_grid import insets
-from rankone.trajectories.system.constraints import Constraints
-from rankone.trajectories.system.features import Jumps, OfParameters, VectorLike
+from rankone.trajectories.system.features import Constraints, Jumps, OfParameters, VectorLike
 from rankone.trajectories.system.system import System
 
 _DEGREE = 6  # Degree of the polynomial of a step: further terms of LSODA's own are tiny

@@ -21,8 +21,7 @@ from rankone.support.arrays import Array, bisected
 from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.support.precision import DIFFERENCE, EPSILON, NEGLIGIBLE, ROUNDING
 from rankone.trajectories.steady.rest import EXACT, MOST_NEWTON_STEPS, SteadyStates
-from rankone.trajectories.system.constraints import Constraints
-from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
 from rankone.trajectories.system.system import Rest, System
 
 _STEPS = 24  # Steps of the continuation from the centre to a point

@@ -20,8 +20,7 @@ from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import integrator_for
-from rankone.trajectories.system.constraints import Constraints
-from rankone.trajectories.system.features import Features, Jumps, VectorLike
+from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
 from rankone.trajectories.system.system import System
 
 _SAMPLES = 8  # Random states for each state

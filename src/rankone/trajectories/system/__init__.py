@@ -1,9 +1,8 @@
 """What trajectories are integrated of: a system as frozen data, and how a solve of it ended.
 
-- ``constraints``: expressions of the states that vanish on all trajectories of a system
 - ``events``: roots along trajectories that reset or end them, and the order in which they come
-- ``features``: all that is not smooth, or so narrow that samples may miss it, and the user's
-  functions in workers
+- ``features``: all that is not smooth, jumps, constraints that hold on all trajectories, and the
+  user's functions in workers
 - ``system``: a system as solvers see it: what a generated module defines, complete and typed
 - ``timeline``: the timeline of a solution with events: what ends each stretch, and where clock
   time is

@@ -13,7 +13,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import listing
 from rankone.tensors.bases.scales import LINEAR
-from rankone.trajectories.system.constraints import Constraints
 from rankone.trajectories.system.events import (
     BOTH,
     CROSSINGS,
@@ -27,6 +26,7 @@ from rankone.trajectories.system.events import (
 )
 from rankone.trajectories.system.features import (
     GAP_REMEDY,
+    Constraints,
     Features,
     Gaps,
     Jumps,
