@@ -297,6 +297,9 @@ TAIL_RATIO = 30.0
 _CLEAR_RATIO = 0.8
 # Nodes of interpolated columns over those of the lines: highest modes are then those of the columns
 _FINE_RATIO = 2
+# Nodes predicted, over those of the lines, above which a single parameter is drawn again: with
+# several parameters fewer nodes save more than lines cost
+_REDRAWN_ALONE_RATIO = 2.0
 
 
 @dataclass(frozen=True)
@@ -348,6 +351,7 @@ def best_coordinates(
     leaves out.
     """
     best, again = list(lines), list[tuple[int, Basis1D]]()
+    patience = _REDRAWN_ALONE_RATIO if len(lines) == 1 else 1.0
     counts = [needed(line.spectrum) for line in lines]
     for j, line in enumerate(lines):
         others = candidates(line.basis) if free[j] else ()
@@ -357,7 +361,7 @@ def best_coordinates(
                 (line, *(line.at(replace(fine, scale=scale)) for scale in others)),
                 key=lambda each: needed(each.spectrum) / (1.0 if each is line else _CLEAR_RATIO),
             )
-        else:
+        elif counts[j] > patience * line.basis.degree:
             again += [(j, replace(line.basis, scale=scale)) for scale in others]
     drawn = redraw([(j, basis.nodes) for j, basis in again]) if again else []
     for (j, basis), columns in zip(again, drawn, strict=True):
