@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rankone.share.export.packing import PackedChoice, PackedCore, PackedModel, PackedTimeline
 from rankone.share.export.templates import (
+    BLOCK,
     TERMS,
     c_comment,
     c_string,
@@ -99,7 +100,7 @@ def timeline_tables(model: PackedModel, prefix: str) -> dict[str, str]:
         "in_pseudo": ", in pseudo-time",
         "branch_count": str(len(timelines)),
         "run_count": str(starts[-1]),
-        "border_room": str(padded(longest + 1, _BLOCK) + _BLOCK),
+        "border_room": str(padded(longest + 1, BLOCK) + BLOCK),
         "affine_count": str(len(affine)),
         "affine_borders": wrapped(str(border) for border, _ in affine),
         "border_coefficients": wrapped(number(x) for _, row in affine for x in row),
@@ -197,7 +198,7 @@ def choice_tables(model: PackedModel, rows: Sequence[str]) -> dict[str, str]:
         "several": "yes",
         "rooted": "yes" if choice.openings else "",
         "roots": str(most_roots(model)),
-        "guard_room": str(padded(room, _BLOCK)),
+        "guard_room": str(padded(room, BLOCK)),
         "fork_count": str(len(choice.forks)),
         "grazing_count": str(len(choice.grazings)),
         "look_room": str(most),
@@ -255,7 +256,6 @@ def _rows(rows: Iterable[str]) -> str:
 # right rank up to its last entry that is not zero. Cores that several slabs share are stored once.
 
 
-_BLOCK = 8  # Rows of a core contracted together; the same in the template
 _NO_ROOT = PackedCore(0.0, 0.0, np.ones((1, 1, 1, 1)))  # In place of a coordinate that is none
 _LANES = 4  # Products are padded to a multiple of it, to be vectorized; the same in the template
 _PAIR = 2  # Runs are padded to a multiple of it, because the template unrolls by it
@@ -357,7 +357,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "pieces": wrapped(f"{{{piece}}}" for piece in pieces),
         "runs": wrapped(map(str, runs)),
         "coefficients": wrapped(map(repr, coefficients or [0.0])),
-        "most_rows": str(max(padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
+        "most_rows": str(max(padded(max(left, right), BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
         "most_products": str(max(degree * padded(right, _LANES) for *_, degree, right in shapes)),
     }
@@ -385,9 +385,9 @@ def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
     ``tensor`` is (left, degree, right); the coefficients are in the order (right, row).
     """
     left, degree, right = tensor.shape
-    entries = np.zeros((padded(left, _BLOCK), degree, padded(right, _PAIR)))
+    entries = np.zeros((padded(left, BLOCK), degree, padded(right, _PAIR)))
     entries[:left, :, :right] = tensor
-    for block in entries.reshape(-1, _BLOCK, degree, entries.shape[2]):
+    for block in entries.reshape(-1, BLOCK, degree, entries.shape[2]):
         for polynomial in block.transpose(1, 2, 0):
             used = np.flatnonzero(polynomial.any(axis=1))
             run = padded(int(used[-1]) + 1, _PAIR) if used.size else 0

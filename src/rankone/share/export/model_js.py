@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rankone.share.export.packing import PackedModel
 from rankone.share.export.templates import (
+    BLOCK,
     LINE,
     TERMS,
     comment,
@@ -34,8 +35,6 @@ from rankone.support.files import Content
 from rankone.tensors.bases import Scale
 from rankone.tensors.bases.coordinates import round_off
 from rankone.trajectories.system.timeline import Fork, Grazing
-
-_BLOCK = 8  # Rows of a core contracted together; the same in the template
 
 
 def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -181,7 +180,7 @@ def _choice(model: PackedModel) -> dict[str, str]:
         "one_order": "",
         "further_roots": " + ROOTS",
         "roots": str(most_roots),
-        "looks": str(max(looks, default=0) + _BLOCK),
+        "looks": str(max(looks, default=0) + BLOCK),
         "forks": "\n".join(map(_fork, choice.forks, choice.highest)),
         "grazings": "\n".join(
             _grazing(each, [(run, model.place(core)) for run, core in cores])
@@ -259,13 +258,13 @@ def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
     coefficients in the order (block of rows, right, degree, row).
     """
     left, degree, right = tensor.shape
-    blocks = -(-left // _BLOCK)
-    padded = np.zeros((blocks * _BLOCK, degree, right))
+    blocks = -(-left // BLOCK)
+    padded = np.zeros((blocks * BLOCK, degree, right))
     padded[:left] = tensor
-    columns = padded.reshape(blocks, _BLOCK, degree, right).transpose(0, 3, 2, 1)
+    columns = padded.reshape(blocks, BLOCK, degree, right).transpose(0, 3, 2, 1)
     runs = ((columns != 0.0).any(axis=3) * np.arange(1, degree + 1)).max(axis=2)
     within = np.arange(degree) < runs[..., None]
-    rows = (np.arange(blocks * _BLOCK) < left).reshape(blocks, 1, 1, _BLOCK)
+    rows = (np.arange(blocks * BLOCK) < left).reshape(blocks, 1, 1, BLOCK)
     return runs.ravel(), columns[rows & within[..., None]]
 
 

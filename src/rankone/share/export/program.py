@@ -29,7 +29,7 @@ from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 from rankone.support.wording import quote
 from rankone.trajectories.system.system import System
 
-_LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes
+LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes
 _PAIR_FORM = "NAME=VALUE"  # How a number for a name is written on the command line
 _RANGE_FORM = "NAME=LOWER:UPPER[:SCALE]"  # How a range of a parameter is written
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
@@ -213,8 +213,8 @@ def _names(solution: SolutionCore, arguments: argparse.Namespace) -> tuple[str, 
 def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
     """Axes and states on a tensor grid by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
-    if count < 1 or count ** len(intervals) * len(names) > _LARGEST_GRID:
-        raise OptionError(f"--grid {count}: from 1 on, at most {_LARGEST_GRID:,} values in all")
+    if count < 1 or count ** len(intervals) * len(names) > LARGEST_GRID:
+        raise OptionError(f"--grid {count}: from 1 on, at most {LARGEST_GRID:,} values in all")
     axes = {name: np.linspace(*interval, count) for name, interval in intervals.items()}
     return axes | {name: solution[name].grid(axes) for name in names}
 

@@ -34,6 +34,7 @@ def scale_expressions(scale: Scale, library: str = "") -> tuple[str, str]:
 # exactly.
 
 
+BLOCK = 8  # Rows of a core contracted together; the same in the templates
 LINE = 96  # Characters in a line of a file that is not in Python
 TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
 """What exported files say about the source of the library in them."""

@@ -37,6 +37,7 @@ from rankone.support.budget import (
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
+from rankone.support.precision import COINCIDENT
 from rankone.support.progress import ProgressEvent, Report, quiet
 from rankone.support.tasks import Pool
 from rankone.tensors.bases import BASES
@@ -82,7 +83,6 @@ _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those befor
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
 _HELD_NUMBERS = 2**22  # Integrands at several points and times that are held at once
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
-_BORDER_ROUNDING = 1e-12  # Part of the horizon within which borders of stretches are the same
 _CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
 
 
@@ -305,7 +305,7 @@ class OutputInterpolation:
         if not isinstance(evaluator, TimelineEvaluator):
             return []
         borders = evaluator.borders(np.ascontiguousarray(points.T))
-        rounding = _BORDER_ROUNDING * float(np.ptp(self.domain.horizon))
+        rounding = COINCIDENT * float(np.ptp(self.domain.horizon))
         return [float(np.median(row)) for row in borders if np.ptp(row) <= rounding]
 
     def _best_trains(

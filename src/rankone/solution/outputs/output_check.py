@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from rankone.compiler.codegen.quantities import Quantities
 from rankone.solution.outputs.sampling import Sampler
-from rankone.solvers.request import Domain
+from rankone.solvers.request import USUAL_POINTS, Domain
 from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import Array, bisected, corners, spread
+from rankone.support.precision import ACCUMULATED
 from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 
-ROUNDING = 1e-13  # A quantity below this share of its operands is zero except for rounding
-_INTERIOR_POINTS = 96  # Points of the interior where an error is measured, as for solutions
 _MAX_CORNERS = 32  # Corners where an error is measured: all of five parameters
 _SCOUTS = 512  # Points where a search begins
 _CLIMBERS = 16  # Best of them that go on
@@ -51,7 +50,7 @@ class Check:
     def at(cls, sampler: Sampler, points: Array) -> Check:
         values = sampler(points)
         sizes: Array = np.abs(values).max(axis=(1, 2))
-        nothing = sizes <= ROUNDING * sampler.largest
+        nothing = sizes <= ACCUMULATED * sampler.largest
         return cls(points, values, np.where(nothing, sampler.largest or 1.0, sizes))
 
     def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
@@ -136,7 +135,7 @@ class CheckPoints:
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
         at_corners = _corners(domain)
         special = [_beside(domain, quantities.cuts[1:]), _on_surfaces(domain, quantities)]
-        count = _INTERIOR_POINTS if domain.box else 1
+        count = USUAL_POINTS if domain.box else 1
         halves = (spread_over(domain, count, seed) for seed in (_SPREAD_SEED, _FURTHER_SEED))
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
@@ -180,7 +179,7 @@ def _beside(domain: Domain, breaks: Sequence[Sequence[float]]) -> Array:
 
 def _on_surfaces(domain: Domain, quantities: Quantities) -> Array:
     """Points of the box where functions of several parameters are narrow or not smooth: (m, d)."""
-    points = spread_over(domain, 2 * _INTERIOR_POINTS)
+    points = spread_over(domain, 2 * USUAL_POINTS)
     left, right = np.split(points, 2)
     blocks = [points[:0]]
     with np.errstate(all="ignore"):

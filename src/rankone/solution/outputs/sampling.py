@@ -14,11 +14,11 @@ from rankone.support.arrays import Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError, RankoneError
+from rankone.support.precision import AT_ONCE, NEGLIGIBLE
 from rankone.support.tasks import Pool, Shared
 from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 
-_CHUNK_NUMBERS = 1 << 19  # Numbers of the functions of time that are held at once: 4 MB, as caches
 _MAX_MIDDLES = 4  # Narrow features looked at on each trajectory
 # Operations of evaluating functions of the sources, for each number of a function of time
 _FUNCTION_COST = 20.0
@@ -29,7 +29,6 @@ _SEARCH_COST = 200.0  # Operations of looking for extremes or zeros, for each nu
 _SEARCHED_KINDS = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
 # Values below this many tolerances of the solution, relative to the largest, have no sign
 _SIGN_RATIO = 10.0
-_LEAST_SIGNED = 1e-9  # The same for tight tolerances: rounding changes signs too
 
 
 class Sampler:
@@ -52,7 +51,7 @@ class Sampler:
         self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
         self.grid, self.largest = grid, 0.0
         self.pool: Pool | None = None
-        self._negligible = max(_SIGN_RATIO * rtol, _LEAST_SIGNED)
+        self._negligible = max(_SIGN_RATIO * rtol, NEGLIGIBLE)
         self._orders: dict[int, Sequence[SlabTrain]] = {0: slabs}
         for order in range(1, 1 + max((s.order for s in quantities.sources), default=0)):
             self._orders[order] = [slab.derivative() for slab in self._orders[order - 1]]
@@ -107,7 +106,7 @@ class Sampler:
     def _chunks(self, points: Array, functions: int) -> list[Array]:
         """Points of which so many functions of time are held at once."""
         numbers = len(points) * functions * self.grid.times.size
-        return np.array_split(points, max(-(-numbers // _CHUNK_NUMBERS), 1))
+        return np.array_split(points, max(-(-numbers // AT_ONCE), 1))
 
     def largest_sources(self, points: Array) -> Array:
         """The largest values of the sources at points (m, d): shape (sources,)."""

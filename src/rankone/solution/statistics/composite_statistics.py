@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from rankone.solution.statistics.lines import MOMENTS, LineAverages, Weighted
 from rankone.solution.statistics.solution_statistics import (
-    ROUNDING_ERROR,
     Effect,
     Statistics,
     VarianceParts,
@@ -28,6 +27,7 @@ from rankone.solution.statistics.solution_statistics import (
 )
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
+from rankone.support.precision import ACCUMULATED, COINCIDENT
 from rankone.support.progress import StepReport
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.bases.coordinates import round_off
@@ -43,7 +43,6 @@ from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEv
 from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.slab import SlabTrain, sharing, slab_positions
 
-_LEAST_SPREAD = 1e-12  # Of a mean, below which nothing but rounding varies
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 # Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time
 _EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 20
@@ -170,7 +169,7 @@ class TimelineStatistics(Statistics):
                 running[k] = min(running[k], np.isfinite(states).all(axis=0).mean())
         mean, square = squares / points.size
         spread = np.sqrt(np.maximum(square - mean**2, 0.0))[:, None]
-        varies = spread > _LEAST_SPREAD * np.abs(mean)[:, None]
+        varies = spread > COINCIDENT * np.abs(mean)[:, None]
         relative = np.divide(widths, spread, out=np.zeros(shape), where=varies)
         largest = float(np.nanmax(relative, initial=0.0))
         return Effect(means, widths, largest, float(running.min(initial=1.0)))
@@ -381,7 +380,7 @@ class PieceStatistics(TimelineStatistics):
 
         square, cube, fourth = self._sum(powers)
         size = np.sqrt(square)
-        still = size <= ROUNDING_ERROR * np.abs(mean).max(axis=1, initial=0.0)[:, None]
+        still = size <= ACCUMULATED * np.abs(mean).max(axis=1, initial=0.0)[:, None]
         divisor = np.where(still, np.nan, size)
         return np.stack([size, cube / divisor**3, fourth / divisor**4])
 

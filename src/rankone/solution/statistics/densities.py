@@ -19,6 +19,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, RankoneWarning
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count
+from rankone.support.precision import COINCIDENT
 from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.joint_distribution import SETS, Correlations, Under, half_width, share_of
 
@@ -32,7 +33,6 @@ _KNOTS, _SMOOTHED = 64, _BINS // 64  # Knots of a scale, and bins over which its
 _LEAST_SHARE = 1e-4  # Added to the probability between knots, so that the scale rises everywhere
 # Probabilities of the quantiles that a density prints
 _SHOWN_PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
-_STILL = 1e-12  # Range of values, relative to their size, below which there is no density: rounding
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,7 +183,7 @@ class DistributionOverBox(StatisticsOverBox):
             largest = statistics.over_points(
                 clock, few, lambda states: np.nanmax(np.abs(states[0])), [state.row]
             )
-        if np.ptp(sample) <= _STILL * max(np.nanmax(largest), np.abs(sample).max()):
+        if np.ptp(sample) <= COINCIDENT * max(np.nanmax(largest), np.abs(sample).max()):
             raise EvaluationError(
                 f"{quote(state.name)} does not vary there, and has no density",
                 term=t,

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
+from rankone.support.precision import NEGLIGIBLE
 from rankone.tensors.bases.joint_distribution import Copula, JointDistribution
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train
@@ -309,8 +310,6 @@ def _sandwich(core: Array, inner: Array) -> Array:
 # v = y^2, of rank r (r + 1)/2, the moments are E[y^3] = <v, y> and E[y^4] = <v, v>.
 
 
-# Least tolerance of the truncation, relative to the root mean square of y: above rounding
-_LEAST_TOLERANCE = 1e-9
 _LARGEST_TOLERANCE = 0.1  # Largest tolerance of the truncation: one digit of the moments is left
 # Tolerance above which a user is warned, unless it was asked for: it shows in five digits
 _WARNED_TOLERANCE = 1e-5
@@ -331,7 +330,7 @@ class HigherMoments:
     def __init__(
         self, slab: SlabTrain, parameters: JointDistribution, central: bool, tolerance: float
     ) -> None:
-        self.central, self.tolerance = central, max(tolerance, _LEAST_TOLERANCE)
+        self.central, self.tolerance = central, max(tolerance, NEGLIGIBLE)
         self.weights: list[Array] = []
         nodal = []
         triples = zip(slab.cores[1:], slab.bases, parameters.measures, strict=True)

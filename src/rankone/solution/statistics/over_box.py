@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.statistics.composite_statistics import PieceStatistics, TimelineStatistics
 from rankone.solution.statistics.solution_statistics import (
-    ROUNDING_ERROR,
     Effect,
     MainEffects,
     Sobol,
@@ -27,6 +26,7 @@ from rankone.solution.statistics.solution_statistics import (
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
+from rankone.support.precision import ACCUMULATED
 from rankone.support.progress import StepReport, counting_bar
 from rankone.support.wording import shown
 from rankone.tensors.bases.distributions import Distribution, from_text, scale_of
@@ -50,6 +50,8 @@ Times = ArrayLike | None
 Progress = bool | StepReport
 """A bar or none, or what is called with the numbers of finished and of all steps."""
 
+CENTRAL = (0.025, 0.975)
+"""Probabilities between which 95 % lie: the ends of bands."""
 # Half-widths of main effects, in shares of the spread, above which a user is told
 _VISIBLE_HALF_WIDTH = 1e-2
 _SIZE_TIMES = 25  # Times at which the size of an unknown is measured: a size need not be exact
@@ -498,7 +500,7 @@ class StatisticsOverBox(SolutionCore):
         largest = squares.reshape(len(squares), -1)
         sizes = np.asarray(np.fmax.reduce(largest, axis=1))  # all may have ended at the last times
         errors = np.nan_to_num([self.errors[name] for name in self.unknowns], posinf=0.0)
-        return sizes, sizes * np.maximum(errors, ROUNDING_ERROR)
+        return sizes, sizes * np.maximum(errors, ACCUMULATED)
 
     def _main_effects(
         self, t: Times, count: int, statistics: Statistics, report: StepReport = quiet

@@ -13,6 +13,7 @@ from rankone.solution.statistics.moments import ConditionalMoments, HigherMoment
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
 from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.precision import ACCUMULATED
 from rankone.support.progress import StepReport
 from rankone.support.wording import quote
 from rankone.tensors.bases.joint_distribution import SETS, JointDistribution, share_of
@@ -50,8 +51,6 @@ def warn_of_ends(running: float) -> None:
 
 _POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
 _SLABS_REMEMBERED = 4  # Latest slabs whose moments may serve a later slab that shares their cores
-ROUNDING_ERROR = 1e-13
-"""Error by rounding, relative to the size of a state: a smaller spread is none."""
 # Spread over error above which the error changes shares of the variance by 4 % at most
 _CLEAR_RATIO = 5.0
 
@@ -314,7 +313,7 @@ class Statistics:
         firsts = (slab.cores[0][self.rows] for slab in self.slabs)
         pairs = zip(slab_moments, firsts, strict=True)
         sizes = np.max([moments.sizes(first) for moments, first in pairs], axis=0)
-        still = table[0] <= ROUNDING_ERROR * sizes[:, None]
+        still = table[0] <= ACCUMULATED * sizes[:, None]
         table[1:, still] = np.nan
         return table
 
@@ -424,7 +423,7 @@ def doubtful_shares(
     are NaN where nothing depends on time.
     """
     for name, row, size, error in zip(unknowns, spread, sizes, errors, strict=True):
-        varies = row > ROUNDING_ERROR * size
+        varies = row > ACCUMULATED * size
         hidden = varies & (row <= error)
         vague = varies & (row > error) & (row < _CLEAR_RATIO * error)
         if hidden.any():

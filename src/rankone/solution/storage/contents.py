@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path, plain, rebuilt
+from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.bases import BASES, SCALES, Basis1D, Scale
 from rankone.tensors.evaluators.branch_evaluator import Tiling
@@ -56,8 +57,6 @@ _DAMAGE = (
     ValueError,
     ZlibError,
 )
-# Fraction of the horizon by which neighbouring slabs may miss each other, from rounding
-_SLAB_GAP = 1e-9
 
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -467,7 +466,7 @@ def _check_slabs(outcome: Outcome, metadata: SolutionMetadata, span: tuple[float
 def _near(span: tuple[float, float]) -> float:
     """By how much neighbouring slabs may miss each other."""
     begin, end = span
-    return _SLAB_GAP * (end - begin)
+    return NEGLIGIBLE * (end - begin)
 
 
 def _check_error(outcome: Outcome, rtol: float) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from rankone.share.export.explorer.mathml import Notation, with_exponents
 from rankone.share.export.packing import PackedBranch, PackedModel, PackedTimeline
+from rankone.solution.statistics.over_box import CENTRAL
 from rankone.solvers.outcome import Measured, Role
 from rankone.support.arrays import Array
 from rankone.support.errors import RankoneWarning
@@ -26,7 +27,6 @@ from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 if TYPE_CHECKING:
     from rankone.solution.statistics.densities import DistributionOverBox
 
-_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities between which the bands lie: 95 %
 _BOX_POINTS = 2**12  # Points over the box from which quantiles are taken
 _CURVE_TIMES = 401  # Evenly spaced times at which curves are drawn: about one for two pixels
 _TIMES_IN_SLAB = 4  # Further times in each slab
@@ -66,7 +66,7 @@ def content(
         unit = with_exponents(units.get(name, ""))
         return {"name": name, "text": text, "symbol": symbol, "unit": unit}
 
-    probabilities = (0.0, *_BAND_PROBABILITIES, 1.0)
+    probabilities = (0.0, *CENTRAL, 1.0)
     with warnings.catch_warnings():  # the page says itself that some may have ended
         warnings.filterwarnings("ignore", ".* still running", RankoneWarning)
         quantiles = solution.quantile(probabilities, times, count=_BOX_POINTS)
