@@ -22,6 +22,9 @@ MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
 _DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
 
+PAIRS: dict[str, Any] = {"nargs": "+", "action": "extend"}
+"""An option with several values, ``NAME=VALUE``, that may be given again."""
+
 spelled: ContextVar[Callable[[str], str]] = ContextVar("spelled", default=str)
 """How messages of the running command are written."""
 
@@ -60,7 +63,7 @@ def add_solve_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_set(parser: argparse.ArgumentParser) -> None:
     help_text = "other numbers of constants of a problem file; a parameter is fixed at its number"
-    parser.add_argument("--set", metavar="NAME=VALUE", nargs="+", action="extend", help=help_text)
+    parser.add_argument("--set", metavar="NAME=VALUE", **PAIRS, help=help_text)
 
 
 def add_states(parser: argparse.ArgumentParser) -> None:

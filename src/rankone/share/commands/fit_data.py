@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rankone.share.commands.common import (
     FAILURE,
+    PAIRS,
     SOLVED_HELP,
     SUCCESS,
     Commands,
@@ -63,24 +64,22 @@ def register(commands: Commands) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
     add("data", metavar="DATA", type=Path, help="a .csv file (see below)")
-    add("--observe", metavar="NAME[=EXPR]", nargs="+", action="extend", help=_OBSERVE_HELP)
+    add("--observe", metavar="NAME[=EXPR]", **PAIRS, help=_OBSERVE_HELP)
     add("--sigma", metavar="S|NAME=S", nargs="+", help=_SIGMA_HELP)
     add("--noise", metavar="KIND|NAME=KIND", nargs="+", help=_NOISE_HELP)
-    add("--doses", metavar="NAME=COLUMN", nargs="+", action="extend", help=_DOSES_HELP)
+    add("--doses", metavar="NAME=COLUMN", **PAIRS, help=_DOSES_HELP)
     for option, meaning in (("fixed", "parameters that are known"), ("start", "where to start")):
-        add(f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning)
+        add(f"--{option}", metavar="NAME=VALUE", **PAIRS, help=meaning)
     add(
         "--bounds",
         metavar="NAME=LOWER:UPPER[:SCALE]",
-        nargs="+",
-        action="extend",
+        **PAIRS,
         help=_BOUNDS_HELP,
     )
     add(
         "--prior",
         metavar="NAME=DISTRIBUTION",
-        nargs="+",
-        action="extend",
+        **PAIRS,
         help="what was known before, as in scipy.stats: k='norm(1, 0.1)'",
     )
     add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")

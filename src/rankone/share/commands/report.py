@@ -35,8 +35,6 @@ _FOLDER_HELP = (
 )
 _NO_PLOTS_HELP = "no plots, and no files unless -o is given"
 _TEXTS = ("report.txt", "report.json")
-_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities between which the band lies: 95 %
-_PLOT_SIZE = (5.6, 3.5)  # Width and height of a plot, in inches
 _PLOT_RESOLUTION = 150  # Dots per inch of a plot
 
 
@@ -130,8 +128,10 @@ def _statistics(solution: Solution) -> _Statistics | None:
     """The statistics at the end of what was solved; None if nothing was."""
     if not solution.outcome.slabs or solution.outcome.timeline is not None:
         return None
+    from rankone.solution.statistics.over_box import CENTRAL
+
     at = () if solution.metadata.timeless else (solution.time[1],)
-    low, high = solution.quantile(_BAND_PROBABILITIES, *at)
+    low, high = solution.quantile(CENTRAL, *at)
     columns = {
         "mean": solution.mean(*at),
         "std": solution.std(*at),
@@ -201,13 +201,14 @@ def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the plots that can be made; a warning for others."""
     from matplotlib.figure import Figure
 
+    from rankone.share.plotting.style import FIGURE_SIZE
     from rankone.support.errors import RankoneError
 
     if not solution.outcome.slabs:
         return
     for kind, draw in _standard(solution).items():
         for position, unknown in enumerate(solution.unknowns):
-            figure = Figure(figsize=_PLOT_SIZE, layout="constrained")
+            figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
             try:
                 draw(unknown, figure.subplots())
             except RankoneError as error:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rankone.share.commands.common import (
     FAILURE,
     MODEL_HELP,
+    PAIRS,
     SUCCESS,
     Commands,
     add_command,
@@ -47,7 +48,7 @@ _EXECUTOR_HELP = (
 
 def add_pieces(add: Callable[..., object]) -> None:
     """Add the options to the parser of ``rankone solve``."""
-    add("--split", metavar="NAME=COUNT", nargs="+", action="extend", help=_SPLIT_HELP)
+    add("--split", metavar="NAME=COUNT", **PAIRS, help=_SPLIT_HELP)
     add("--checkpoint", metavar="FOLDER", help=_CHECKPOINT_HELP)
     add("--executor", metavar="N|ADDRESS", type=_executor, help=_EXECUTOR_HELP)
 
@@ -144,16 +145,16 @@ def register(commands: Commands) -> None:
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--check", metavar="N", type=_count, help=_CHECK_HELP)
     add("--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)")
-    add("--box", metavar="NAME=LOWER:UPPER[:SCALE]", nargs="+", action="extend", help=_BOX_HELP)
+    add("--box", metavar="NAME=LOWER:UPPER[:SCALE]", **PAIRS, help=_BOX_HELP)
     add("--t-final", metavar="T", type=float, help=_END_HELP)
     add_set(solve)
-    add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
+    add("--options", metavar="NAME=VALUE", **PAIRS, help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
     add("--max-memory", metavar="SIZE", help=MEMORY_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
-    add("--outputs", metavar="NAME=EXPR", nargs="+", action="extend", help=_OUTPUTS_HELP)
+    add("--outputs", metavar="NAME=EXPR", **PAIRS, help=_OUTPUTS_HELP)
     add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
     add("--markers", metavar="WHEN", nargs="+", default=["auto"], help=_MARKERS_HELP)
     add_pieces(add)
@@ -172,8 +173,7 @@ def register(commands: Commands) -> None:
     show.add_argument(
         "--box",
         metavar="NAME=LOWER:UPPER[:SCALE]",
-        nargs="+",
-        action="extend",
+        **PAIRS,
         help="of a model the parameters that are free",
     )
     show.add_argument(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from rankone.share.commands.common import (
     FAILURE,
+    PAIRS,
     SOLVED_HELP,
     SUCCESS,
     Commands,
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 _AT_HELP = "a value of time, parameters"
 _GRID_HELP = "several: LOWER:UPPER:COUNT evenly, or VALUE,VALUE,..."
 _AXIS_FORM = "NAME=LOWER:UPPER:COUNT or NAME=VALUE,VALUE"
-_LARGEST_GRID = 20_000_000  # Most numbers on a grid: 160 megabytes, and far more as a table
 
 
 def register_evaluation(commands: Commands) -> None:
@@ -54,8 +54,8 @@ def register_evaluation(commands: Commands) -> None:
     )
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    add("--at", metavar="NAME=VALUE", nargs="+", action="extend", help=_AT_HELP)
-    add("--grid", metavar="NAME=VALUES", nargs="+", action="extend", help=_GRID_HELP)
+    add("--at", metavar="NAME=VALUE", **PAIRS, help=_AT_HELP)
+    add("--grid", metavar="NAME=VALUES", **PAIRS, help=_GRID_HELP)
     add_states(parser)
     add("--json", action="store_true", help="print JSON")
     add("--csv", metavar="PATH", nargs="?", const="-", help="a table, printed or written to PATH")
@@ -103,10 +103,12 @@ def _axis(text: str) -> list[float]:
     """The points of an axis; a ValueError if the text does not read as one."""
     import numpy as np
 
+    from rankone.share.export.program import LARGEST_GRID
+
     if ":" not in text:
         return [float(point) for point in text.split(",")]
     lower, upper, count = text.split(":")
-    if not 1 <= int(count) <= _LARGEST_GRID or (int(count) == 1 and float(lower) != float(upper)):
+    if not 1 <= int(count) <= LARGEST_GRID or (int(count) == 1 and float(lower) != float(upper)):
         raise ValueError
     return [float(point) for point in np.linspace(float(lower), float(upper), int(count))]
 
@@ -117,12 +119,13 @@ def _states(
     """The states on the grid of all combinations, an axis for each coordinate."""
     import numpy as np
 
+    from rankone.share.export.program import LARGEST_GRID
     from rankone.support.errors import OptionError
 
     size = math.prod(map(len, axes.values())) * len(names)
-    if size > _LARGEST_GRID:
+    if size > LARGEST_GRID:
         raise OptionError(
-            f"the grid has {size:,} values", remedy=f"ask for at most {_LARGEST_GRID:,}"
+            f"the grid has {size:,} values", remedy=f"ask for at most {LARGEST_GRID:,}"
         )
     if all(len(axis) == 1 for axis in axes.values()):  # to the last bit as a call
         at = {name: axis[0] for name, axis in axes.items()}

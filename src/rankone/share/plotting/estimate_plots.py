@@ -17,7 +17,7 @@ from rankone.inference.populations.predictive_check import PredictiveCheck
 from rankone.share.plotting import style
 from rankone.share.plotting.style import fine_times
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import did_you_mean, listing, quote
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 _SAMPLES = 20_000  # Points from which pairs of parameters are drawn
 _BINS = 40  # Bins of a pair in each direction
 _LEVELS = (0.95, 0.5)  # Shares of the probability inside of contours
-_CURVE_POINTS = 201  # Points of a marginal density
 _SHOWN_RISE = 2.5  # Largest rise of a profile that is shown, in units of that at the interval
 
 
@@ -61,7 +60,9 @@ def plot_posterior(
     OptionError
         If it is no posterior, or there are not n times n axes.
     """
-    _check("plot_posterior", posterior, Posterior, "what solution.posterior(...) returns")
+    check_kind(
+        "plot_posterior", posterior, Posterior, remedy="give what solution.posterior(...) returns"
+    )
     names = posterior.parameters
     axes = _square(ax, len(names))
     solution = cast("Solution", posterior.fit.solution)
@@ -81,9 +82,9 @@ def plot_posterior(
             panel.set_xlim(*ends[column])
             panel.tick_params(labelbottom=i == len(names) - 1, labelleft=j == 0 < i)
             if i == len(names) - 1:
-                panel.set_xlabel(_label(solution, column))
+                panel.set_xlabel(style.label_of(solution, column))
             if j == 0 < i:
-                panel.set_ylabel(_label(solution, row))
+                panel.set_ylabel(style.label_of(solution, row))
     return axes
 
 
@@ -114,13 +115,13 @@ def plot_profiles(
     OptionError
         If it is no fit, or there is no such parameter.
     """
-    _check("plot_profiles", fit, Fit, "what solution.fit(...) returns")
+    check_kind("plot_profiles", fit, Fit, remedy="give what solution.fit(...) returns")
     free = fit._problem.free
     names = [free.names[free.index(p)] for p in (parameters or free.names)]
     axes = style.several_axes(ax, len(names), "Profile likelihoods")
     for panel, name in zip(axes, names, strict=True):
         _draw_profile(panel, fit, name)
-        panel.set_xlabel(_label(cast("Solution", fit.solution), name))
+        panel.set_xlabel(style.label_of(cast("Solution", fit.solution), name))
     axes[0].set_ylabel("rise of −2 log L")
     return axes
 
@@ -145,7 +146,7 @@ def plot_design(design: Design, *, ax: Sequence[Axes] | None = None) -> tuple[Ax
     OptionError
         If it is no design, or there are not two axes.
     """
-    _check("plot_design", design, Design, "what solution.design(...) returns")
+    check_kind("plot_design", design, Design, remedy="give what solution.design(...) returns")
     trial = design._blocks.trial
     solution = cast("Solution", trial.solution)
     upper, lower = style.stacked(0.9, 0.5) if ax is None else style.several_axes(ax, 2, "")
@@ -162,25 +163,11 @@ def plot_design(design: Design, *, ax: Sequence[Axes] | None = None) -> tuple[Ax
     lower.plot(design.candidates, design.gain, color=style.PALETTE[6])
     for panel in (upper, lower):
         for time in times:
-            panel.axvline(float(time), color="0.6", linewidth=0.8, linestyle=":", zorder=0)
+            panel.axvline(float(time), color="0.6", linewidth=1, linestyle=":", zorder=0)
     upper.set_ylabel("expected")
     lower.set_ylabel("gain of one\nmore")
     lower.set_xlabel(style.label_of(solution, solution.metadata.time))
     return upper, lower
-
-
-def _check(function: str, given: object, kind: type, what: str) -> None:
-    if not isinstance(given, kind):
-        raise OptionError(
-            f"{function} needs a {kind.__name__}, not {type(given).__name__}",
-            term=given,
-            remedy=f"give {what}",
-        )
-
-
-def _label(solution: Solution, name: str) -> str:
-    """A parameter with its unit; those of observables and noise have none."""
-    return style.label_of(solution, name)
 
 
 def _square(ax: object, n: int) -> NDArray[np.object_]:
@@ -195,12 +182,12 @@ def _padded(low: float, high: float) -> tuple[float, float]:
 
 def _draw_marginal(panel: Axes, posterior: Posterior, name: str, ends: tuple[float, float]) -> None:
     colour = style.PALETTE[0]
-    x = np.linspace(*ends, _CURVE_POINTS)
+    x = np.linspace(*ends, style.SMOOTH_POINTS)
     density = posterior.density(name, x)
     low, high = posterior.interval()[name]
     panel.plot(x, density, color=colour)
     inside = (x >= low) & (x <= high)
-    panel.fill_between(x[inside], density[inside], color=colour, alpha=0.2, linewidth=0)
+    panel.fill_between(x[inside], density[inside], color=colour, **style.BAND)
     panel.set_ylim(bottom=0.0)
     panel.set_yticks([])
 
@@ -242,7 +229,7 @@ def _draw_profile(panel: Axes, fit: Fit, name: str) -> None:
     panel.axhline(limit / unit, color="0.4", linestyle="--", linewidth=1)
     deviation = fit.std[name]
     if np.isfinite(deviation) and shown.any():
-        line = np.linspace(x[shown].min(), x[shown].max(), _CURVE_POINTS)
+        line = np.linspace(x[shown].min(), x[shown].max(), style.SMOOTH_POINTS)
         panel.plot(line, ((line - fit.x[name]) / deviation) ** 2, color="0.5", linestyle=":")
     panel.axvline(fit.x[name], color="0.8", linewidth=1, zorder=0)
     for end in (profile.lower, profile.upper):
@@ -257,7 +244,6 @@ def _draw_profile(panel: Axes, fit: Fit, name: str) -> None:
 
 
 _MOST_PANELS = 12  # Subjects that are drawn if none are named
-_CURVE_TIMES = 201
 _TYPICAL = "0.55"  # Grey of the curves of typical subjects
 
 
@@ -306,12 +292,8 @@ def plot_population(
         axes = style.axes_for(ax)
         _draw_check(fit, axes)
         return (axes,)
-    if not isinstance(fit, PopulationFit):
-        raise OptionError(
-            f"plot_population needs a PopulationFit, not {type(fit).__name__}",
-            term=fit,
-            remedy="give what solution.fit_population(...) returns, or its predictive_check()",
-        )
+    remedy = "give what solution.fit_population(...) returns, or its predictive_check()"
+    check_kind("plot_population", fit, PopulationFit, remedy=remedy)
     names = _subjects(fit, subjects)
     observed = fit.measured(observable)
     title = f"{observed.name}: data, fitted curves, and typical ones dashed"
@@ -344,7 +326,7 @@ def _draw_subject(fit: PopulationFit, name: str, observable: str, ax: Axes) -> N
     one = fit.measured(observable)
     records = np.flatnonzero(fit.owner == fit.subjects.index(name))
     last = float(one.times[records][one.present[records]].max(initial=0.0))
-    times = fine_times(cast("Solution", fit.solution), last, _CURVE_TIMES)
+    times = fine_times(cast("Solution", fit.solution), last, style.SMOOTH_POINTS)
     own = np.atleast_2d(fit.curve(name, times, observable=observable))
     typical = np.atleast_2d(fit.curve(name, times, observable=observable, typical=True))
     colours = style.colours_for(ax, len(records))
@@ -358,17 +340,14 @@ def _draw_subject(fit: PopulationFit, name: str, observable: str, ax: Axes) -> N
 
 
 def _draw_check(check: PredictiveCheck, ax: Axes) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     middle = len(check.quantiles) // 2
     for q, share in enumerate(check.quantiles):
         colour = style.PALETTE[1] if q == middle else style.PALETTE[0]
         low, _, high = check.simulated[q]
         label = f"{100 * share:g} % quantile"
-        ax.fill_between(check.times, low, high, color=colour, alpha=0.25, linewidth=0)
+        ax.fill_between(check.times, low, high, color=colour, **style.BAND)
         ax.plot(check.times, check.observed[q], color=colour, label=label)
-    points = ax.plot(*check.data, "o", color="0.6", markersize=2.5, zorder=1, label="data")
+    points = ax.plot(*check.data, "o", color="0.6", markersize=2, zorder=1, label="data")
     solution = cast("Solution", check.solution)
     ax.set_xlabel(style.label_of(solution, solution.metadata.time))
     corrected = ", predictions corrected" if check.corrected else ""
@@ -378,9 +357,7 @@ def _draw_check(check: PredictiveCheck, ax: Axes) -> None:
         ax,
         [
             *points,
-            Line2D([], [], color="0.3", label=f"quantiles of data: {', '.join(shares)} %"),
-            Patch(
-                color="0.3", alpha=0.25, linewidth=0, label=f"simulated: {100 * check.level:g} %"
-            ),
+            style.line_key(f"quantiles of data: {', '.join(shares)} %"),
+            style.band_key(f"simulated: {100 * check.level:g} %"),
         ],
     )

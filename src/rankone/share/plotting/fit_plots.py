@@ -14,7 +14,7 @@ from rankone.inference.estimation.fit import Fit
 from rankone.share.plotting import style
 from rankone.share.plotting.style import CURVE_TIMES, fine_times, needs_time
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import did_you_mean, listing, quote
 
 if TYPE_CHECKING:
@@ -66,12 +66,8 @@ def plot_calibration(
     OptionError
         If ``calibration`` is none, found nothing, or there is no such observable.
     """
-    if not isinstance(calibration, Calibration):
-        raise OptionError(
-            f"plot_calibration needs a Calibration, not {type(calibration).__name__}",
-            term=calibration,
-            remedy="give what rankone.calibrate(...) returns",
-        )
+    remedy = "give what rankone.calibrate(...) returns"
+    check_kind("plot_calibration", calibration, Calibration, remedy=remedy)
     if not calibration.comparisons:
         raise OptionError(f"there is nothing to be drawn: {calibration.message}")
     chosen = _chosen(calibration, observables)
@@ -115,9 +111,9 @@ def _draw_measurements(
     for each in comparisons:
         colour, times = _colour(each.experiment, experiments), _drawn(each.times)
         bars = np.abs(each.bars - each.measured)
-        panel.errorbar(times, each.measured, bars, fmt="o", ms=3, lw=0.8, color=colour)
-        panel.plot(times, each.predicted, "-", lw=1.5, color=colour)
-        panel.fill_between(times, *each.band, color=colour, alpha=0.2, lw=0)
+        panel.errorbar(times, each.measured, bars, fmt="o", ms=3, lw=1, color=colour)
+        panel.plot(times, each.predicted, "-", color=colour)
+        panel.fill_between(times, *each.band, color=colour, **style.BAND)
     if sizes.min() > 0.0 and sizes.max() > _FAR * sizes.min():
         panel.set_yscale("log")
     panel.set_xlabel("time")
@@ -135,7 +131,7 @@ def _draw_calibration_residuals(
         panel.plot(times, residuals, "o", ms=3, color=colour, label=experiment)
     if len(experiments) > 1:
         panel.legend()
-    panel.axhline(0.0, lw=0.8, color=style.PALETTE[6])
+    panel.axhline(0.0, lw=1, color=style.PALETTE[6])
     panel.set(title="residuals", xlabel="time", ylabel="standard deviations")
 
 
@@ -143,7 +139,7 @@ def _draw_starts(panel: Axes, calibration: Calibration) -> None:
     """How far the ends of the starts are below the best one."""
     ends = np.array([start.log_likelihood for start in calibration.starts])
     gaps = np.maximum(calibration.log_likelihood - ends, _LEAST_GAP)
-    panel.plot(1 + np.arange(ends.size), gaps, "o-", ms=4, lw=0.8, color=style.PALETTE[0])
+    panel.plot(1 + np.arange(ends.size), gaps, "o-", ms=4, lw=1, color=style.PALETTE[0])
     panel.set_yscale("log")
     panel.set_ylim(0.5 * _LEAST_GAP, max(2.0 * float(gaps[np.isfinite(gaps)].max()), 1.0))
     panel.set(title="starts", xlabel="rank", ylabel="log-likelihood below the best")
@@ -195,12 +191,7 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
     identify the curve. Residuals have the unit of the data if sigma is not given and the data are
     met exactly.
     """
-    if not isinstance(fit, Fit):
-        raise OptionError(
-            f"plot_fit needs a Fit, not {type(fit).__name__}",
-            term=fit,
-            remedy="give what solution.fit(...) returns",
-        )
+    check_kind("plot_fit", fit, Fit, remedy="give what solution.fit(...) returns")
     for trial in fit.trials:
         needs_time(cast("Solution", trial.solution), "curves of a fit")
     axes = _axes(ax)
@@ -283,7 +274,7 @@ def _draw_data(ax: Axes, outputs: Sequence[_Output], band: str) -> None:
         times, curve, half = output.curve
         before = f"{output.name}, " if several else ""
         if banded:
-            ax.fill_between(times, curve - half, curve + half, color=colour, alpha=0.2, linewidth=0)
+            ax.fill_between(times, curve - half, curve + half, color=colour, **style.BAND)
         ax.errorbar(
             output.times,
             output.data,
@@ -303,16 +294,10 @@ def _draw_data(ax: Axes, outputs: Sequence[_Output], band: str) -> None:
 
 def _legend(ax: Axes, colour: str, band: str | None) -> None:
     """What points, lines and bands are, above the axes, where it hides nothing."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    points = Line2D([], [], color=colour, marker="o", markersize=4, markerfacecolor="white", ls="")
-    handles: dict[str, Artist] = {"measured": points, "fitted": Line2D([], [], color=colour)}
-    if band:
-        handles[band] = Patch(color=colour, alpha=0.2, linewidth=0)
-    for word, handle in handles.items():
-        handle.set_label(word)
-    style.legend_above(ax, [*handles.values()])
+    points = style.line_key("measured", colour, marker="o", markersize=4, ls="")
+    points.set_markerfacecolor("white")
+    handles: list[Artist] = [points, style.line_key("fitted", colour)]
+    style.legend_above(ax, [*handles, style.band_key(band, colour)] if band else handles)
 
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:

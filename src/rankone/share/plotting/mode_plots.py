@@ -30,6 +30,7 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_number
+from rankone.support.precision import COINCIDENT
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases import Logarithm
 from rankone.tensors.bases.coordinates import name_of
@@ -90,7 +91,7 @@ def plot_density(
         clock = solution.metadata.time
         label = None if instant is None else style.value_of(solution, clock, instant)
         axes.plot(density.values, density.density, color=colour, label=label)
-        axes.fill_between(density.values, density.density, color=colour, alpha=0.15, linewidth=0)
+        axes.fill_between(density.values, density.density, color=colour, **style.BAND)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(style.label_of(solution, name))
     axes.set_ylabel("density")
@@ -101,9 +102,6 @@ def plot_density(
 
 # -----------------------------------------------------------------------------
 # The base functions of one unknown: `plot_modes`.
-
-
-_POINTS = 301  # Points at which a base function is drawn
 
 
 def plot_modes(
@@ -155,7 +153,7 @@ def plot_modes(
     shown = min(modes, form.rank)
     for panel, axis in zip(axes, form.axes, strict=False):
         start, end = axis.scale.to_scale(np.array([axis.breaks[0], axis.breaks[-1]]))
-        points = axis.scale.from_scale(np.linspace(start, end, _POINTS))
+        points = axis.scale.from_scale(np.linspace(start, end, style.CURVE_TIMES))
         functions = axis.interpolate(form.factors[axis.name][:, :shown], points)
         for i, column in enumerate(functions.T):
             panel.plot(points, column, label=f"{i + 1}")
@@ -286,11 +284,11 @@ def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:
     from matplotlib.ticker import MaxNLocator
 
     lowest, highest = float(heights.min()), float(heights.max())
-    if highest - lowest <= 1e-12 * max(abs(lowest), abs(highest)):
+    if highest - lowest <= COINCIDENT * max(abs(lowest), abs(highest)):
         lowest, highest = lowest - 0.5, highest + 0.5
     levels = MaxNLocator(_CONTOUR_LEVELS).tick_values(lowest, highest)
     filled = ax.contourf(x, y, heights, levels, cmap="viridis")
-    ax.contour(x, y, heights, levels, colors="white", linestyles="solid", linewidths=0.4, alpha=0.6)
+    ax.contour(x, y, heights, levels, colors="white", linestyles="solid", linewidths=0.5, alpha=0.5)
     ax.grid(False)
     colour_scale(ax, filled, label)
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from rankone.solution.solution import Solution
 
-_INDEX_TIMES = 201  # Times of indices over time
 _EFFECT_POINTS = 101  # Values of each parameter at which its main effect is drawn
 
 _WORDS = {"first": "first-order", "total": "total"}
@@ -88,7 +87,7 @@ def plot_sobol(
             remedy="choose 'total', 'first' or 'both'",
         )
     _needs_parameters(solution)
-    times = sometimes_of(solution, t, _INDEX_TIMES)
+    times = sometimes_of(solution, t, style.SMOOTH_POINTS)
     indices, _ = solution._indices(times, solution._statistics(under, correlation))
     shares, halves = _shares(indices, name, kind)
     if not any(np.isfinite(table).any() for table in shares.values()):
@@ -239,7 +238,7 @@ def _draw_bars(
         if (half := _visible(halves[kind][order, 0])) is not None:
             apart = 0.26 * (kind == "total" and len(shares) > 1)
             where = row[order], places - apart
-            ax.errorbar(*where, xerr=half, fmt="none", ecolor="0.3", elinewidth=1.2, capsize=2.5)
+            ax.errorbar(*where, xerr=half, fmt="none", ecolor="0.3", elinewidth=1, capsize=2)
     longest_end = longest + np.nan_to_num(np.max([each[order, 0] for each in halves.values()], 0))
     for place, length, end in zip(places, longest, longest_end, strict=True):
         ax.annotate(
@@ -254,7 +253,7 @@ def _draw_bars(
     ax.grid(False, axis="y")
     ax.set_xlim(0.0, max(1.0, 1.1 * float(longest_end.max())))
     if len(shares) > 1:
-        ax.legend(loc="lower right", fontsize="small", framealpha=0.8)
+        ax.legend(loc="lower right", fontsize="small")
 
 
 def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array) -> None:
@@ -279,9 +278,6 @@ def _draw_lines(
     halves: Mapping[str, Array],
 ) -> None:
     """A line with a band for each parameter, first-order indices dashed."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     lines, banded = [], False
     colours = style.colours_for(ax, len(parameters))
     for kind, stroke in (("total", "-"), ("first", "--")):
@@ -291,16 +287,16 @@ def _draw_lines(
             label = name if kind == "total" else f"_{name}"
             half = _visible(halves[kind][position])
             if half is not None:
-                ax.fill_between(times, row - half, row + half, color=colour, alpha=0.2, linewidth=0)
+                ax.fill_between(times, row - half, row + half, color=colour, **style.BAND)
                 banded = True
             (line,) = ax.plot(times, row, stroke, color=colour, label=label)
             lines += [line] if kind == "total" else []
     handles: list[Artist] = []
     if len(shares) > 1:
         strokes = (("total", "-"), ("first-order", "--"))
-        handles += [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
+        handles += [style.line_key(word, ls=s) for word, s in strokes]
     if banded:
-        handles.append(Patch(color="0.3", alpha=0.2, linewidth=0, label="± half-width of 95 %"))
+        handles.append(style.band_key("± half-width of 95 %"))
     if handles:
         style.legend_inside(ax, handles)
     style.name_ends(ax, lines, parameters)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,18 +22,22 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.typing import ColorType
 
     from rankone.solution.solution import Solution
 
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
 """Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
-MOST_NAMED = 8
+BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
+"""How bands are filled."""
+MOST_NAMED = len(PALETTE)
 """Lines up to which each one is named: as many as there are colours."""
 
 _MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
 _SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark nor too light
-_FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
+FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
 _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
 _WIDEST_GRID = 9.0  # Width of a figure of many small panels, in inches
 _MOST_FIXED = 12  # Values that are named above a plot
@@ -83,7 +87,7 @@ def grid_of(n: int) -> NDArray[np.object_]:
 
 def stacked(*heights: float) -> tuple[Axes, ...]:
     """Axes of a new figure below each other, with one common abscissa."""
-    width, height = _FIGURE_SIZE
+    width, height = FIGURE_SIZE
     _, grid = _pyplot().subplots(
         len(heights),
         figsize=(width, height * sum(heights)),
@@ -99,7 +103,7 @@ def axes_for(ax: object) -> Axes:
     """The axes that were given, or those of a new figure; empty ones get a light grid."""
     pyplot = _pyplot()
     if ax is None:
-        _, ax = pyplot.subplots(figsize=_FIGURE_SIZE, layout="constrained")
+        _, ax = pyplot.subplots(figsize=FIGURE_SIZE, layout="constrained")
     from matplotlib.axes import Axes
 
     if not isinstance(ax, Axes):
@@ -157,9 +161,23 @@ def colour_scale(ax: Axes, mappable: ScalarMappable, label: str) -> None:
     bar.outline.set_visible(False)
 
 
+def line_key(label: str, colour: ColorType = "0.3", **look: Any) -> Line2D:
+    """What a line means, for a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, label=label, **look)
+
+
+def band_key(label: str, colour: ColorType = "0.3") -> Patch:
+    """What a band means, for a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=colour, label=label, **BAND)
+
+
 def legend_inside(ax: Axes, handles: Sequence[Artist]) -> None:
     """A legend where it hides least."""
-    ax.legend(handles=handles, fontsize="small", framealpha=0.8)
+    ax.legend(handles=handles, fontsize="small")
 
 
 def legend_above(ax: Axes, handles: Sequence[Artist]) -> None:
@@ -261,14 +279,16 @@ def labels_of(solution: Solution, names: Sequence[str]) -> str:
 
 CURVE_TIMES = 401
 """Times of a curve, about a pixel each."""
+SMOOTH_POINTS = 201
+"""Points of what is smoother than a curve: bands, indices, densities."""
 
 
-def check_solution(function: str, given: object) -> None:
+def check_solution(function: str, solution: object) -> None:
     """Raise an OptionError unless what a function was given is a solution."""
-    if not isinstance(given, SolutionCore):
+    if not isinstance(solution, SolutionCore):
         raise OptionError(
-            f"{function} needs a Solution, not {type(given).__name__}",
-            term=given,
+            f"{function} needs a Solution, not {type(solution).__name__}",
+            term=solution,
             remedy="give what rankone.solve(problem) returns",
         )
 

@@ -19,6 +19,7 @@ from rankone.share.plotting.style import (
     unknowns_of,
 )
 from rankone.solution.evaluation.domains import merged
+from rankone.solution.statistics.over_box import CENTRAL
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
     from rankone.solution.solution import Solution
 
-_BAND_TIMES = 201  # Times of a band, which is smoother than a curve
-_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities at the ends of a band: 95 %
 _MOST_EVENTS = 3  # Events that the label of their ticks names
 _BAND_POINTS = 2**15  # Points over the box for quantiles
 # Strokes of the unknowns of a family of curves
@@ -160,7 +159,7 @@ def _draw_events(ax: Axes, times: Mapping[str, Array]) -> list[Line2D]:
     along = ax.get_xaxis_transform()
     ticks = ax.plot(every, np.zeros(every.size), "|", color="0.3", transform=along)[0]
     label = f"at {', '.join(names)}" if len(names) <= _MOST_EVENTS else "at events"
-    ticks.set(markersize=10, markeredgewidth=1.2, label=label, clip_on=False)
+    ticks.set(markersize=10, markeredgewidth=1, label=label, clip_on=False)
     return [ticks]
 
 
@@ -187,7 +186,6 @@ def _draw_family(
 ) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, LogNorm, Normalize
-    from matplotlib.lines import Line2D
 
     pairs = (zip(family.names, point, strict=True) for point in family.points.T)
     titles = [", ".join(f"{name} = {x:.4g}" for name, x in point) for point in pairs]
@@ -197,14 +195,14 @@ def _draw_family(
     for stroke, rows in zip(strokes, curves, strict=True):
         for colour, title, row in zip(colours, titles, rows, strict=True):
             label = title if few and stroke == strokes[0] else f"_{title}"
-            ax.plot(times, row, color=colour, linestyle=stroke, label=label, linewidth=1.3)
+            ax.plot(times, row, color=colour, linestyle=stroke, label=label, linewidth=1)
     handles = []
     if len(names) > 1:
         styled = zip(names, strokes, strict=True)
-        handles = [Line2D([], [], color="0.3", linestyle=s, label=name) for name, s in styled]
+        handles = [style.line_key(name, ls=s) for name, s in styled]
     if few:
         named = zip(titles, colours, strict=True)
-        handles += [Line2D([], [], color=colour, label=title) for title, colour in named]
+        handles += [style.line_key(title, colour) for title, colour in named]
     elif len(family.names) == 1:
         row, shades = family.points[0], style.shades(np.linspace(0.0, 1.0, 256))
         norm = LogNorm if style.axis_scale(solution, family.names[0]) == "log" else Normalize
@@ -280,7 +278,7 @@ def plot_bands(
     needs_time(solution, "bands")
     names = unknowns_of(solution, unknowns)
     ends = _probabilities(quantiles, sigmas)
-    times = times_of(solution, t, _BAND_TIMES)
+    times = times_of(solution, t, style.SMOOTH_POINTS)
     rows = [solution.unknowns.index(name) for name in names]
     statistics = solution._statistics(under, correlation)
     mean = statistics.mean(times)[rows]
@@ -309,7 +307,7 @@ def _probabilities(
         if quantiles is not None:
             raise OptionError("quantiles and sigmas are both given", remedy="choose one of them")
     if quantiles is None:
-        return _BAND_PROBABILITIES
+        return CENTRAL
     try:
         lower, upper = (float(q) for q in quantiles)
         valid = 0.0 <= lower < upper <= 1.0
@@ -328,18 +326,14 @@ def _draw_bands(
     ax: Axes, names: Sequence[str], times: Array, band: tuple[Array, Array, Array], meaning: str
 ) -> None:
     """A line and a band for each unknown, (unknowns, times) each."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     lines = []
     colours = style.colours_for(ax, len(names))
     for name, colour, lower, mean, upper in zip(names, colours, *band, strict=True):
-        ax.fill_between(times, lower, upper, color=colour, alpha=0.2, linewidth=0)
+        ax.fill_between(times, lower, upper, color=colour, **style.BAND)
         lines += ax.plot(times, mean, color=colour, label=f"mean of {name}")
     alone = len(names) == 1
     colour = colours[0] if alone else "0.3"
-    patch = Patch(color=colour, alpha=0.2, linewidth=0, label=meaning)
-    handles = [Line2D([], [], color=colour, label="mean"), patch]
+    handles = [style.line_key("mean", colour), style.band_key(meaning, colour)]
     if alone or np.isfinite(band[1][:, -1]).all():
         style.legend_inside(ax, handles)
     else:
