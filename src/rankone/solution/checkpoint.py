@@ -261,7 +261,7 @@ def _plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return {n: _plain_option(option) for n, option in sorted(options.items()) if n != _MEMORY}
 
 
-def _plain_option(option: Any) -> Any:
+def _plain_option(option: object) -> Any:
     """An option as JSON holds it; symbols and other objects as text."""
     if isinstance(option, Mapping):
         return {str(key): _plain_option(entry) for key, entry in option.items()}

@@ -28,7 +28,16 @@ from rankone.support.errors import (
 from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import takes_options_of
 from rankone.support.progress import StepReport, counting_bar
-from rankone.support.tasks import Parcel, Pool, Tasks, checked_executor, open_pool, packed, unpacked
+from rankone.support.tasks import (
+    ExecutorLike,
+    Parcel,
+    Pool,
+    Tasks,
+    checked_executor,
+    open_pool,
+    packed,
+    unpacked,
+)
 from rankone.support.wording import count, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.system.verdict import Status
@@ -130,7 +139,7 @@ def solve_many(
     boxes: Sequence[Box],
     rtol: float = 1e-6,
     *,
-    executor: Any = None,
+    executor: ExecutorLike | None = None,
     checkpoint: str | PathLike[str] | None = None,
     progress: Progress = False,
     **options: Any,
@@ -302,7 +311,9 @@ def _of_box(number: int, error: RankoneError) -> RankoneError:
 _Done = Callable[[int, "_Outcome | RankoneError"], None]
 
 
-def _run_all(solves: Sequence[_Solve], executor: Any, kept: Checkpoint | None, done: _Done) -> None:
+def _run_all(
+    solves: Sequence[_Solve], executor: ExecutorLike | None, kept: Checkpoint | None, done: _Done
+) -> None:
     """Run all solves that are not finished yet, here or on workers."""
     wanted = None if executor is None else checked_executor("executor", executor)
     files: dict[int, SolveFiles] = {}

@@ -172,16 +172,16 @@ def _in_toml(text: str) -> str:
 
 def _replaced(text: str, spelled: Callable[[str, str], str | None]) -> str:
     """A text with each ``name=value`` in other words, where there are any."""
-    parts, end = [], 0
+    pieces, end = [], 0
     for match in _ARGUMENT.finditer(text):
         if match.start() < end:
             continue
         stop = _end_of_value(text, match.end())
         words = spelled(match[1], text[match.end() : stop])
         if words is not None:
-            parts += [text[end : match.start()], words]
+            pieces += [text[end : match.start()], words]
             end = stop
-    return "".join([*parts, text[end:]])
+    return "".join([*pieces, text[end:]])
 
 
 def _end_of_value(text: str, begin: int) -> int:

@@ -170,11 +170,11 @@ class BranchModel(Model):
         """For each branch where it holds, with ascending borders: (1 + stretches, points)."""
         decision = self._decision(points)
         timed = ~decision.undecided & ~decision.at_turn
-        parts = []
+        held = []
         for k in range(len(self._branches)):
             here = np.flatnonzero((decision.chosen == k) & timed)
-            parts.append((k, here, np.maximum.accumulate(decision.borders[k][:, here], axis=0)))
-        return parts
+            held.append((k, here, np.maximum.accumulate(decision.borders[k][:, here], axis=0)))
+        return held
 
     def _decision(self, points: Array) -> Decision:
         """Which branch holds at parameters (d, N)."""

@@ -108,15 +108,15 @@ class Model:
         return states
 
 
-def _numbers(name: str, given: Any) -> Array:
+def _numbers(name: str, argument: object) -> Array:
     """The values of a coordinate, or a ValueError that names it and what was given."""
     try:
-        array = np.asarray(given)
-        if array.dtype.kind in "biufO" and given is not None:
+        array = np.asarray(argument)
+        if array.dtype.kind in "biufO" and argument is not None:
             return array.astype(float)
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"{name} is {given!r}, not a number or an array of numbers")
+    raise ValueError(f"{name} is {argument!r}, not a number or an array of numbers")
 
 
 def _train(

@@ -95,16 +95,16 @@ def over_branches(
     timeline = solution.outcome.timeline
     assert isinstance(timeline, BranchedTimeline)
     outcomes, tolerances = list[Outcome](), list[float]()
-    parts = [BranchPart(solution, k) for k in range(len(timeline.branches))]
-    every = _of_all(parts, timeline, of_branch)
-    for k, (part, quantities) in enumerate(zip(parts, every, strict=True)):
+    branches = [BranchPart(solution, k) for k in range(len(timeline.branches))]
+    every = _of_all(branches, timeline, of_branch)
+    for k, (part, quantities) in enumerate(zip(branches, every, strict=True)):
         require_states(quantities)
         further = len(part.parameters) - len(solution.parameters)
         guarded = _with_guards(quantities, len(solution.states), timeline.guards[k], further)
         interpolation = OutputInterpolation(
             part, guarded, least_sizes=tuple(sizes), pool=pool, report=report
         )
-        outcome, tolerance = interpolation.solve(asked.share(len(parts)))
+        outcome, tolerance = interpolation.solve(asked.share(len(branches)))
         outcomes.append(replace(outcome, slabs=slabs_over(outcome.slabs, solution.metadata.box)))
         tolerances.append(tolerance)
     rtol, quantities = max(tolerances), every[0]
@@ -114,7 +114,7 @@ def over_branches(
 
 
 def _of_all(
-    parts: Sequence[BranchPart], timeline: BranchedTimeline, of_branch: OfBranch
+    branches: Sequence[BranchPart], timeline: BranchedTimeline, of_branch: OfBranch
 ) -> list[Quantities]:
     """The quantities over each branch.
 
@@ -122,7 +122,7 @@ def _of_all(
     what holds in each order if they are in none.
     """
     every, refused = list[Quantities](), dict[int, OptionError]()
-    for k, (part, branch) in enumerate(zip(parts, timeline.branches, strict=True)):
+    for k, (part, branch) in enumerate(zip(branches, timeline.branches, strict=True)):
         try:
             every.append(of_branch(part, branch))
         except OptionError as error:
@@ -137,7 +137,7 @@ def _of_all(
         raise OptionError(first.message, term=first.term, remedy="; ".join(in_each)) from first
     orders = listing([f"order {k}" for k in refused])
     raise OptionError(
-        f"{first.message} in {orders} of the {len(parts)} orders of events in the box",
+        f"{first.message} in {orders} of the {len(branches)} orders of events in the box",
         term=first.term,
         remedy="ask for what is there in all orders (print solution.timeline), or solve on a box "
         "in which one order holds",

@@ -37,7 +37,7 @@ from rankone.support.budget import (
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import COINCIDENT
+from rankone.support.precision import COINCIDENT, TINY
 from rankone.support.progress import ProgressEvent, Report, quiet
 from rankone.support.tasks import Pool
 from rankone.tensors.bases import BASES
@@ -289,7 +289,7 @@ class OutputInterpolation:
         coarse = self._sampler(TimeGrid(tuple(edges), count))
         sampled = np.abs(coarse.at(coarse.grid.times, points))
         sizes = sampled.max(axis=(1, 2), where=np.isfinite(sampled), initial=0.0)
-        units = np.maximum(sizes, 1e-300)[:, None, None]
+        units = np.maximum(sizes, TINY)[:, None, None]
 
         def in_units(times: Array) -> Array:
             exact = coarse.at(times, points) / units

@@ -14,7 +14,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError, RankoneError
-from rankone.support.precision import AT_ONCE, NEGLIGIBLE
+from rankone.support.precision import AT_ONCE, NEGLIGIBLE, TINY
 from rankone.support.tasks import Pool, Shared
 from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
@@ -172,7 +172,7 @@ class Sampler:
         for function in self.at(self.grid.times, points):
             finite = np.nan_to_num(function, posinf=0.0, neginf=0.0)
             modes = np.abs(Polynomials(self.grid, finite).modes[:, -2:]).max(axis=(0, 1))
-            roughness = np.maximum(roughness, modes / max(np.abs(finite).max(), 1e-300))
+            roughness = np.maximum(roughness, modes / max(np.abs(finite).max(), TINY))
         return roughness
 
     def narrow(self, points: Array) -> float:
@@ -188,15 +188,15 @@ class Sampler:
         if not surfaces:
             return 0.0
         curves = [Polynomials(self.grid, np.broadcast_to(each, shape)) for each in surfaces]
-        found = [each.zeros(_MAX_MIDDLES) for each in curves]
+        crossings = [each.zeros(_MAX_MIDDLES) for each in curves]
         some = slice(self.quantities.n_state_surfaces)
-        zeros, columns = (np.concatenate(each) for each in zip(*found, strict=True))
+        zeros, columns = (np.concatenate(each) for each in zip(*crossings, strict=True))
         order = np.lexsort((zeros, columns))
         zeros, columns = zeros[order], columns[order]
         follow = columns[1:] == columns[:-1]
         middles = 0.5 * (zeros[1:] + zeros[:-1])[follow]
-        places = np.concatenate([*(times for times, _ in found[some]), middles])
-        columns = np.concatenate([*(each for _, each in found[some]), columns[1:][follow]])
+        places = np.concatenate([*(times for times, _ in crossings[some]), middles])
+        columns = np.concatenate([*(each for _, each in crossings[some]), columns[1:][follow]])
         at = self._paired_clock(places, points[columns])[None, :]
         exact = self._functions(
             at, self._paired(places, points[columns])[:, None, :], points[columns].T
@@ -204,7 +204,7 @@ class Sampler:
         worst = 0.0
         for nodal, exact_row in zip(self._functions(times, sources, points.T), exact, strict=True):
             nodal = np.broadcast_to(nodal, shape)
-            size = max(np.abs(nodal).max(), np.abs(exact_row).max(initial=0.0), 1e-300)
+            size = max(np.abs(nodal).max(), np.abs(exact_row).max(initial=0.0), TINY)
             interpolated = Polynomials(self.grid, nodal).at(places, columns)
             errors = np.abs(np.broadcast_to(exact_row, (1, places.size))[0] - interpolated)
             worst = max(worst, float(errors.max(initial=0.0)) / size)

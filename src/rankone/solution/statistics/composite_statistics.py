@@ -135,14 +135,14 @@ class TimelineStatistics(Statistics):
             return first, total, table[:, 2 * d + 1 :].reshape(n, d, d, -1)
 
         first, total, second = split(mean)
-        parts = np.maximum(first, 0.0), total, np.maximum(second, 0.0)
+        effects = np.maximum(first, 0.0), total, np.maximum(second, 0.0)
         ended = times[np.isnan(mean[:, 0]).any(axis=0)]
         doubts = (
             [f"there are no Sobol indices{when(ended)}, where some trajectories have ended"]
             if ended.size
             else []
         )
-        return VarianceParts(mean[:, 0], parts, split(widths), tuple(doubts))
+        return VarianceParts(mean[:, 0], effects, split(widths), tuple(doubts))
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""

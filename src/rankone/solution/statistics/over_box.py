@@ -90,10 +90,12 @@ class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
         quantiles.half_width = half_width
         return quantiles
 
-    def __array_finalize__(self, obj: Any) -> None:
+    def __array_finalize__(self, obj: object) -> None:
         self.half_width = None
 
-    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+    def __array_wrap__(
+        self, array: Array, context: object = None, return_scalar: bool = False
+    ) -> Any:
         plain = np.asarray(array)
         return plain[()] if return_scalar else plain
 
@@ -106,7 +108,7 @@ class Quantiles(np.ndarray[Any, np.dtype[np.float64]]):
     def __copy__(self) -> Quantiles:
         return self.__deepcopy__({})
 
-    def __deepcopy__(self, memo: Any) -> Quantiles:
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> Quantiles:
         return Quantiles(np.array(self), deepcopy(self.half_width, memo))
 
 

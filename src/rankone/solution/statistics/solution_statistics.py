@@ -280,9 +280,9 @@ class Statistics:
 
     def variance_parts(self, times: Array, count: int | None, report: StepReport) -> VarianceParts:
         """The variance and its parts; ``count`` is of points where any are taken."""
-        parts = self.first(times), self.total(times), self.second(times)
-        nothing = tuple(np.zeros_like(part) for part in parts)
-        return VarianceParts(self.variance(times), parts, (nothing[0], nothing[1], nothing[2]))
+        shares = self.first(times), self.total(times), self.second(times)
+        first, total, second = map(np.zeros_like, shares)
+        return VarianceParts(self.variance(times), shares, (first, total, second))
 
     def effect(self, times: Array, j: int, points: Array) -> Effect:
         """Means given one parameter at some of its values."""
