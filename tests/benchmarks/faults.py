@@ -450,8 +450,8 @@ CORE = [
     ),
     Fault(
         "support/options.py",
-        "if valid and least <= value <= most:",
-        "if valid and least <= value:",
+        "if valid and least <= cast(float, value) <= most:",
+        "if valid and least <= cast(float, value):",
         "support solvers/engines/train/test_engine.py",
     ),
 ]

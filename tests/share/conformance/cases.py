@@ -275,6 +275,8 @@ def points(name: str) -> dict[str, np.ndarray]:
     if "lag" in box:
         clock[2::5] = where["lag"][2::5]
         clock[3::5] = where["lag"][3::5] + where["span"][3::5]
+    if name == "washed":  # both events at one time: it is not known which order holds
+        where["b"][7::25] = np.clip(where["a"][7::25], *solution.parameters["b"])
     at = {key: where[key][4::20] for key in solution.parameters}
     for times in solution.event_times(timeline(name).events[0], at)[:1]:
         clock[4::20] = np.where(np.isfinite(times), times, clock[4::20])

@@ -77,6 +77,7 @@ def test_what_is_written(name, pages):
         )
         room = 1e-2 * (upper - lower)
         assert lower - room <= np.nanmin(curves) <= np.nanmax(curves) <= upper + room
+    assert data["terminal"] == solution.timeline.terminal
     text = pages(name).read_text()
     assert "Times of events are met to" in text
     assert "Sobol indices are from points" not in text
