@@ -45,13 +45,12 @@ Smaller = TypeVar("Smaller")
 class Rounding:
     """Rounded trains; slabs that shared the cores of their parameters go on sharing them.
 
-    ``differences`` are the largest ones of each state at ``points`` random points and by climbing
-    from the worst of them, relative to its largest value at the points.
+    ``differences`` are the largest ones of each state at random points and by climbing from the
+    worst of them, relative to its largest value at the points.
     """
 
     slabs: tuple[SlabTrain, ...]
     differences: tuple[float, ...]
-    points: int = RANDOM_POINTS
 
 
 def rounded_slabs(

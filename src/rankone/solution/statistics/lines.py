@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solution.statistics.solution_statistics import quiet
+from rankone.solution.statistics.solution_statistics import POINTS_AT_ONCE, quiet
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
@@ -188,7 +188,6 @@ Weighted = Callable[[Array, Array], tuple[Array, Array]]
 
 _MOST_POINTS = 2**18  # Points of lines, each at one time: about 5 s
 _POINTS_OF_LINE = 240  # About as many are on a line when the nodes have been found
-_POINTS_AT_ONCE = 2**14
 # Chebyshev points of a segment, between which what decides about pieces is a polynomial
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(9) + 0.5) / 9)
 _BARYCENTRIC = np.sin(np.pi * (np.arange(9) + 0.5) / 9) * (-1.0) ** np.arange(9)
@@ -387,9 +386,9 @@ class LineAverages:
 
 def _blocks(count: int) -> Iterator[slice]:
     """Slices of points that are evaluated together."""
-    for start in range(0, count, _POINTS_AT_ONCE):
+    for start in range(0, count, POINTS_AT_ONCE):
         check_time()
-        yield slice(start, start + _POINTS_AT_ONCE)
+        yield slice(start, start + POINTS_AT_ONCE)
 
 
 def _interpolation(shares: Array) -> Array:

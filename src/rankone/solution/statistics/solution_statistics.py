@@ -49,7 +49,7 @@ def warn_of_ends(running: float) -> None:
         )
 
 
-_POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
+POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
 _SLABS_REMEMBERED = 4  # Latest slabs whose moments may serve a later slab that shares their cores
 # Spread over error above which the error changes shares of the variance by 4 % at most
 _CLEAR_RATIO = 5.0
@@ -349,8 +349,8 @@ class Statistics:
         for k in np.unique(owner):
             slab = self.slabs[k]
             if latest is None or not slab.shares_parameters(latest):
-                starts = range(0, points.shape[1], _POINTS_AT_ONCE)
-                blocks = (points[:, start : start + _POINTS_AT_ONCE] for start in starts)
+                starts = range(0, points.shape[1], POINTS_AT_ONCE)
+                blocks = (points[:, start : start + POINTS_AT_ONCE] for start in starts)
                 products, latest = np.hstack([slab.over_parameters(b) for b in blocks]), slab
             for i in np.flatnonzero(owner == k):
                 table[..., i] = of(slab.on_grid(times[i : i + 1], products)[rows, :, 0])
