@@ -186,14 +186,14 @@ def orders_of(monkeypatch, problem, seed):
     """The orders of the branches of a solution, where roots along forced orders are shaken."""
     with monkeypatch.context() as patch:
         if seed is not None:
-            random, nearest = np.random.default_rng(seed), forced._nearest_roots
+            random, nearest = np.random.default_rng(seed), forced.nearest_roots
 
             def shaken_roots(flow, *arguments):
                 roots = nearest(flow, *arguments)
                 sizes = np.abs(flow.starts) + np.abs(roots)
                 return roots + ULPS * sizes * random.uniform(-1.0, 1.0, roots.shape)
 
-            patch.setattr(forced, "_nearest_roots", shaken_roots)
+            patch.setattr(forced, "nearest_roots", shaken_roots)
         solution = ro.solve(problem, 1e-3)
     assert solution.success, solution.message
     branches = solution.timeline.branches

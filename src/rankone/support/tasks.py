@@ -19,12 +19,13 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from multiprocessing.context import SpawnContext, SpawnProcess
-from typing import Any, Generic, TypeVar, cast
-
-from threadpoolctl import ThreadpoolController
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from rankone.support.errors import OptionError, RankoneError, optional_module
 from rankone.support.options import checked_number
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
 """What a future raises whose worker died."""
@@ -378,6 +379,8 @@ def one_thread() -> AbstractContextManager[None]:
 @cache
 def _thread_pools() -> ThreadpoolController:
     """The BLAS pools of this process; looking for them takes milliseconds."""
+    from threadpoolctl import ThreadpoolController  # exported solvers have SciPy and NumPy alone
+
     return ThreadpoolController()
 
 

@@ -108,9 +108,8 @@ def test_solutions_with_events_are_evaluated_in_parts(with_events, monkeypatch):
         for call in calls:
             whole = call()
             with monkeypatch.context() as patch:
-                patch.setattr("rankone.tensors.evaluators.timeline_evaluator._AT_ONCE", 20)
-                patch.setattr("rankone.tensors.evaluators.timeline_evaluator._PRODUCTS", 300)
-                patch.setattr("rankone.tensors.evaluators.branch_evaluator._VALUES", 300)
+                patch.setattr("rankone.tensors.evaluators.timeline_evaluator.AT_ONCE", 20)
+                patch.setattr("rankone.tensors.evaluators.branch_evaluator.AT_ONCE", 300)
                 parts = call()
             np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
 
@@ -145,7 +144,7 @@ def test_grids_are_evaluated_in_parts(solution, monkeypatch):
     for t, k, a in (axes, reversed_axes, (axes[0], axes[1], np.array([1.5]))):
         whole = solution.grid(t, k=k, a=a)
         with monkeypatch.context() as patch:
-            patch.setattr("rankone.tensors.evaluators.evaluator._HELD", 100)
+            patch.setattr("rankone.tensors.evaluators.evaluator.AT_ONCE", 100)
             parts = solution.grid(t, k=k, a=a)
         assert parts.shape == whole.shape
         assert np.abs(parts - whole).max() < 1e-14

@@ -13,7 +13,7 @@ from tests.solvers.engines.cross.functions import cosine, sine
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch):
-    monkeypatch.setattr(sampling, "_CHUNK_NUMBERS", 1 << 14)
+    monkeypatch.setattr(sampling, "AT_ONCE", 1 << 14)
 
 
 class Counting(ThreadPoolExecutor):
