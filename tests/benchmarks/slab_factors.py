@@ -16,6 +16,7 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -118,12 +119,12 @@ def compare(name: str, problem: ro.Problem, count: int, share: float) -> None:
 
 def solves(name: str, problem: ro.Problem, rtol: float) -> None:
     """Print the seconds of solves by the train engine, in turns."""
-    compiled, limit = ro.compile(problem), inverse_module._LARGEST_CHANGE
+    compiled, limit = ro.compile(problem), inverse_module.TUNING.largest_change
     seconds: dict[float, list[float]] = {-1.0: [], limit: []}
     sweeps = dict.fromkeys(seconds, 0)
     for _ in range(TURNS):
         for change in seconds:
-            inverse_module._LARGEST_CHANGE = change
+            inverse_module.TUNING = replace(inverse_module.TUNING, largest_change=change)
             began = time.process_time()
             solution = compiled.solve(rtol, method="train")
             seconds[change].append(time.process_time() - began)

@@ -685,3 +685,19 @@ def test_the_limit_in_a_search_for_orders_names_an_event():
     assert "`wash`" in solution.message
     assert "raise effort, or narrow the box" in solution.message
     assert "reference" not in solution.message
+
+
+@pytest.mark.slow
+def test_two_events_at_one_instant_far_from_zero():
+    """Times near 30000 are rounded to 4e-12: both events count as one all the same."""
+    events = [
+        {"when": "x - 0.5", "direction": "rising", "then": {"x": "0"}, "name": "a"},
+        {"when": "y**3 - 0.125", "direction": "rising", "then": {"y": "0"}, "name": "b"},
+    ]
+    rates, start = {"x": "k", "y": "k"}, {"x": 0, "y": 0}
+    box, time = {"k": (1.3, 1.4)}, (30000, 30001)
+    problem = ro.Problem.from_strings(rates, start, box, time, events=events)
+    solution = ro.solve(problem, 1e-4, effort="low")
+    assert solution.success, solution.message
+    k = np.linspace(1.3, 1.4, 5)
+    np.testing.assert_allclose(solution(t=30000.9, k=k), [0.9 * k % 0.5] * 2, atol=1e-4)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.trajectories.events import periods
 from rankone.trajectories.events.event_crossings import Crossings
 from rankone.trajectories.events.event_integration import Ahead
 from rankone.trajectories.events.event_order import follow
@@ -180,8 +181,9 @@ def test_next_to_an_unstable_state_that_rests_nothing_repeats():
 @pytest.mark.slow
 def test_the_check_sees_what_goes_on_wrongly(monkeypatch):
     """u leaves an unstable state late: without the conditions on periods it would not be seen."""
-    for name in ("_ROUNDING", "_MOST_GROWTH"):
-        monkeypatch.setattr(f"rankone.trajectories.events.periods.{name}", np.inf)
+    monkeypatch.setattr(periods, "ROUNDING", np.inf)
+    any_growth = dataclasses.replace(periods._REPEATING, most_growth=np.inf)
+    monkeypatch.setattr(periods, "_REPEATING", any_growth)
     rates = {**PREY, "u": "0.9*u*(u - 1)"}
     start = {**START, "u": "1 - 1e-9"}
     box = {"x0": (8, 12), "p": (0.9, 1.1)}

@@ -7,7 +7,7 @@ import math
 import numbers
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self, TypeVar, cast
@@ -110,6 +110,16 @@ def takes_options_of(source: Callable[..., object]) -> Callable[[_Function], _Fu
         return function
 
     return decorated
+
+
+_Kind = TypeVar("_Kind")
+
+
+def of_keywords(kind: Callable[..., _Kind], function: str, options: Mapping[str, Any]) -> _Kind:
+    """The options of a function from its keywords; a TypeError that names it for unknown ones."""
+    if unknown := [name for name in options if name not in inspect.signature(kind).parameters]:
+        raise TypeError(f"{function}() got an unexpected keyword argument {unknown[0]!r}")
+    return kind(**options)
 
 
 _PIECES = "ro.solve_many(problem, problem.split(k=4), "

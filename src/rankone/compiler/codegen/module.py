@@ -87,7 +87,7 @@ def generate_source(
     Returns
     -------
     str
-        A module that :func:`rankone.compiler.codegen.load_module` makes a
+        A module that :func:`rankone.compiler.codegen.loading.load_module` makes a
         :class:`rankone.trajectories.system.system.System` of; it imports NumPy alone, or SciPy as
         well where functions need it. The same form gives the same text, byte for byte.
 

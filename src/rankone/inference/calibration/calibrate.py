@@ -26,7 +26,7 @@ from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, RankoneError, check_kind
-from rankone.support.options import takes_options_of
+from rankone.support.options import of_keywords, takes_options_of
 from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
@@ -94,7 +94,7 @@ def calibrate(
     check_kind("calibrate", problem, Problem, remedy="build one with rankone.Problem(...)")
     if search not in _SEARCHES:
         raise OptionError(f"search={search!r} is unknown", remedy=f"use {listing(_SEARCHES)}")
-    begin = least_squares.Starts(**options).checked()
+    begin = of_keywords(least_squares.Starts, "calibrate", options).checked()
     if begin.executor is not None and search == "boxes":
         raise OptionError(
             "search='boxes' takes no executor: each box begins where the one before led",

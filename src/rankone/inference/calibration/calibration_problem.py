@@ -29,7 +29,7 @@ from rankone.inference.estimation.least_squares import Starts, descents
 from rankone.inference.estimation.posterior import Posterior
 from rankone.problem.problem import Problem
 from rankone.support.errors import OptionError, check_kind
-from rankone.support.options import checked_number, takes_options_of
+from rankone.support.options import checked_number, of_keywords, takes_options_of
 from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ class CalibrationProblem:
         ProblemError
             If rates jump with the states, or where an estimated parameter says.
         """
-        begin = Starts(**options).checked()
+        begin = of_keywords(Starts, "fit", options).checked()
         values = self.point(dict.fromkeys(self.estimated, 0.0))
         likelihood = OfFiles.of_problem(self._objective, values)
         ways = descents(likelihood, begin, _SCREENED)

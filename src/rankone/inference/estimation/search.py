@@ -33,7 +33,7 @@ from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.options import checked_number, takes_options_of
+from rankone.support.options import checked_number, of_keywords, takes_options_of
 from rankone.support.precision import NEGLIGIBLE
 from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
@@ -153,7 +153,7 @@ def fit(self: SolutionCore, times: object, data: Measurements | None = None, **o
     experiment = Experiment(times if data is None else data, clock, fixed=conditions, **of_data)
     if isinstance(fixed, Mapping):
         fixed = {key: x for key, x in fixed.items() if key not in conditions}
-    wanted = Options(fixed=fixed, **options)
+    wanted = of_keywords(Options, "fit", {"fixed": fixed, **options})
     return fitted(trials_of([(self, experiment)]), wanted)
 
 
@@ -198,7 +198,7 @@ def fit_experiments(
         if not isinstance(solution, SolutionCore):
             raise OptionError(f"{shown(solution)} is not a Solution", term=solution)
     listed = [(solution, _with_noise(experiment, noise)) for solution, experiment in listed]
-    return fitted(trials_of(listed), Options(**options))
+    return fitted(trials_of(listed), of_keywords(Options, "fit", options))
 
 
 def _with_noise(experiment: Experiment, noise: object) -> Experiment:

@@ -388,7 +388,7 @@ def evaluation(coordinates: Sequence[Coordinate], trial: int) -> Callable[[sp.Ex
             share = sp.Rational(generator.randint(1, 999), 1000)
             lower, upper = intervals.get(leaf, (sp.Rational(1, 2), sp.Rational(3, 2)))
             drawn[leaf] = lower + share * (upper - lower)
-        return sp.N(expression.xreplace(drawn), EXACT_DIGITS)
+        return sp.N(expression.xreplace(drawn), EXACT_DIGITS + 10)
 
     return at
 

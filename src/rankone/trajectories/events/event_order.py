@@ -22,6 +22,9 @@ from rankone.trajectories.system.verdict import Status
 
 SPARE = 0.05
 """Length of a last stretch beyond what all known trajectories need, over that."""
+ONE_INSTANT = 10.0 * SAME_INSTANT
+"""Part of the horizon within which events of an order are at one instant: paths end up to one
+:data:`SAME_INSTANT` before or after an event, and times are rounded far from zero."""
 REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
 """What to do where they do not."""
 
@@ -129,7 +132,7 @@ def follow(
     for k, each in enumerate(followed):
         last = each.occurrences[-1:]
         terminal = any(clock.system.events[occurrence.event].terminal for occurrence in last)
-        short = each.end < end - SAME_INSTANT * length
+        short = each.end < end - ONE_INSTANT * length
         if each.stuck and not terminal and (short or len(instants_of(each, length)) < count):
             stuck.append(k)
         if not terminal and short:
@@ -149,7 +152,7 @@ def instants_of(trajectory: EventTrajectory, length: float) -> list[list[Occurre
     """The events of a trajectory, those at one instant together."""
     instants: list[list[Occurrence]] = []
     for each in trajectory.occurrences:
-        if instants and each.time - instants[-1][0].time <= SAME_INSTANT * length:
+        if instants and each.time - instants[-1][0].time <= ONE_INSTANT * length:
             instants[-1].append(each)
         else:
             instants.append([each])

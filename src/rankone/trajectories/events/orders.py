@@ -17,7 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.trajectories.events import event_order
 from rankone.trajectories.events.event_integration import integrate_to_events
-from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory
+from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.flows import guard_heights
 from rankone.trajectories.events.forced import (
     ContinuationError,
@@ -325,7 +325,7 @@ class OrderSearch:
         """Raise an OrderError for a trajectory that ends although nothing ends it."""
         events, occurrences = self.system.events, trajectory.occurrences
         terminal = bool(occurrences) and events[occurrences[-1].event].terminal
-        early = trajectory.end < self.horizon[1] - SAME_INSTANT * self.length
+        early = trajectory.end < self.horizon[1] - event_order.ONE_INSTANT * self.length
         if terminal or not (early or trajectory.stuck):
             return
         clock = Clock(self.system, EventOrder((), Ending.HORIZON), self.horizon)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.events import event_order
-from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory, folded
+from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
 from rankone.trajectories.events.stretches import PseudoTimeTrajectories
@@ -204,7 +204,7 @@ def _paths(
         whole.setdefault(piece, Path.resting(each[-1].time, each[-1].after))
     start = trajectory.paths[0]  # an event at its very start ends a stretch of no length
     whole.setdefault(0, Path.resting(float(start.breaks[0]), start.state))
-    instant = SAME_INSTANT * length
+    instant = event_order.ONE_INSTANT * length
     return [whole[0], *(whole[int(k)] for k in np.searchsorted(first - instant, borders[1:-1]))]
 
 
@@ -310,7 +310,7 @@ class StretchIntegrator:
         spans = Spans(starts, states, ends[short])
         paths = self.integrator.paths(clock.system, points[short], spans, tolerances)
         for k, path in zip(short, paths, strict=True):
-            if path.end < ends[k] - SAME_INSTANT * clock.length:
+            if path.end < ends[k] - event_order.ONE_INSTANT * clock.length:
                 raise event_order.end_error(clock, points[k], path.end)
             trajectories[k].paths.append(path)
 

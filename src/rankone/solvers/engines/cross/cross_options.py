@@ -79,6 +79,8 @@ class CrossTuning:
     stiff integrations, whose error is not measured."""
     largest_tightness_factor: float = 4.0
     """Largest factor on the tolerance from one calibration to the next."""
+    smallest_tightness_factor: float = 1e-3
+    """Smallest one: an error that is not finite must not end all calibrations."""
     explicit_step_limit: int = 400
     """This many explicit steps cost less than the implicit steps that would replace them."""
     least_sample_ratio: float = 0.6

@@ -174,6 +174,7 @@ class Trajectories:
             before, used = ratio, self.tightness
             if not TUNING.least_error_ratio <= ratio <= 1.0:
                 factor = TUNING.aimed_error_ratio / max(ratio, TINY)
+                factor = max(factor, TUNING.smallest_tightness_factor)
                 self.tightness *= min(factor, TUNING.largest_tightness_factor)
             if ratio <= 1.0:
                 break
