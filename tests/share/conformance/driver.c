@@ -35,12 +35,16 @@ static int refused(const model_real *p, model_real t, size_t j, model_real value
     int status;
     size_t i;
 
+#if MODEL_PARAMETERS > 0
     for (i = 0; i < MODEL_PARAMETERS; i++)
         q[i] = p[i];
+    if (j > 0)
+        q[j - 1] = value;
+#else
+    (void)p;
+#endif
     if (j == 0)
         t = value;
-    else
-        q[j - 1] = value;
     for (i = 0; i < MODEL_UNKNOWNS; i++)
         u[i] = 7;
     status = model_eval(q, t, u);
