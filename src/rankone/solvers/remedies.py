@@ -239,7 +239,7 @@ def _largest_part(search: OrderSearch) -> Array | None:
     at_faces = np.stack([best[:, 0] <= 0.0, best[:, 1] >= 1.0], axis=1)
     inner = best + SOLVE.part_inset * np.ptp(best, axis=1)[:, None] * np.array([1.0, -1.0])
     part = np.where(at_faces, [0.0, 1.0], inner)
-    if np.ptp(part, axis=1).min() < SOLVE.least_narrowing:
+    if np.ptp(part, axis=1).min() < SOLVE.least_part:
         return None
     return np.asarray(np.where(at_faces, search.bounds, lower[:, None] + width[:, None] * part))
 

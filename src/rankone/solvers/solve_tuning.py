@@ -98,6 +98,8 @@ class SolveTuning:
     """Error aimed at, over the tolerance."""
     narrowing_safety: float = 0.7
     """Factor on a part of an interval: predictions are of one parameter at a time."""
+    least_part: float = 0.05
+    """Width of a part with one order, over that of the box, below which it is of no use."""
     least_narrowing: float = 0.03
     """Parts of an interval below this share are of no use: too far from the whole."""
     largest_narrowing: float = 0.8
