@@ -87,6 +87,7 @@ class SolveTuning:
     """Distance of points from the faces of the box, in widths."""
     # branching
     most_branches: int = 16
+    """Most orders of events that are solved, each as a branch."""
     most_grazed: float = 0.03
     """Share of the trajectories, about, with an order that cannot be continued."""
     same_time: float = 0.1
@@ -112,7 +113,7 @@ class SolveTuning:
     slowest_decay: float = 0.97
     """Largest ratio of successive modes: slower decay looks like none."""
     fastest_decay: float = 0.1
-    """Smallest one: rounding errors hide faster decay."""
+    """Smallest ratio of successive modes: rounding errors hide faster decay."""
     rank_share: float = 0.5
     """Ranks over the largest possible ones for the nodes on either side."""
     element_growth: float = 2.0

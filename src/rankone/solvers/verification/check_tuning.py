@@ -22,7 +22,7 @@ class CheckTuning:
     """Distance from cuts, in widths of the interval: at a jump the state is ambiguous."""
     factor_samples: int = 1025
     """Samples of a factor over its interval."""
-    points_rare_share: float = 0.2
+    rare_term_share: float = 0.2
     """Share of the box below which a term is rarely active."""
     most_rare_terms: int = 4
     """Rare terms that are looked at."""
@@ -32,7 +32,7 @@ class CheckTuning:
     """Points on each surface at least."""
     surface_halvings: int = 50
     """Halvings of the distance to a surface, to the last digits."""
-    points_climbers: int = 4
+    surface_climbers: int = 4
     """Points from which a surface that no random point crosses is approached."""
     cell_parameters: int = 2
     """Parameters with several cuts from which their cells are looked at."""
@@ -48,7 +48,7 @@ class CheckTuning:
     """Change of parameters, in widths of their intervals, that shows steepness."""
     # worst_points
     most_candidates: int = 2560
-    """The same with more parameters, as far as the work goes."""
+    """Most points at which residuals are evaluated, as far as the work goes."""
     residual_work: float = 3e7
     """Multiplications that residuals and jumps may take: about a tenth of a second."""
     worst_chosen: int = 8
@@ -70,10 +70,10 @@ class CheckTuning:
     """Most points where a jump that is not a polynomial is checked."""
     jump_error: float = 3.0
     """Error after a jump, over the tolerance, from which a point is doubtful."""
-    worst_points_climbers: int = 64
+    jump_climbers: int = 64
     """Points with the largest errors after a jump, from which larger ones are looked for."""
     # cuts
-    cuts_samples: int = 2**14
+    piece_samples: int = 2**14
     """Fine samples over the interval: narrower pieces may be missed."""
     cut_nodes: int = 14
     """Nodes of an interpolant that resolves smooth pieces."""
@@ -85,7 +85,7 @@ class CheckTuning:
     """Error over that one below which both halves are smooth, with a cut between."""
     narrow_piece: float = 1.0 / 64.0
     """Width of a narrow piece, relative to the interval: its ends are cuts."""
-    cuts_rare_share: float = 0.25
+    rare_piece_share: float = 0.25
     """Narrow pieces count if they make up less than this part of the interval."""
     most_depth: int = 13
     """Bisections of the interval: down to about a sample."""
@@ -154,7 +154,7 @@ class CheckTuning:
     """Most of what is left of the budget for finer trajectories by LSODA."""
     most_single_states: int = 200
     """States up to which LSODA, whose matrices are dense, samples again."""
-    reference_set_least_size: float = 1e-140
+    least_squared_size: float = 1e-140
     """Size of a state below which its square is lost."""
     most_checked_cuts: int = 16
     """Most cuts of a parameter that are checked on either side."""
@@ -177,18 +177,18 @@ class CheckTuning:
     """That over its size if it starts from zero: no step leaves zero without one."""
     eigenvector_part: float = 1e-10
     """Least part of a state in an eigenvector: others are rounding."""
-    resolution_least_size: float = 1e-250
-    """Size below which such a state is lost: floating-point numbers end at 1e-308."""
+    least_kept_size: float = 1e-250
+    """Size below which a small state is lost: floating-point numbers end at 1e-308."""
     unseen: float = 1e-100
     """Size of a state that nobody asks for, over the largest, that is not resolved."""
     long_chain: int = 25
     """States from which a chain may amplify what is negligible: binomial coefficients."""
     most_exponent: float = 250.0
-    """Of e, by which a floor is lowered."""
+    """Largest exponent of e by which a floor is lowered."""
     chain_trajectories: int = 3
-    """Trajectories on which that is looked for."""
+    """Trajectories on which the growth along a chain is measured."""
     chain_work: float = 4.0
-    """Most work for these, over that for all before."""
+    """Most work for these trajectories, over that for all before."""
     chain_end: float = 0.5
     """Part of the way that they have to come, to tell anything."""
     chain_share: float = 0.05

@@ -30,7 +30,7 @@ from rankone.trajectories.system.system import System
 # Shares of a piece that are sampled too, since small pieces contain no fine sample
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
 _SHARES = np.append(
-    (np.arange(CHECK.cuts_samples) + 0.5) / CHECK.cuts_samples, _OFF_SAMPLES
+    (np.arange(CHECK.piece_samples) + 0.5) / CHECK.piece_samples, _OFF_SAMPLES
 )  # Sampled in any case
 _LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
 
@@ -73,7 +73,7 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
         except TooManyCuts:
             raise OptionError(
                 f"a coefficient varies too fast for {factors.coordinate} in "
-                f"[{interval[0]:g}, {interval[1]:g}]: {CHECK.cuts_samples} samples do not resolve "
+                f"[{interval[0]:g}, {interval[1]:g}]: {CHECK.piece_samples} samples do not resolve "
                 "it",
                 remedy="choose a shorter range, or replace what varies by its mean",
             ) from None
@@ -181,7 +181,7 @@ def located_cuts(
     smooth = len(pieces) <= len(cuts) + 1
     width = upper - lower
     narrow = [(a, b) for a, b, _ in pieces if b - a < CHECK.narrow_piece * width]
-    if sum(b - a for a, b in narrow) < CHECK.cuts_rare_share * width:
+    if sum(b - a for a, b in narrow) < CHECK.rare_piece_share * width:
         cuts += [x for piece in narrow for x in piece]
     apart = [*derived, lower, upper]
     sampled = [x for x in _distinct(cuts, finder.closest) if _distance(x, apart) > finder.closest]
@@ -267,20 +267,20 @@ class _Finder:
         self.lower, self.width = lower, upper - lower
         self.closest = NEGLIGIBLE * self.width
         points = lower + self.width * _SHARES
-        self.points, samples = points[: CHECK.cuts_samples], function(points)
+        self.points, samples = points[: CHECK.piece_samples], function(points)
         size = np.maximum(samples.max(axis=1), -samples.min(axis=1))[:, None]
         size[size == 0.0] = 1.0
         straight = self._are_straight(samples, size)
         self.bent = slice(None) if not straight.any() else np.flatnonzero(~straight)
-        self.samples, self.size = samples[self.bent, : CHECK.cuts_samples], size[self.bent]
+        self.samples, self.size = samples[self.bent, : CHECK.piece_samples], size[self.bent]
 
     def _are_straight(self, samples: Array, size: Array) -> NDArray[np.bool_]:
         """Which functions are straight lines, (rows,): nothing more has to be looked at."""
         first, slopes = (
             samples[:, :1],
-            samples[:, CHECK.cuts_samples - 1 : CHECK.cuts_samples] - samples[:, :1],
+            samples[:, CHECK.piece_samples - 1 : CHECK.piece_samples] - samples[:, :1],
         )
-        lines = slopes * ((_SHARES - _SHARES[0]) / (_SHARES[CHECK.cuts_samples - 1] - _SHARES[0]))
+        lines = slopes * ((_SHARES - _SHARES[0]) / (_SHARES[CHECK.piece_samples - 1] - _SHARES[0]))
         lines += first
         lines -= samples
         largest = np.maximum(lines.max(axis=1), -lines.min(axis=1))

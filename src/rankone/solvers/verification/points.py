@@ -262,7 +262,7 @@ def active_points(system: System, domain: Domain) -> Array:
     products = {rows[1:] for _, _, rows, _ in system.terms}
     products |= {rows for _, _, rows in system.initial_terms}
     shares = {rows: math.prod(p[r] for p, r in zip(active, rows, strict=True)) for rows in products}
-    rare = [rows for rows in products if 0.0 < shares[rows] < CHECK.points_rare_share]
+    rare = [rows for rows in products if 0.0 < shares[rows] < CHECK.rare_term_share]
     rare = sorted(rare, key=lambda rows: (shares[rows], rows))
     generator = np.random.default_rng(20140)
     rare = rare[: CHECK.most_rare_terms]
@@ -346,7 +346,7 @@ def _nearest(
 
     ``heights`` are minus its absolute values at ``points``.
     """
-    best = np.argsort(-heights, kind="stable")[: CHECK.points_climbers]
+    best = np.argsort(-heights, kind="stable")[: CHECK.surface_climbers]
     unit = np.tile([0.0, 1.0], (points.shape[1], 1))
 
     def height(tried: Array) -> Array:

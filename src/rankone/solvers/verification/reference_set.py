@@ -413,9 +413,9 @@ class ReferenceSet:
         asked = range(len(self.of_states)) if self.asked is None else self.asked
         for i, size in enumerate(self.of_states):
             small = (
-                size <= CHECK.reference_set_least_size and i in asked
+                size <= CHECK.least_squared_size and i in asked
             )  # products of others vanish beside the rest
-            if small or not size < 1.0 / CHECK.reference_set_least_size:
+            if small or not size < 1.0 / CHECK.least_squared_size:
                 atol = "give it an absolute tolerance, Problem(..., atol=...), or "
                 raise ConvergenceError(
                     f"`{system.states[i]}` is of the size {size:.1e}: its products are not "

@@ -212,7 +212,7 @@ class Resolution:
             first, dense.end, CHECK.resolution_samples
         )  # steps may pass over all of the growth
         growth, small = 0.0, np.flatnonzero(dips)
-        lost, grows = least < CHECK.resolution_least_size, np.zeros_like(dips)
+        lost, grows = least < CHECK.least_kept_size, np.zeros_like(dips)
         sizes, slowest = dense.largest.max(axis=1)[small], MOST_GROWTH / (dense.end - first)
         for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
             for some in self._may_grow(time, at, small, slowest):
@@ -230,7 +230,7 @@ class Resolution:
         if grows.any():
             name = self.system.states[int(np.argmax(grows))]
             raise ConvergenceError(
-                f"`{name}` falls below {CHECK.resolution_least_size:g} and may grow again from "
+                f"`{name}` falls below {CHECK.least_kept_size:g} and may grow again from "
                 "there, which is beyond floating-point numbers",
                 remedy="take its logarithm as the unknown, or shorten the horizon",
             )

@@ -132,7 +132,7 @@ class _WorstPoints:
         count = min(CHECK.jump_candidates, max(CANDIDATES, affordable))
         anywhere = self._points(self.generator.random((count, len(bounds))))
         climb = replace(
-            _TO_KINKS, tries=min(max(affordable // CHECK.worst_points_climbers, 1), _TO_KINKS.tries)
+            _TO_KINKS, tries=min(max(affordable // CHECK.jump_climbers, 1), _TO_KINKS.tries)
         )
         doubtful, looks = [anywhere[:0]], Counter[int]()
         for before, after in itertools.pairwise(self.slabs):
@@ -152,7 +152,7 @@ class _WorstPoints:
                 points[wrong[:: max(1, len(wrong) // CHECK.worst_chosen)][: CHECK.worst_chosen]]
             )
             if rough:  # kinks are thin: climb towards them
-                best = np.argsort(-errors, kind="stable")[: CHECK.worst_points_climbers]
+                best = np.argsort(-errors, kind="stable")[: CHECK.jump_climbers]
                 points, errors = climbed(error, points[best], errors[best], bounds, climb)
             worst = np.argsort(-errors, kind="stable")[: CHECK.worst_chosen]
             doubtful.append(points[worst[errors[worst] > CHECK.jump_error * self.rtol]])
