@@ -378,8 +378,11 @@ def one_thread() -> AbstractContextManager[None]:
 
 @cache
 def _thread_pools() -> ThreadpoolController:
-    """The BLAS pools of this process; looking for them takes milliseconds."""
-    from threadpoolctl import ThreadpoolController  # exported solvers have SciPy and NumPy alone
+    """The BLAS pools of this process; looking for them takes milliseconds.
+
+    Exported solvers need NumPy and SciPy alone, so that the import is here.
+    """
+    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 

@@ -52,18 +52,6 @@ def test_a_solve_is_measured_against_the_finer_reference():
     assert solution.success == (solution.outcome.measured.error <= RTOL)
 
 
-@pytest.mark.slow
-def test_what_no_reference_resolves_is_no_success():
-    layer = "1/(1 + 11284*k*exp(-2.9626e9*(x/0.5443 + 0.5443/x - 2)))"
-    event = {"when": "x - 1", "direction": "rising", "then": {"x": "x + 1"}, "name": "dose"}
-    given = ro.Problem.from_strings(
-        {"x": layer}, {"x": "0.01"}, {"k": (0.5, 1.5)}, (0, 2.5), events=[event]
-    )
-    solution = ro.solve(given, 1e-4)
-    assert solution.status is ro.Status.NARROW
-    assert "the rate of `x` is so narrow near t = " in solution.message
-
-
 @pytest.mark.parametrize("rate", ["1/(1 + k*x)", "sin(k*x) + 0.1", "Heaviside(x - 0.5)*k + 1"])
 def test_smooth_references_are_confirmed(rate):
     first = reference_set(problem(rate), 1e-5)
