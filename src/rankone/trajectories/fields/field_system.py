@@ -1,0 +1,193 @@
+"""A system of fields as solvers see it: sparse operators and elementwise functions.
+
+The unknowns are vectors, stacked to ``u`` (N,). With a mass matrix M, which is one where it is left
+out,
+
+    M u' = sum_k c_k(t, p) (K_k u + b_k) + sum_l c_l(t, p) A_l g_l(t, E_l1 u, E_l2 u, ..., v_l, p),
+
+where the coefficients c are numbers, K, A and E sparse matrices, b and v vectors, and g functions
+that are taken elementwise. Nothing here needs SymPy: coefficients and functions are text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeAlias, cast
+
+import numpy as np
+import scipy.sparse as ss
+
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.tensors.bases.scales import LINEAR
+
+Matrix: TypeAlias = "ss.csr_array"
+Coefficients: TypeAlias = Callable[["float | Array", Array], Array]
+"""Numbers (c, ...) at t (...) and p (d, ...)."""
+Elementwise: TypeAlias = Callable[["float | Array", "list[Array]", Array], Array]
+"""Values (n, ...) at t (...), arguments (n, ...) each, and p (d, ...)."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A field, or a scalar unknown beside fields: its entries in the stacked vector.
+
+    ``absolute`` over the relative tolerance adds to the size that errors of it are relative to.
+    """
+
+    name: str
+    first: int
+    size: int
+    is_field: bool = True
+    absolute: float = 0.0
+
+    @property
+    def rows(self) -> slice:
+        """Its entries."""
+        return slice(self.first, self.first + self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTerm:
+    """``coefficient * matrix @ u``: the number of the coefficient, and a matrix (N, N)."""
+
+    coefficient: int
+    matrix: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class SourceTerm:
+    """``coefficient * vector``: the number of the coefficient, and a vector (N,)."""
+
+    coefficient: int
+    vector: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointwiseTerm:
+    """``coefficient * after @ g(t, E_1 u, ..., E_k u, v_1, ..., p)``.
+
+    ``function`` is the name of g, whose arguments are those of ``arguments``, matrices (n, N), and
+    then the ``vectors`` (v, n); ``after`` is (N, n). The function ``{name}_slopes`` has the
+    derivatives of g by the first k arguments, (k, n, ...).
+    """
+
+    coefficient: int
+    after: Matrix
+    arguments: tuple[Matrix, ...]
+    vectors: Array
+    function: str
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSystem:
+    """Vectors of unknowns and their rates.
+
+    The ``source`` is a module that defines ``coefficients(t, p)``, the functions of the pointwise
+    terms, and ``initial_coefficients(p)``: the initial values are ``initial_vectors`` (N, v) times
+    these numbers (v, ...). ``namespace`` has functions of the user that it calls. ``scales`` are
+    those of the parameters, words of :data:`~rankone.tensors.bases.scales.SCALES`.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    parameters: tuple[str, ...]
+    box: tuple[tuple[float, float], ...]
+    horizon: tuple[float, float]
+    linear: tuple[LinearTerm, ...]
+    sources: tuple[SourceTerm, ...]
+    pointwise: tuple[PointwiseTerm, ...]
+    initial_vectors: Array
+    source: str
+    mass: Matrix | None = None
+    scales: tuple[str, ...] = ()
+    namespace: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.scales:
+            object.__setattr__(self, "scales", (LINEAR,) * len(self.box))
+
+    def __getstate__(self) -> dict[str, object]:
+        derived = ("_functions", "_union", "_mass_factors")
+        return {name: value for name, value in self.__dict__.items() if name not in derived}
+
+    @property
+    def size(self) -> int:
+        """Number of all entries, N."""
+        return sum(unknown.size for unknown in self.unknowns)
+
+    @cached_property
+    def _functions(self) -> Mapping[str, object]:
+        names: dict[str, object] = {"__name__": "fields", **self.namespace}
+        exec(compile(self.source, "<rankone fields>", "exec"), names)
+        if "coefficients" not in names:
+            raise OptionError("the module of a system of fields defines no coefficients")
+        return names
+
+    def coefficients(self, t: float | Array, p: Array) -> Array:
+        """The numbers of all terms at t (...) and p (d, ...): shape (c, ...)."""
+        return cast(Coefficients, self._functions["coefficients"])(t, p)
+
+    def elementwise(self, name: str) -> Elementwise:
+        """A function of pointwise terms."""
+        return cast(Elementwise, self._functions[name])
+
+    def initial(self, p: Array) -> Array:
+        """Initial values (N,) at p (d,)."""
+        numbers = cast(Callable[[Array], Array], self._functions["initial_coefficients"])(p)
+        return np.asarray(self.initial_vectors @ numbers)
+
+    def values(self, term: PointwiseTerm, t: float | Array, u: Array, p: Array) -> Array:
+        """g of a term at u (N,) or (N, T), t (T,) and p (d,)."""
+        return self.elementwise(term.function)(t, self._arguments(term, u), p)
+
+    def _arguments(self, term: PointwiseTerm, u: Array) -> list[Array]:
+        vectors = term.vectors if u.ndim == 1 else term.vectors[:, :, None]
+        return [*(matrix @ u for matrix in term.arguments), *vectors]
+
+    def force(self, t: float, u: Array, p: Array) -> Array:
+        """M u' at u (N,) and p (d,)."""
+        c = self.coefficients(t, p)
+        total = self._matrix(c) @ u
+        for source in self.sources:
+            total += c[source.coefficient] * source.vector
+        for term in self.pointwise:
+            total += c[term.coefficient] * (term.after @ self.values(term, t, u, p))
+        return np.asarray(total)
+
+    def jacobian(self, t: float, u: Array, p: Array) -> ss.csc_array:
+        """The derivatives (N, N) of the same by u."""
+        c = self.coefficients(t, p)
+        total = self._matrix(c)
+        for term in self.pointwise:
+            slopes = self.elementwise(f"{term.function}_slopes")(t, self._arguments(term, u), p)
+            for matrix, slope in zip(term.arguments, slopes, strict=True):
+                scaled = term.after @ (ss.diags_array(c[term.coefficient] * slope) @ matrix)
+                total = total + scaled
+        return ss.csc_array(total)
+
+    @cached_property
+    def _union(self) -> tuple[Matrix, Array]:
+        """The pattern of all linear terms, and their entries in it (terms, entries)."""
+        n = self.size
+        pattern = ss.csr_array((n, n))
+        for term in self.linear:
+            pattern = pattern + abs(term.matrix)
+        pattern.sort_indices()
+        pattern.data = np.arange(1.0, pattern.nnz + 1.0)
+        entries = np.zeros((len(self.linear), pattern.nnz))
+        for row, term in zip(entries, self.linear, strict=True):
+            mask = term.matrix.astype(bool).astype(float)
+            places = (pattern * mask).tocoo()
+            matrix = term.matrix.tocoo()
+            order = np.lexsort((places.col, places.row))
+            own = np.lexsort((matrix.col, matrix.row))
+            row[places.data[order].astype(np.intp) - 1] = matrix.data[own]
+        return pattern, entries
+
+    def _matrix(self, c: Array) -> Matrix:
+        """The sum of all linear terms."""
+        pattern, entries = self._union
+        numbers = c[[term.coefficient for term in self.linear]] @ entries
+        return ss.csr_array((numbers, pattern.indices, pattern.indptr), shape=pattern.shape)
