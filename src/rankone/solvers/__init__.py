@@ -5,6 +5,7 @@ In come a system and a :class:`~rankone.solvers.request.SolveRequest`; out goes 
 measured against reference trajectories, and how the solve ended.
 
 - ``engines``: the engines, one folder each
+- ``reduced``: fields reduced to a few coefficients, and measured against full trajectories
 - ``verification``: where is a solution worst? Reference trajectories, candidate points, and the
   measured error
 - ``attempts``: one attempt after the other: reference, march, check, tighten, until the measured
