@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from rankone.solution.compiled import CompiledProblem
     from rankone.solution.compiled import compile_problem as compile
     from rankone.solution.compiled import solve_problem as solve
+    from rankone.solution.fields.field_solution import FieldSolution
     from rankone.solution.many import Solutions, solve_many
     from rankone.solution.solution import Solution, load
     from rankone.solution.statistics.solution_statistics import Sobol
@@ -92,6 +93,7 @@ __all__ = [
     "Event",
     "Experiment",
     "ExportError",
+    "FieldSolution",
     "FirstOrderSystem",
     "Fit",
     "GeneralTerm",
@@ -164,6 +166,7 @@ _MODULES = {
     "problem.steady_start": ("SteadyState",),
     "problem.trajectory": ("Trajectory",),
     "solution.compiled": ("CompiledProblem", "compile", "solve"),
+    "solution.fields.field_solution": ("FieldSolution",),
     "solution.many": ("Solutions", "solve_many"),
     "solution.solution": ("Solution", "load"),
     "solution.steady": ("steady_state",),

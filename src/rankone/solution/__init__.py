@@ -7,6 +7,8 @@ a solution when these are called, and by nothing else here.
 - ``checkpoint``: finished solves in a folder, found again by digests of what was solved
 - ``compiled``: compiled problems: what users hold before a solve
 - ``evaluation``: a solution: evaluation, smaller solutions, tables with labels, summaries
+- ``fields``: solutions of fields: a solution of coefficients, and the modes that make fields of
+  them
 - ``many``: many solves of one problem: on pieces of its box, under conditions, for designs
 - ``outputs``: outputs: quantities of interest of a solution, as solutions of their own
 - ``solution``: solution: what users hold after a solve, for every parameter value and time at

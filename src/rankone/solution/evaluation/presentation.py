@@ -33,8 +33,19 @@ _MOST_NAMES = 8  # Entries of a list before its middle is left out
 
 def summary_text(solution: SolutionCore) -> str:
     """The summary in lines."""
-    lines = [f"Solution (rankone {solution.metadata.version})".replace(" (rankone )", "")]
-    for heading, text in _summary(solution):
+    title = f"Solution (rankone {solution.metadata.version})".replace(" (rankone )", "")
+    return in_lines(title, _summary(solution))
+
+
+def summary_html(solution: SolutionCore) -> str:
+    """The summary as a table, for notebooks."""
+    return in_table("Solution", _summary(solution))
+
+
+def in_lines(title: str, summary: Iterable[tuple[str, str]]) -> str:
+    """Headings and texts under a title, in lines that fit into a terminal."""
+    lines = [title]
+    for heading, text in summary:
         lines += textwrap.wrap(
             text,
             _WIDTH,
@@ -45,14 +56,14 @@ def summary_text(solution: SolutionCore) -> str:
     return "\n".join(lines)
 
 
-def summary_html(solution: SolutionCore) -> str:
-    """The summary as a table, for notebooks."""
+def in_table(title: str, summary: Iterable[tuple[str, str]]) -> str:
+    """Headings and texts as a table of HTML with a title."""
     rows = "".join(
         f"<tr><th style='text-align:left'>{html.escape(heading)}</th>"
         f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
-        for heading, text in _summary(solution)
+        for heading, text in summary
     )
-    return f"<table><caption>Solution</caption><tbody>{rows}</tbody></table>"
+    return f"<table><caption>{html.escape(title)}</caption><tbody>{rows}</tbody></table>"
 
 
 def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
@@ -61,16 +72,16 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     named = [f"{name} [{units[name]}]" if name in units else name for name in solution.unknowns]
     timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.outcome.timings.items()]
     return [
-        ("unknowns", _some(named)),
-        ("over", _over(solution)),
+        ("unknowns", some(named)),
+        ("over", over(solution)),
         ("success", f"{'yes' if solution.success else 'no'}: {shortened(solution.message)}"),
         ("error", _error(solution)),
-        (metadata.method, _trains(solution.outcome)),
+        (metadata.method, trains(solution.outcome)),
         *([("timings", ", ".join(timings))] if timings else []),
     ]
 
 
-def _over(solution: SolutionCore) -> str:
+def over(solution: SolutionCore) -> str:
     """The horizon and the box, with what is fixed."""
     metadata, (start, end) = solution.metadata, solution.time
     lower, upper = metadata.horizon
@@ -81,13 +92,13 @@ def _over(solution: SolutionCore) -> str:
         with_measure(with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name), distributions.get(name))
         for name, (lo, hi) in solution.parameters.items()
     ]
-    over = _some(box if metadata.timeless else [clock, *box]) or "nothing"
+    over = some(box if metadata.timeless else [clock, *box]) or "nothing"
     if metadata.fixed:
-        over += "; at " + _some(f"{name} = {at:g}" for name, at in metadata.fixed)
+        over += "; at " + some(f"{name} = {at:g}" for name, at in metadata.fixed)
     return over
 
 
-def _trains(outcome: Outcome) -> str:
+def trains(outcome: Outcome) -> str:
     """How many slabs there are, of which ranks and nodes, and what they take."""
     wholes = [piece.outcome for piece in outcome.pieces] or [outcome]
     slabs = [slab for whole in wholes for slab in whole.slabs]
@@ -100,8 +111,8 @@ def _trains(outcome: Outcome) -> str:
         largest = [max(column) for column in zip_longest(*ranks, fillvalue=1)]
         sizes = ([basis.size for basis in slab.bases] for slab in slabs)
         nodes = [max(column) for column in zip_longest(*sizes, fillvalue=1)]
-        texts.append(f"ranks up to ({_some(map(str, largest))})")
-        texts.append(f"nodes up to ({_some(map(str, nodes))})")
+        texts.append(f"ranks up to ({some(map(str, largest))})")
+        texts.append(f"nodes up to ({some(map(str, nodes))})")
     sampled = outcome.history[-1].integrator if outcome.history else ""
     if outcome.measured is not None and sampled not in ("", outcome.measured.integrator):
         texts.append(f"samples ({sampled})")
@@ -125,14 +136,14 @@ def _error(solution: SolutionCore) -> str:
     if measured.quantile is not None:
         text += f", 95 % below {measured.quantile:.2g}"
     if len(solution.errors) > 1:
-        text += "; " + _some(f"{name} {error:.2g}" for name, error in solution.errors.items())
+        text += "; " + some(f"{name} {error:.2g}" for name, error in solution.errors.items())
     if solution.metadata.atol:
         absolute = (f"{name} {size:.2g}" for name, size in solution.metadata.atol)
-        text += f"; absolute tolerances {_some(absolute)}"
+        text += f"; absolute tolerances {some(absolute)}"
     return text
 
 
-def _some(texts: Iterable[str]) -> str:
+def some(texts: Iterable[str]) -> str:
     """Join texts, leaving out the middle of many."""
     visible = list(texts)
     if len(visible) > _MOST_NAMES:
