@@ -12,7 +12,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)

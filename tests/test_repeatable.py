@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.solvers.engines.cross.sampled import TrajectoryEnds
+from rankone.solvers.engines.cross_samples import TrajectoryEnds
 from rankone.support.budget import limited
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.workers import open_workers

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rankone.inference.estimation.posterior import Posterior
     from rankone.inference.estimation.posterior import posterior_of as posterior
     from rankone.inference.estimation.search import fit_experiments as fit
-    from rankone.inference.populations.population_fit import PopulationFit
+    from rankone.inference.populations.population import PopulationFit
     from rankone.inference.populations.predictive_check import PredictiveCheck
     from rankone.problem.forms import GeneralTerm, QuadraticSystem, SeparatedForm
     from rankone.problem.functions import (
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
         minimum,
         table,
     )
+    from rankone.problem.integration import Trajectory
     from rankone.problem.models.model import Model
     from rankone.problem.models.sbml import read_sbml
     from rankone.problem.problem import Problem
     from rankone.problem.steady_start import SteadyState
-    from rankone.problem.trajectory import Trajectory
     from rankone.problem.user_events import Event
     from rankone.solution.compiled import CompiledProblem
     from rankone.solution.compiled import compile_problem as compile
@@ -62,9 +62,7 @@ if TYPE_CHECKING:
     from rankone.solution.solution import Solution, load
     from rankone.solution.statistics.solution_statistics import Sobol
     from rankone.solution.steady import steady_state
-    from rankone.solvers.engines.cross import CrossOptions
-    from rankone.solvers.engines.greedy import GreedyOptions
-    from rankone.solvers.engines.train import TrainOptions
+    from rankone.solvers.engines.engine_options import CrossOptions, GreedyOptions, TrainOptions
     from rankone.support import __version__
     from rankone.support.errors import (
         BlowUpError,
@@ -164,7 +162,7 @@ _MODULES = {
     "problem.user_events": ("Event",),
     "problem.problem": ("Problem",),
     "problem.steady_start": ("SteadyState",),
-    "problem.trajectory": ("Trajectory",),
+    "problem.integration": ("Trajectory",),
     "solution.compiled": ("CompiledProblem", "compile", "solve"),
     "solution.fields.field_solution": ("FieldSolution",),
     "solution.many": ("Solutions", "solve_many"),
@@ -178,11 +176,9 @@ _MODULES = {
     "trajectories.system.verdict": ("Status",),
     "problem.models.model": ("Model",),
     "problem.models.sbml": ("read_sbml",),
-    "inference.populations.population_fit": ("PopulationFit",),
+    "inference.populations.population": ("PopulationFit",),
     "inference.populations.predictive_check": ("PredictiveCheck",),
-    "solvers.engines.cross": ("CrossOptions",),
-    "solvers.engines.greedy": ("GreedyOptions",),
-    "solvers.engines.train": ("TrainOptions",),
+    "solvers.engines.engine_options": ("CrossOptions", "GreedyOptions", "TrainOptions"),
     "solution.statistics.solution_statistics": ("Sobol",),
     "support": ("__version__",),
     "support.errors": (

@@ -29,9 +29,9 @@ import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
 from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
-from rankone.solvers.engines.train import length as nodes  # noqa: E402
-from rankone.solvers.engines.train import sweep  # noqa: E402
-from rankone.solvers.engines.train import train_engine as engine  # noqa: E402
+from rankone.solvers.engines import train_engine as engine  # noqa: E402
+from rankone.solvers.engines import train_length as nodes  # noqa: E402
+from rankone.solvers.engines import train_sweep as sweep  # noqa: E402
 from rankone.solvers.verification.reference import integrate_reference  # noqa: E402
 from rankone.tensors.trains.train import truncated_svd  # noqa: E402
 from tests.benchmarks.report import machine, update  # noqa: E402

@@ -365,13 +365,13 @@ SHARE = [
 ]
 CORE = [
     Fault(
-        "tensors/bases/scales.py",
+        "tensors/bases/coordinates.py",
         "return np.asarray(np.exp(s))",
         "return np.asarray(np.exp(1.0001 * s))",
         "tensors/bases/test_scales.py",
     ),
     Fault(
-        "tensors/bases/scales.py",
+        "tensors/bases/coordinates.py",
         "        return -1.0 / s\n",
         "        return 1.0 / s\n",
         "tensors/bases/test_scales.py",
@@ -389,10 +389,10 @@ CORE = [
         "tensors/trains/test_slab.py tensors/trains/test_evaluator.py",
     ),
     Fault(
-        "tensors/trains/rank_one_sums.py",
+        "solvers/engines/greedy_operators.py",
         "return RankOneSum((self.factors[0] * amplitudes, *self.factors[1:]))",
         "return RankOneSum((self.factors[0], *self.factors[1:]))",
-        "solvers/engines/greedy tensors",
+        "solvers/engines tensors",
     ),
     Fault(
         "tensors/trains/canonical.py",
@@ -437,13 +437,13 @@ CORE = [
         "inference/estimation/test_posterior.py",
     ),
     Fault(
-        "tensors/bases/scales.py",
+        "tensors/bases/coordinates.py",
         "return 0.0 < lower < upper or lower < upper < 0.0",
         "return lower < upper",
         "tensors/bases/test_scales.py problem/test_scales.py",
     ),
     Fault(
-        "support/wording.py",
+        "support/errors.py",
         "return f\"{', '.join(quoted[:-1])} and {quoted[-1]}\"",
         "return f\"{', '.join(quoted)}\"",
         "support",
@@ -452,7 +452,7 @@ CORE = [
         "support/options.py",
         "if valid and least <= cast(float, value) <= most:",
         "if valid and least <= cast(float, value):",
-        "support solvers/engines/train/test_engine.py",
+        "support solvers/engines/test_train_engine.py",
     ),
 ]
 FAULTS = [fault for group in (PYTHON, C, JAVASCRIPT, PAGE, FMU, SHARE, CORE) for fault in group]

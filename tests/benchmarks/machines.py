@@ -38,7 +38,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.solvers.engines.cross import CrossOptions  # noqa: E402
+from rankone.solvers.engines.engine_options import CrossOptions  # noqa: E402
 from rankone.solvers.request import Check, SolveRequest  # noqa: E402
 from rankone.solvers.stretches_by_markers import clock_of, over_stretches  # noqa: E402
 from rankone.solvers.verification.reference import Reference  # noqa: E402

@@ -30,7 +30,7 @@ import scipy.sparse
 import sympy as sp
 
 import rankone as ro
-from rankone.solvers.engines.cross import sampled as trajectories
+from rankone.solvers.engines import cross_samples as trajectories
 from rankone.tensors.trains.cross import GrowingBasis
 from rankone.trajectories.system.system import PatternJacobian
 

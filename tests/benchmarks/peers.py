@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
-from rankone.solvers.engines.cross import cross_engine as engine  # noqa: E402
+from rankone.solvers.engines import cross_engine as engine  # noqa: E402
 from tests.benchmarks.peer_tools import TOOLS, Samples, Surrogate, Tool  # noqa: E402
 from tests.benchmarks.report import TITLES, machine, update  # noqa: E402
 from tests.problems import MEASURED  # noqa: E402

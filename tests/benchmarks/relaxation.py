@@ -16,7 +16,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2])]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.solvers.engines.cross import CrossOptions  # noqa: E402
+from rankone.solvers.engines.engine_options import CrossOptions  # noqa: E402
 from rankone.solvers.request import SolveRequest  # noqa: E402
 from rankone.solvers.verification.reference_set import ReferenceSet  # noqa: E402
 from rankone.support.budget import OutOfBudgetError, limited, operations_for  # noqa: E402

@@ -122,7 +122,7 @@ def _worst(folder: Path, file: Path) -> tuple[float, str]:
 
 def _shown(file: Path, model: Any, name: str, as_amount: bool) -> sp.Expr:
     """What the table has under a name: an amount or a concentration of a species."""
-    from rankone.problem.models.document import open_document
+    from rankone.problem.models.sbml_formulas import open_document
 
     expression = model.expression(name)
     document, content = open_document(file)

@@ -25,8 +25,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
-from rankone.solvers.engines.train import slab_operators as inverse_module  # noqa: E402
-from rankone.solvers.engines.train.slab_operators import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
+from rankone.solvers.engines import train_operators as inverse_module  # noqa: E402
+from rankone.solvers.engines.train_operators import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
 from rankone.tensors.bases import RadauCollocation  # noqa: E402
 from rankone.trajectories.stacks.newton import Solver, elimination_of  # noqa: E402
@@ -119,12 +119,12 @@ def compare(name: str, problem: ro.Problem, count: int, share: float) -> None:
 
 def solves(name: str, problem: ro.Problem, rtol: float) -> None:
     """Print the seconds of solves by the train engine, in turns."""
-    compiled, limit = ro.compile(problem), inverse_module.TUNING.largest_change
+    compiled, limit = ro.compile(problem), inverse_module.TRAIN.largest_change
     seconds: dict[float, list[float]] = {-1.0: [], limit: []}
     sweeps = dict.fromkeys(seconds, 0)
     for _ in range(TURNS):
         for change in seconds:
-            inverse_module.TUNING = replace(inverse_module.TUNING, largest_change=change)
+            inverse_module.TRAIN = replace(inverse_module.TRAIN, largest_change=change)
             began = time.process_time()
             solution = compiled.solve(rtol, method="train")
             seconds[change].append(time.process_time() - began)

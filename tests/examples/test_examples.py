@@ -10,7 +10,7 @@ import pytest
 
 import examples
 import rankone as ro
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 from tests.problems import EXAMPLES, GENERAL, SAMPLED
 from tests.reference.measure import measured_errors
 from tests.reference.systems import INDEPENDENT

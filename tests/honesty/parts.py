@@ -35,9 +35,7 @@ import numpy as np
 
 from rankone.compiler import reformulated
 from rankone.solvers import attempts, branches, branching, selection, stretches_by_markers, ways
-from rankone.solvers.engines.cross import cross_engine
-from rankone.solvers.engines.greedy import greedy_engine
-from rankone.solvers.engines.train import train_engine
+from rankone.solvers.engines import cross_engine, greedy_engine, train_engine
 from rankone.solvers.verification import points, reference_set, resolution
 from rankone.solvers.verification.cuts import Cuts
 from rankone.tensors.trains import adaptive

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.problem.algebra.mass import Elimination, LinearRow
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 
 t, k, m = sp.symbols("t k m")
 x, y, z, w, lam, u, v = (sp.Function(name)(t) for name in ("x", "y", "z", "w", "lam", "u", "v"))

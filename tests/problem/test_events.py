@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 
 t, e, k = sp.symbols("t e k")
 x, y = (sp.Function(name)(t) for name in "xy")

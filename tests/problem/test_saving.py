@@ -8,7 +8,7 @@ import sympy as sp
 from scipy import stats
 
 import rankone as ro
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 from rankone.support.errors import ProblemError
 
 t, k, c, m, w, F, lag = sp.symbols("t k c m w F lag")

@@ -84,7 +84,7 @@ def test_text_and_toml(tmp_path):
         'time = [0, 2]\nrhs = {u = "-k*u"}\ninitial = {u = 1}\n'
         'parameters = {k = [1e-2, 10, "log"]}\n'
     )
-    from rankone.problem.problem_files import load_problem
+    from rankone.share.commands.common import load_problem
 
     assert load_problem(file).distributions == problem.distributions
 

@@ -9,7 +9,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.problem.expressions.notation import NamedConstant
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 from rankone.support.errors import OptionError, ProblemError
 
 t, k, c, m, F, P, g = sp.symbols("t k c m F P g")

@@ -6,9 +6,9 @@ import scipy.sparse
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler.agreement.agreement import DisagreementError, check_table
-from rankone.problem.tables import tabulated as tabulated_equations
-from rankone.problem.tables.term_table import FEWEST_TABULATED
+from rankone.compiler.agreement import DisagreementError, check_table
+from rankone.problem.algebra import tabulated as tabulated_equations
+from rankone.problem.algebra.term_table import FEWEST_TABULATED
 
 T, K, C = sp.symbols("t k c")
 N = FEWEST_TABULATED

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.compiler.agreement.agreement import DisagreementError, check_table
+from rankone.compiler.agreement import DisagreementError, check_table
 from rankone.problem import text
 from rankone.support.arrays import Deferred
 

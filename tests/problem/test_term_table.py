@@ -8,9 +8,9 @@ import scipy.sparse
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler.agreement.agreement import DisagreementError, check_table
+from rankone.compiler.agreement import DisagreementError, check_table
 from rankone.problem.algebra import matrices
-from rankone.problem.tables.term_table import FEWEST_TABULATED
+from rankone.problem.algebra.term_table import FEWEST_TABULATED
 from rankone.support.arrays import Deferred
 
 N = 8

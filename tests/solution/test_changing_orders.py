@@ -20,10 +20,10 @@ from rankone.solvers.branches import box_of_branch, branch_evaluator, order_sear
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.selection import ENGINES
 from rankone.solvers.stretches_by_markers import timed_system
-from rankone.solvers.verification.branch_errors import points_with_other_events
+from rankone.solvers.verification.measure import points_with_other_events
 from rankone.solvers.verification.points import Coverage
 from rankone.support.budget import limited, work_done
-from rankone.trajectories.system.events import SystemEvent
+from rankone.trajectories.system.features import SystemEvent
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import Status
 

@@ -9,7 +9,7 @@ import pytest
 
 import rankone as ro
 from rankone.support.budget import limited
-from rankone.trajectories.system.events import Ending
+from rankone.trajectories.system.features import Ending
 
 RTOL = 1e-4
 

@@ -18,12 +18,12 @@ from rankone.solvers.request import SolveRequest
 from rankone.solvers.selection import ENGINES
 from rankone.solvers.stretches_by_markers import timed_system
 from rankone.support.budget import limited, work_done
-from rankone.trajectories.events.event_order import OrderError
 from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after
 from rankone.trajectories.events.orders import OrderSearch
+from rankone.trajectories.events.sides import OrderError
 from rankone.trajectories.events.stretches import in_stretches
-from rankone.trajectories.system.events import Beginning, ForcedOrder
+from rankone.trajectories.system.features import Beginning, ForcedOrder
 
 pytestmark = pytest.mark.slow
 RTOL = 1e-4

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import rankone as ro
 from rankone.support.budget import NORMAL, limited
-from rankone.trajectories.steady.rest import SteadyStates, from_states
+from rankone.trajectories.rest import SteadyStates, from_states
 
 t, k, a, b = sp.symbols("t k a b")
 x, y, z, E, S, C, P, ill, R = (sp.Function(name)(t) for name in [*"xyzESCPIR"])

@@ -8,7 +8,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.problem.problem_files import load_problem
+from rankone.share.commands.common import load_problem
 
 t, k, a, dose, off = sp.symbols("t k a dose off")
 x, y, L, R, C, D = (sp.Function(name)(t) for name in "xyLRCD")

@@ -8,7 +8,7 @@ import typing
 import pytest
 
 import rankone as ro
-from rankone.solvers.engines.greedy import GreedySlabRecord
+from rankone.solvers.engines.greedy_engine import GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.selection import ENGINES, engines_for

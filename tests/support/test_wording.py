@@ -2,7 +2,7 @@
 
 import pytest
 
-from rankone.support.wording import listing
+from rankone.support.errors import listing
 
 MANY = [f"x{i}" for i in range(300)]
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.stats
 
-from rankone.trajectories.steady.bifurcations import frequency_of
+from rankone.trajectories.bifurcations import frequency_of
 
 
 def turned(*blocks):

@@ -12,7 +12,7 @@ from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_trajectory import MOST_ROUNDS
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import span_integrator_for
-from rankone.trajectories.system.events import SystemEvent
+from rankone.trajectories.system.features import SystemEvent
 
 INTEGRATORS = ["stack", "single", "auto"]
 

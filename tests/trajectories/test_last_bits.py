@@ -8,7 +8,7 @@ import pytest
 import rankone as ro
 from rankone.trajectories.events import event_crossings as crossings
 from rankone.trajectories.events import forced
-from rankone.trajectories.system.events import SystemEvent
+from rankone.trajectories.system.features import SystemEvent
 from tests.trajectories.test_events import INTEGRATORS, system_of, trajectories
 
 ULPS = 4.0 * np.finfo(float).eps

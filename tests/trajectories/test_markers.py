@@ -9,7 +9,7 @@ from rankone.solvers.stretches_by_markers import pilots
 from rankone.trajectories.events.markers import late_front
 from rankone.trajectories.integrators.integrator import Spans
 from rankone.trajectories.integrators.integrator_choice import span_integrator_for
-from rankone.trajectories.system.events import Ending
+from rankone.trajectories.system.features import Ending
 
 RATES = {"x": "0.5*s/(ks + s + s**2/ki)*x", "s": "-s/(ks + s + s**2/ki)*x"}
 BOX = {"ks": (0.05, 5.0), "ki": (2.0, 200.0), "x0": (1e-3, 0.1)}

@@ -9,14 +9,14 @@ import rankone as ro
 from rankone.trajectories.events import periods
 from rankone.trajectories.events.event_crossings import Crossings
 from rankone.trajectories.events.event_integration import Ahead
-from rankone.trajectories.events.event_order import follow
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.events.markers import ForeseenMarks, _enough_marks
 from rankone.trajectories.events.periods import is_autonomous, repeating_from, repeats
+from rankone.trajectories.events.sides import follow
 from rankone.trajectories.events.stretches import in_stretches, marker_event, timed_events
 from rankone.trajectories.integrators.integrator import Spans, Tolerances, joined
 from rankone.trajectories.integrators.integrator_choice import integrator_for, span_integrator_for
-from rankone.trajectories.system.events import Ending, EventOrder, Marker
+from rankone.trajectories.system.features import Ending, EventOrder, Marker
 from rankone.trajectories.system.system import Clock
 
 END, COUNT = 24.0, 16

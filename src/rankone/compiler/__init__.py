@@ -6,6 +6,8 @@ the module is compared with the expressions that the user wrote. Out go its text
 - ``agreement``: generated code compared with the expressions that the user wrote
 - ``codegen``: code generation: from equations to a plain NumPy module, and from its text to a
   System
+- ``comparison``: values of expressions at a hundred digits, and residuals that are more than
+  rounding
 - ``passes``: passes over a problem, from its equations to the separated form and the features
 - ``reformulated``: problems in other unknowns, and quantities that a solve holds in place of the
   states

@@ -12,16 +12,21 @@ from typing import Any, TypeVar
 import numpy as np
 import sympy as sp
 
-from rankone.compiler.agreement.agreement import AGREED, POINTS, ComparedPoints, disagreeing_rate
-from rankone.compiler.codegen.loading import ModuleSpecification
+from rankone.compiler.agreement import AGREED, POINTS, ComparedPoints, disagreeing_rate
+from rankone.compiler.codegen.loading import ModuleSpecification, Quantities
 from rankone.compiler.codegen.module import general_source, generate_source
 from rankone.compiler.codegen.output_expressions import OutputFormulas, output_formulas
-from rankone.compiler.codegen.quantities import Quantities
 from rankone.compiler.codegen.sums import quadratic_system
 from rankone.compiler.passes import FirstOrderSystem, separate, weak_form
-from rankone.compiler.passes.levels import by_levels, levelled
 from rankone.compiler.passes.lifting import Lifting, NotLiftable, lift
-from rankone.compiler.passes.over_stretches import KnownStretches, KnownTime, exact, over_stretches
+from rankone.compiler.passes.over_stretches import (
+    KnownStretches,
+    KnownTime,
+    by_levels,
+    exact_number,
+    levelled,
+    over_stretches,
+)
 from rankone.compiler.passes.surfaces import moving_cuts
 from rankone.compiler.passes.switches import NotHeld, held_switches
 from rankone.problem.expressions.notation import NamedConstant
@@ -34,13 +39,19 @@ from rankone.solvers.request import Domain, Observation, SolveRequest, counted_s
 from rankone.solvers.verification.points import branch_points, check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import limited
-from rankone.support.errors import EvaluationError, OptionError, ProblemError, SeparationError
-from rankone.support.wording import listing, quote
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    ProblemError,
+    SeparationError,
+    listing,
+    quote,
+)
 from rankone.tensors.bases.coordinates import name_of
+from rankone.trajectories.bifurcations import RestingStart
 from rankone.trajectories.events.stretches import fixed_times, in_stretches
 from rankone.trajectories.integrators.diagnosis import coarse_states
-from rankone.trajectories.steady.bifurcations import RestingStart
-from rankone.trajectories.system.events import Ending
+from rankone.trajectories.system.features import Ending
 from rankone.trajectories.system.system import Box, Clock, System
 
 Stage = TypeVar("Stage")
@@ -318,15 +329,15 @@ class StretchedProblem:
         coordinates = self.first_order.coordinates
         events = [KnownTime(e.at, e.then) for e in self.first_order.events if e.at is not None]
         fixed = fixed_times(self.original, clock.cuts)
-        events += [KnownTime(exact(time), jumps.get(time)) for time in fixed]
+        events += [KnownTime(exact_number(time), jumps.get(time)) for time in fixed]
         steps, others = moving_cuts(coordinates, self.first_order.rhs)
         events += [KnownTime(time) for time in (*steps, *others)]
         instants = tuple(tuple(events[k] for k in instant) for instant in order.instants)
         end = None
         if order.ending is Ending.HORIZON:
-            end = exact(clock.horizon[1])
+            end = exact_number(clock.horizon[1])
         elif order.ending is Ending.LENGTH:
-            end = instants[-1][0].at + exact(order.length)
+            end = instants[-1][0].at + exact_number(order.length)
         return KnownStretches(instants, end)
 
 

@@ -28,17 +28,12 @@ from typing import TypeVar
 
 import sympy as sp
 
-from rankone.compiler.agreement.agreement import (
-    AGREED,
-    DisagreementError,
-    check_problem,
-    check_table,
-)
-from rankone.compiler.agreement.comparison import LOST_SHARE
+from rankone.compiler.agreement import AGREED, DisagreementError, check_problem, check_table
+from rankone.compiler.codegen.kernels import equation_texts, general_equation_texts
 from rankone.compiler.codegen.layout import with_constants
 from rankone.compiler.codegen.loading import ModuleSpecification
 from rankone.compiler.codegen.module import general_source, generated_module
-from rankone.compiler.codegen.module_header import equation_texts, general_equation_texts
+from rankone.compiler.comparison import LOST_SHARE
 from rankone.compiler.passes import (
     FirstOrderSystem,
     WeakForm,
@@ -65,10 +60,17 @@ from rankone.problem.problem import Problem
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.selection import AUTO, ENGINES, engines_for
 from rankone.support import __version__
-from rankone.support.errors import OptionError, RankoneError, SeparationError
+from rankone.support.errors import (
+    OptionError,
+    RankoneError,
+    SeparationError,
+    abridged,
+    count,
+    number,
+    quote,
+)
 from rankone.support.progress import timed
-from rankone.support.wording import abridged, count, number, quote
-from rankone.tensors.bases.scales import with_measure
+from rankone.tensors.bases.coordinates import with_measure
 from rankone.trajectories.system.system import System
 
 _ANY_SYSTEM = (AUTO, "cross")  # Methods that need no separated terms

@@ -15,13 +15,27 @@ from rankone.problem.expressions.notation import check_size
 from rankone.problem.forms import Coordinate
 from rankone.solvers.outcome import per
 from rankone.solvers.request import LEAST_WIDTH
-from rankone.support.errors import EvaluationError, OptionError, ProblemError
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    ProblemError,
+    did_you_mean,
+    is_line,
+    listing,
+    quote,
+    shown,
+)
 from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, is_line, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.bases.coordinates import (
+    SCALES,
+    check_scale,
+    evenly_on_scale,
+    measure_text,
+    name_of,
+    split,
+)
 from rankone.tensors.bases.distributions import as_text, from_text, interval_of
 from rankone.tensors.bases.joint_distribution import copula_of
-from rankone.tensors.bases.scales import SCALES, check_scale, evenly_on_scale, measure_text, split
 
 Time = tuple[sp.Symbol, float, float]
 """The symbol of time, the start and the end."""

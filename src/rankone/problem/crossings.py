@@ -13,8 +13,7 @@ import numpy as np
 import scipy
 
 from rankone.problem.numeric import NumericEvents
-from rankone.support.arrays import Array
-from rankone.support.precision import EPSILON, ROUNDING
+from rankone.support.arrays import EPSILON, ROUNDING, Array
 
 SHARES = np.linspace(0.125, 1.0, 8)
 """Shares of a step at which it is looked on which side of a surface it is."""

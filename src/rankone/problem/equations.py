@@ -11,11 +11,10 @@ from sympy.core.function import AppliedUndef
 
 from rankone.problem.algebra.matrices import scalar_equations
 from rankone.problem.box import Time
-from rankone.problem.expressions.derivatives import KEPT, rate_of
+from rankone.problem.expressions.conditions import KEPT, rate_of
 from rankone.problem.expressions.notation import exact, expression_of
 from rankone.problem.shorthand import Shorthand, unsupported, wrong_argument
-from rankone.support.errors import ProblemError
-from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
+from rankone.support.errors import ProblemError, count, did_you_mean, listing, name_defect, quote
 
 _MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)

@@ -21,8 +21,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rankone.solvers.outcome import Role
-from rankone.support.errors import SeparationError
-from rankone.support.wording import (
+from rankone.support.errors import (
+    SeparationError,
     aligned_equations,
     count,
     html_table,
@@ -31,7 +31,7 @@ from rankone.support.wording import (
     number,
     text_table,
 )
-from rankone.tensors.bases.scales import LINEAR
+from rankone.tensors.bases.coordinates import LINEAR
 
 if TYPE_CHECKING:
     import sympy as sp

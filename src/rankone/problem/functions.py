@@ -23,8 +23,7 @@ from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
 
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
-from rankone.support.wording import quote, shown
+from rankone.support.errors import ProblemError, quote, shown
 from rankone.trajectories.system import features
 
 _KINDS = ("linear", "cubic", "previous")

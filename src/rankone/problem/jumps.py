@@ -15,9 +15,8 @@ from rankone.problem.equations import Symbols, as_expression, check_value
 from rankone.problem.expressions.notation import exact, latex_of, text_of
 from rankone.problem.forms import Jump
 from rankone.problem.functions import Table
-from rankone.support.errors import ProblemError, warn
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.arrays import NEGLIGIBLE
+from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown, warn
 from rankone.tensors.bases.coordinates import name_of
 
 Resets = Mapping[float, Mapping[sp.Expr, sp.Expr]]

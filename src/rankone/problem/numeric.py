@@ -15,12 +15,11 @@ import scipy
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.problem.algebra.algebraic import Reduction
-from rankone.problem.algebra.consistency import no_consistent_values
+from rankone.problem.algebra.algebraic import Reduction, no_consistent_values
 from rankone.problem.algebra.mass import MassForm
 from rankone.problem.box import Time
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries, peaks, steps
-from rankone.problem.expressions.derivatives import rate_of, slope, unknown_of
+from rankone.problem.expressions.conditions import rate_of, slope, unknown_of
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.functions import known_applied
 from rankone.problem.jumps import Impulses, Resets, at_end, at_start, system_jumps, without_impulses

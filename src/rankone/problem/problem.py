@@ -15,17 +15,22 @@ import sympy as sp
 
 from rankone.problem.algebra.algebraic import Reduction
 from rankone.problem.algebra.matrices import MatrixLike, MatrixSystem, initial_values
+from rankone.problem.algebra.tabulated import Network
+from rankone.problem.algebra.term_table import TermTable
 from rankone.problem.box import check_time, counts_of, pieces_of
-from rankone.problem.changes import changes_of, with_constants, with_parameters
 from rankone.problem.checked import CheckedProblem
+from rankone.problem.integration import Trajectory, trajectory_of
 from rankone.problem.numeric import NumericEquations
 from rankone.problem.shorthand import Shorthand
-from rankone.problem.steady_start import SettledStart, SteadyState
-from rankone.problem.tables.tabulated import Network
-from rankone.problem.tables.term_table import TermTable
+from rankone.problem.steady_start import (
+    SettledStart,
+    SteadyState,
+    changes_of,
+    with_constants,
+    with_parameters,
+)
 from rankone.problem.text import problem_arguments
 from rankone.problem.toml_layout import save_problem
-from rankone.problem.trajectory import Trajectory, trajectory_of
 from rankone.problem.user_events import Event
 from rankone.support.errors import bounded_depth
 from rankone.tensors.bases.coordinates import name_of

@@ -13,8 +13,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.problem.box import Box, check_assumptions, real_number
 from rankone.problem.expressions.notation import NamedConstant, exact, expression_of, plain_text
-from rankone.support.errors import ProblemError
-from rankone.support.wording import quote, shown
+from rankone.support.errors import ProblemError, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
 Fault = tuple[str, sp.Expr, str]

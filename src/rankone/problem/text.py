@@ -12,15 +12,14 @@ from typing import Any, TypeGuard, TypeVar
 
 import sympy as sp
 
+from rankone.problem.algebra.tabulated import table_of_texts
+from rankone.problem.algebra.term_table import FEWEST_TABULATED, TabulatedEquations
 from rankone.problem.equations import check_names
-from rankone.problem.expressions.derivatives import rate_of, unknown_of
+from rankone.problem.expressions.conditions import rate_of, unknown_of
 from rankone.problem.expressions.parsing import parse_expression
 from rankone.problem.steady_start import SteadyState
-from rankone.problem.tables.tabulated import table_of_texts
-from rankone.problem.tables.term_table import FEWEST_TABULATED, TabulatedEquations
 from rankone.problem.user_events import Event, event_name
-from rankone.support.errors import ProblemError
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown
 
 Entry = TypeVar("Entry")
 Names = Mapping[str, sp.Expr]

@@ -18,18 +18,16 @@ from typing import Any, TypeGuard
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.problem.content import ProblemContent
+from rankone.problem.checked import ProblemContent
 from rankone.problem.equations import listed_equations
 from rankone.problem.expressions.notation import exact, plain_text
 from rankone.problem.expressions.parsing import parse_expression
 from rankone.problem.jumps import instants_of
 from rankone.problem.steady_start import SteadyState
 from rankone.problem.user_events import Event
-from rankone.support.errors import ProblemError
+from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown
 from rankone.support.files import as_path, write_files
-from rankone.support.wording import did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.bases.scales import split
+from rankone.tensors.bases.coordinates import name_of, split
 
 TOML_LAYOUT = """\
 time = [0, 6]

@@ -13,7 +13,7 @@ from sympy.core.function import AppliedUndef
 from rankone.problem.box import Box, Time
 from rankone.problem.equations import Symbols, check_names
 from rankone.problem.expressions.admissible import closed
-from rankone.problem.expressions.derivatives import slope
+from rankone.problem.expressions.conditions import slope
 from rankone.problem.expressions.notation import latex_of, text_of
 from rankone.problem.functions import check_name
 from rankone.problem.jumps import (
@@ -25,8 +25,7 @@ from rankone.problem.jumps import (
     check_reset,
     instants_of,
 )
-from rankone.support.errors import ProblemError, warn
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown, warn
 from rankone.tensors.bases.coordinates import name_of
 
 _DIRECTIONS = {"both": "crosses", "rising": "rises through", "falling": "falls through"}

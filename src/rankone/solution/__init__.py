@@ -5,7 +5,7 @@ solutions of their own, and files. Applications (``inference``, ``share``) are o
 a solution when these are called, and by nothing else here.
 
 - ``checkpoint``: finished solves in a folder, found again by digests of what was solved
-- ``compiled``: compiled problems: what users hold before a solve
+- ``compiled``: compiled problems, which are solved, also with markers that users give
 - ``evaluation``: a solution: evaluation, smaller solutions, tables with labels, summaries
 - ``fields``: solutions of fields: a solution of coefficients, and the modes that make fields of
   them

@@ -27,9 +27,8 @@ import numpy as np
 from rankone.solution.compiled import CompiledProblem
 from rankone.solution.solution import Solution, load
 from rankone.support import __version__
-from rankone.support.errors import OptionError, StorageError, warn
+from rankone.support.errors import OptionError, StorageError, quote, shown, warn
 from rankone.support.files import as_path, plain, write_files
-from rankone.support.wording import quote, shown
 
 _PROTOCOL = 4  # One for all versions of Python, as digests are compared between them
 _INSTALLED = tuple(

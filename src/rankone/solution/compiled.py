@@ -1,4 +1,4 @@
-"""Compiled problems: what users hold before a solve."""
+"""Compiled problems, which are solved, also with markers that users give."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, cast
 
+import sympy as sp
+
 from rankone.compiler.passes import check_moved
 from rankone.compiler.passes.feature_pass import switching_term
 from rankone.compiler.passes.well_posed import check_gaps
 from rankone.compiler.reformulated import LiftedProblem, SolveOutputs, StretchedProblem, check_rest
 from rankone.compiler.stages import CompiledStages, compiled_stages, with_numbers_of
 from rankone.problem.problem import Problem
-from rankone.problem.user_markers import warn_of_missed_markers, with_markers
+from rankone.problem.text import formula
+from rankone.problem.user_events import Event
 from rankone.solution.evaluation.core import raise_blow_up
 from rankone.solution.solution import Solution
 from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, Observation, SolveRequest
@@ -30,11 +33,69 @@ from rankone.support.errors import (
     ProblemError,
     bounded_depth,
     check_kind,
+    listing,
+    quote,
+    warn,
 )
 from rankone.support.options import takes_options_of
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import one_thread
+from rankone.tensors.bases.coordinates import name_of
+from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Status
+
+_REMEDY = "give a list of expressions that cross zero, such as [x - 3], or 'auto', or None"
+
+
+def with_markers(problem: Problem, markers: object) -> Problem:
+    """The problem with events ``marker_0``, ``marker_1``, ... that change nothing.
+
+    Parameters
+    ----------
+    problem : Problem
+    markers : sequence of Expr or str
+        What crosses zero there, in unknowns, derivatives that are states, time and parameters.
+
+    Raises
+    ------
+    OptionError
+        If they are not a sequence of expressions of the problem, or there are none.
+    """
+    if isinstance(markers, str | sp.Basic) or not isinstance(markers, Sequence) or not markers:
+        raise OptionError(f"markers={markers!r} is no list of expressions", remedy=_REMEDY)
+    names = {name_of(u): u for u in problem.initial if not isinstance(u, sp.Derivative)}
+    names |= {c.name: c.symbol for c in problem.coordinates}
+    try:
+        events = [
+            Event(formula(marker, names, "marker", None), name=f"marker_{k}")
+            if isinstance(marker, str)
+            else Event(marker, name=f"marker_{k}")
+            for k, marker in enumerate(markers)
+        ]
+        return type(problem)(**{**problem.written, "events": [*problem.events, *events]})
+    except ProblemError as error:
+        message = f"markers={quote(markers)}: {error.message}"
+        raise OptionError(message, term=error.term, remedy=error.remedy or _REMEDY) from None
+
+
+def warn_of_missed_markers(
+    markers: Sequence[object], timeline: Timeline | BranchedTimeline | None
+) -> None:
+    """Warn of markers that no trajectory crosses, so that no stretch ends with them."""
+    if timeline is None:
+        return
+    met = {name for instant in timeline.met for name in instant}
+    missed = [str(marker) for k, marker in enumerate(markers) if f"marker_{k}" not in met]
+    if missed:
+        warn(
+            f"no trajectory crosses zero in {listing(missed)}: time is that of the clock there",
+            remedy="mark what every trajectory crosses, or leave markers out",
+        )
+
+
+# -----------------------------------------------------------------------------
+# Compiled problems: what users hold before a solve.
+
 
 logger = logging.getLogger("rankone")
 

@@ -16,6 +16,7 @@ from rankone.solution.checkpoint import Checkpoint, SolveFiles
 from rankone.solution.compiled import CompiledProblem, check_arguments, compile_problem
 from rankone.solution.solution import Solution
 from rankone.solvers.request import Domain
+from rankone.support.arrays import Labelled, Table, Variables
 from rankone.support.errors import (
     ConvergenceError,
     OptionError,
@@ -23,9 +24,10 @@ from rankone.support.errors import (
     RankoneError,
     RankoneWarning,
     check_kind,
+    count,
+    shown,
     warn,
 )
-from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import takes_options_of
 from rankone.support.progress import StepReport, counting_bar
 from rankone.support.tasks import (
@@ -38,7 +40,6 @@ from rankone.support.tasks import (
     packed,
     unpacked,
 )
-from rankone.support.wording import count, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.system.verdict import Status
 

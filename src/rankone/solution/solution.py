@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from rankone.compiler.codegen.quantities import Quantities
+from rankone.compiler.codegen.loading import Quantities
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import (
     at_time,
@@ -48,16 +48,16 @@ from rankone.support.errors import (
     StorageError,
     check_kind,
     optional_module,
+    shown,
 )
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import ExecutorLike, checked_executor, one_thread, open_pool
-from rankone.support.wording import shown
 from rankone.tensors.bases.distributions import from_text
 from rankone.tensors.bases.joint_distribution import copula_of
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
-from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
 from rankone.tensors.trains.canonical import CanonicalForms, canonical_form
 from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import Timeline
 
 if TYPE_CHECKING:

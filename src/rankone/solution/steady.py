@@ -21,13 +21,12 @@ from rankone.solvers.selection import ENGINES, solve_with
 from rankone.solvers.verification.points import branch_points
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, patience_for
-from rankone.support.errors import ConvergenceError, ProblemError, check_kind
+from rankone.support.errors import ConvergenceError, ProblemError, check_kind, quote
 from rankone.support.options import checked_number
 from rankone.support.tasks import one_thread
-from rankone.support.wording import quote
 from rankone.tensors.trains.slab import at_one_time
-from rankone.trajectories.steady.bifurcations import check_one_branch
-from rankone.trajectories.steady.rest import SteadyStates, at_rest
+from rankone.trajectories.bifurcations import check_one_branch
+from rankone.trajectories.rest import SteadyStates, at_rest
 from rankone.trajectories.system.verdict import MeasuredError, Note, Status, SteadyBranch
 
 _SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle

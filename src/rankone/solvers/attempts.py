@@ -16,12 +16,11 @@ from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord
 from rankone.solvers.remedies import Resolution, narrowed_box, spectra_of
 from rankone.solvers.request import SolveRequest
-from rankone.solvers.solve_tuning import SOLVE
-from rankone.solvers.verification.finer import confirmed
+from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.measure import measure
 from rankone.solvers.verification.reference import safe_intervals
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.solvers.verification.worst_points import worst_points
+from rankone.solvers.verification.worst_points import confirmed, worst_points
 from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,

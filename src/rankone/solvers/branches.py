@@ -15,17 +15,18 @@ from rankone.solvers.branching import MOST_OF_OPENED, Branch, Branches, branches
 from rankone.solvers.outcome import Measured, Outcome
 from rankone.solvers.remedies import box_of_one_order, remedy_of
 from rankone.solvers.request import Domain, SolveRequest
-from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import sizes_at_start, timed_system
-from rankone.solvers.verification.branch_errors import (
+from rankone.solvers.tuning import SOLVE
+from rankone.solvers.verification.measure import (
+    BEYOND,
     MOST_UNDECIDED,
+    SAFE_QUANTILE,
     BranchErrors,
     branch_errors,
     points_near_changes,
     points_with_other_events,
     undecided_share,
 )
-from rankone.solvers.verification.measure import BEYOND, SAFE_QUANTILE
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,
     Coverage,
@@ -35,13 +36,13 @@ from rankone.solvers.verification.points import (
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
-from rankone.tensors.bases.scales import LINEAR, Interval
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.decisions import Decider
-from rankone.tensors.evaluators.timeline_evaluator import HeightRoot, TimelineEvaluator
+from rankone.tensors.bases.coordinates import LINEAR, Interval
+from rankone.tensors.trains.branch_evaluator import BranchEvaluator
+from rankone.tensors.trains.decisions import Decider
 from rankone.tensors.trains.slab import SlabTrain, restricted
-from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
+from rankone.tensors.trains.timeline_evaluator import HeightRoot, TimelineEvaluator
 from rankone.trajectories.events.orders import Order, OrderSearch
+from rankone.trajectories.events.sides import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import span_integrator_for

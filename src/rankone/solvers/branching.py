@@ -13,16 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.solve_tuning import SOLVE
-from rankone.solvers.verification.branch_errors import MOST_UNDECIDED
-from rankone.support.arrays import Array
+from rankone.solvers.tuning import SOLVE
+from rankone.solvers.verification.measure import MOST_UNDECIDED
+from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import budget_left, limited
-from rankone.support.precision import NEGLIGIBLE
-from rankone.trajectories.events.event_order import REMEDY, OrderError
 from rankone.trajectories.events.forced import ContinuationError
 from rankone.trajectories.events.openings import ContinuedOrder, opened_after, opened_at_beginning
 from rankone.trajectories.events.orders import Opened, Order, OrderSearch
-from rankone.trajectories.system.events import Beginning, ForcedOrder, Guard, Turn
+from rankone.trajectories.events.sides import REMEDY, OrderError
+from rankone.trajectories.system.features import Beginning, ForcedOrder, Guard, Turn
 from rankone.trajectories.system.timeline import Fork, Grazing, Opening
 
 MOST_OF_OPENED = 0.25

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from rankone.solvers.request import Observation
-from rankone.support.errors import EvaluationError
-from rankone.support.wording import did_you_mean
+from rankone.support.errors import EvaluationError, did_you_mean
 from rankone.tensors.trains.slab import SlabTrain, fixed
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Cause, Note, Status, Verdict

@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 
 from rankone.solvers.outcome import Outcome
 from rankone.solvers.request import SolveRequest
-from rankone.solvers.solve_tuning import SOLVE
+from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.points import check_points, smooth_nodes
-from rankone.support.arrays import Array
+from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
-from rankone.support.errors import ConvergenceError
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import quote
+from rankone.support.errors import ConvergenceError, quote
 from rankone.tensors.bases import Basis1D, first_scale
-from rankone.tensors.bases.scales import Interval, Logarithm, on_scale
+from rankone.tensors.bases.coordinates import Interval, Logarithm, on_scale
 from rankone.tensors.trains.slab import SlabTrain, sharing
 from rankone.tensors.trains.train import Train
-from rankone.trajectories.events.event_order import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.events.orders import OrderSearch
+from rankone.trajectories.events.sides import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.system.verdict import (
     NarrowBox,
     Note,

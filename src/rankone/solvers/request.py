@@ -15,11 +15,17 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
-from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
 from rankone.support.options import INTEGRATORS, Options, checked_memory, checked_number
-from rankone.support.wording import did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.bases.scales import LINEAR, SCALES, Scale, check_scale, first_scale, split
+from rankone.tensors.bases.coordinates import (
+    LINEAR,
+    SCALES,
+    Scale,
+    check_scale,
+    first_scale,
+    name_of,
+    split,
+)
 from rankone.trajectories.system.system import System
 
 SOLVE_ARGUMENTS = (
@@ -59,7 +65,7 @@ class Domain:
     """A horizon in time, and an interval for each parameter.
 
     ``scales`` names the coordinate of each interval, a word of
-    :data:`~rankone.tensors.bases.scales.SCALES`; left out, all are linear.
+    :data:`~rankone.tensors.bases.coordinates.SCALES`; left out, all are linear.
     """
 
     horizon: tuple[float, float]

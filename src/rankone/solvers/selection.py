@@ -10,15 +10,16 @@ from functools import partial
 
 import numpy as np
 
-from rankone.solvers.engines import cross, greedy, train
+from rankone.solvers.engines import cross_engine, greedy_engine, train_engine
 from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.solvers.remedies import Trials, remedied, remedied_error
 from rankone.solvers.request import Limits, SolveRequest, check_factors
-from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import sharing_references
+from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.measure import drift, measure
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine, sums, without_last
+from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import (
     REMEDIES,
     OutOfBudgetError,
@@ -31,11 +32,9 @@ from rankone.support.budget import (
     work_done,
     work_left,
 )
-from rankone.support.errors import ConvergenceError, OptionError, RankoneError
-from rankone.support.precision import MANY_STATES
+from rankone.support.errors import ConvergenceError, OptionError, RankoneError, did_you_mean
 from rankone.support.progress import Report, quiet
-from rankone.support.wording import did_you_mean
-from rankone.tensors.bases.scales import moved_measures
+from rankone.tensors.bases.coordinates import moved_measures
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import MeasuredError, OtherEngines, Remedy, Status
 
@@ -47,7 +46,8 @@ AUTO = "auto"
 _RESOURCES = {"executor"}
 
 ENGINES: dict[str, Engine] = {
-    engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
+    engine.name: engine
+    for engine in (train_engine.ENGINE, cross_engine.ENGINE, greedy_engine.ENGINE)
 }
 
 

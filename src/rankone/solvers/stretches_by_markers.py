@@ -12,13 +12,12 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from rankone.solvers.request import Domain, SolveRequest
-from rankone.solvers.solve_tuning import SOLVE
+from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.cuts import system_cuts
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfWorkError, limited, looking, memory_left, work_left
-from rankone.trajectories.events.event_order import OrderError, event_order
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.markers import (
     SCOUTS,
@@ -30,6 +29,7 @@ from rankone.trajectories.events.markers import (
     with_order,
 )
 from rankone.trajectories.events.periods import is_autonomous, repeating_from
+from rankone.trajectories.events.sides import OrderError, event_order
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.events.stretches import in_stretches, timed_events
 from rankone.trajectories.integrators.integrator import (
@@ -44,7 +44,7 @@ from rankone.trajectories.integrators.integrator_choice import span_integrator_f
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.stacks.newton import sparse_pattern
 from rankone.trajectories.stacks.stack import has_smooth_rates
-from rankone.trajectories.system.events import Ending, EventOrder
+from rankone.trajectories.system.features import Ending, EventOrder
 from rankone.trajectories.system.system import Clock, System
 
 

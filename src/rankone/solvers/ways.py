@@ -11,7 +11,6 @@ from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.remedies import box_of_one_order
 from rankone.solvers.request import USUAL_POINTS, Domain, Observation, SolveRequest
-from rankone.solvers.solve_tuning import SOLVE
 from rankone.solvers.stretches_by_markers import (
     FirstPoints,
     SolveStart,
@@ -20,13 +19,14 @@ from rankone.solvers.stretches_by_markers import (
     over_stretches,
     start_of,
 )
+from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.budget import OutOfBudgetError, part_of_budget
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
 from rankone.tensors.trains.slab import SlabTrain
-from rankone.trajectories.events.event_order import (
+from rankone.trajectories.events.sides import (
     AccumulationError,
     MoreEventsError,
     OrderError,

@@ -1,14 +1,54 @@
-"""Arrays: their types, points of a cube, bisection, and tuples that are made when first read."""
+"""Arrays, the numbers that all rooms share, and results as tables and data sets.
+
+A room has a number of its own only where another one changes a verdict or the work.
+"""
 
 from __future__ import annotations
 
+import html
 import itertools
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rankone.support.errors import html_table, optional_module, text_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+EPSILON = float(np.finfo(float).eps)
+"""Spacing of the floating-point numbers at 1."""
+TINY = float(np.finfo(float).tiny)
+"""Smallest normal number: what a size that may be zero is raised to before it divides."""
+ROUNDING = 64.0 * EPSILON
+"""Error of a number that a few operations made of rounded ones, about 1e-14."""
+ACCUMULATED = 512.0 * EPSILON
+"""Error of what a long computation makes of them, about 1e-13."""
+COINCIDENT = 4096.0 * EPSILON
+"""Difference below which two times or places are one, about 1e-12, in sizes of these."""
+NEGLIGIBLE = 1e-9
+"""Share below which a difference counts as none; about the error of the tightest solve."""
+EXACT_DIGITS = 20
+"""Decimal digits of numbers that stand for exact ones: a few more than floats hold."""
+MANY_STATES = 64
+"""States from which on tables and sparse matrices serve better than a line and a row for each."""
+AT_ONCE = 1 << 19
+"""Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
+SEED = 20140
+"""Of points that only have to be spread: the same call always has the same ones."""
+DIFFERENCE = EPSILON ** (1.0 / 3.0)
+"""Step of central differences, in sizes of what is changed: rounding and curvature err alike."""
+
+
+# -----------------------------------------------------------------------------
+# Arrays: their types, points of a cube, bisection, and tuples that are made when first read.
+
 
 Array = NDArray[np.float64]
 """Real numbers."""
@@ -109,3 +149,92 @@ class Deferred(Sequence[Item]):
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self._length, self._make)
+
+
+# -----------------------------------------------------------------------------
+# What results look like as tables of pandas, as data sets of xarray, and in notebooks.
+#
+# Both libraries are optional: ``pip install pandas xarray``, or ``pip install ".[io]"`` in the
+# folder of the project.
+
+
+class Table(NamedTuple):
+    """A line of summary, the heads of columns, rows of cells, and remarks below them.
+
+    The first ``labels`` columns are aligned on the left.
+    """
+
+    summary: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    remarks: Sequence[str] = ()
+    labels: int = 1
+
+
+class Variables(NamedTuple):
+    """Arrays with the names of their axes, and the labels along each axis."""
+
+    arrays: Mapping[str, tuple[tuple[str, ...], Any]]
+    labels: Mapping[str, Any]
+
+
+class Labelled(ABC):
+    """A result that prints as a table, and becomes one of pandas or xarray."""
+
+    @abstractmethod
+    def _table(self) -> Table:
+        """What is printed."""
+
+    @abstractmethod
+    def _variables(self) -> Variables:
+        """What the result has, with labels."""
+
+    def __repr__(self) -> str:
+        summary, header, rows, remarks, labels = self._table()
+        lines = text_table(summary, header, rows, right=header[labels:]).splitlines()
+        return "\n".join([lines[0], *(f"  {line}" for line in [*lines[1:], *remarks])])
+
+    def _repr_html_(self) -> str:
+        return html_of(self._table())
+
+    def to_xarray(self) -> xr.Dataset:
+        """The result with labelled axes.
+
+        Raises
+        ------
+        RankoneError
+            If xarray is not installed.
+        """
+        xarray: Any = optional_module("xarray", "labelled values need xarray", "pip install xarray")
+        arrays, labels = self._variables()
+        labelled: xr.Dataset = xarray.Dataset(dict(arrays), dict(labels))
+        return labelled
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The result as a table, a row for each combination of labels.
+
+        Raises
+        ------
+        RankoneError
+            If pandas is not installed.
+        """
+        pandas: Any = optional_module("pandas", "tables need pandas", "pip install pandas")
+        arrays, labels = self._variables()
+        (axes, _), *_ = arrays.values()
+        columns = {name: array for name, (own, array) in arrays.items() if own == axes}
+        if not axes:
+            single: pd.DataFrame = pandas.DataFrame({n: [float(x)] for n, x in columns.items()})
+            return single
+        index = pandas.MultiIndex.from_product([labels[axis] for axis in axes], names=axes)
+        if len(axes) == 1:
+            index = pandas.Index(labels[axes[0]], name=axes[0])
+        rows: pd.DataFrame = pandas.DataFrame(
+            {name: array.ravel() for name, array in columns.items()}, index
+        )
+        return rows
+
+
+def html_of(table: Table) -> str:
+    """A table for notebooks, with its remarks below."""
+    remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in table.remarks)
+    return html_table(table.summary, table.header, table.rows) + remarks

@@ -12,8 +12,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self, TypeVar, cast
 
-from rankone.support.errors import OptionError
-from rankone.support.wording import did_you_mean, shown
+from rankone.support.errors import OptionError, did_you_mean, shown
 
 INTEGRATORS = ("auto", "stack", "single")
 """How trajectories are integrated, as the option of that name has it."""

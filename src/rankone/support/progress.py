@@ -10,8 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
-from rankone.support.errors import OptionError
-from rankone.support.wording import count
+from rankone.support.errors import OptionError, count
 
 logger = logging.getLogger("rankone")
 

@@ -4,7 +4,6 @@ In come values of functions at points of a box; out go tensor trains and sums of
 are evaluated anywhere in it. Numbers alone: this room knows neither problems nor SymPy.
 
 - ``bases``: one-dimensional discretisations of parameters and of time
-- ``evaluators``: evaluation of solutions: of one train, over stretches, in branches, of pieces
 - ``trains``: tensors: trains and sums of products, their arithmetic, cross interpolation and
   evaluation
 """

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.support.arrays import Array
-from rankone.support.precision import MANY_STATES
+from rankone.support.arrays import MANY_STATES, Array
 from rankone.trajectories.system.system import System, pattern_of
 
 N = MANY_STATES

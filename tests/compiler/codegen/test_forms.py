@@ -15,9 +15,8 @@ import rankone as ro
 from rankone.compiler.codegen import module, rates
 from rankone.compiler.passes.surfaces import MAX_SURFACES
 from rankone.problem import text
-from rankone.problem.tables import term_sums
-from rankone.support.arrays import Deferred
-from rankone.support.precision import MANY_STATES
+from rankone.problem.algebra import term_sums
+from rankone.support.arrays import MANY_STATES, Deferred
 from rankone.trajectories.system.system import pattern_of
 
 N = MANY_STATES

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from rankone.compiler.codegen.kernels import plain_product
 from rankone.compiler.codegen.loading import load_module
 from rankone.compiler.codegen.module import generate_source
-from rankone.compiler.codegen.module_header import plain_product
 from rankone.compiler.codegen.printer import factor_text
 from rankone.support.errors import OptionError
 from tests.compiler.codegen.interpreter import Interpreter

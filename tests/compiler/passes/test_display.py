@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 
 import rankone.problem.forms
-import rankone.support.wording
+import rankone.support.errors
 from rankone.compiler.passes import separate
 from rankone.problem.problem import Problem
 
@@ -60,7 +60,7 @@ def test_latex(reference):
     )
 
 
-@pytest.mark.parametrize("module", [rankone.support.wording, rankone.problem.forms])
+@pytest.mark.parametrize("module", [rankone.support.errors, rankone.problem.forms])
 def test_no_import_of_sympy_at_runtime(module):
     source = Path(module.__file__).read_text(encoding="utf-8")
     assert not re.search(r"^(import|from) (sympy|rankone\.compiler)", source, re.MULTILINE)

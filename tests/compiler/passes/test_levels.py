@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.compiler.passes.levels import by_levels, levelled
+from rankone.compiler.passes.over_stretches import by_levels, levelled
 from rankone.compiler.passes.switches import MOST_LEVELS
 
 t, k = sp.symbols("t k")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rankone.problem.problem_files import load_problem
 from rankone.problem.toml_layout import TOML_LAYOUT
+from rankone.share.commands.common import load_problem
 from rankone.support.errors import ProblemError
 
 SCRIPT = """

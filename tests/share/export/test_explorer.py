@@ -17,8 +17,8 @@ import pytest
 
 import rankone as ro
 from rankone.share.commands.cli import main
-from rankone.share.export.explorer.mathml import Notation
-from rankone.share.export.explorer.page import curve_times
+from rankone.share.export.explorer import curve_times
+from rankone.share.export.mathml import Notation
 from rankone.share.plotting.style import PALETTE
 from rankone.solvers.outcome import Role
 from rankone.support.errors import ExportError, OptionError

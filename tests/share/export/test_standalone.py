@@ -22,7 +22,7 @@ import rankone as ro
 from rankone.share.commands.cli import main
 from rankone.share.export.standalone import bundle, needed_modules, source_text, standalone_source
 from rankone.solvers import outcome as ir_metadata
-from rankone.solvers.engines.greedy import ENGINE
+from rankone.solvers.engines.greedy_engine import ENGINE
 from rankone.support.errors import ExportError, OptionError
 from rankone.tensors.bases import ChebyshevBasis
 from rankone.tensors.trains.train import Train

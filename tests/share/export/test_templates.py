@@ -19,7 +19,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.compiler.codegen.layout import commented, docstring, quoted
-from rankone.share.export.templates import c_comment, c_string, js_comment, js_string
+from rankone.share.export.standalone import c_comment, c_string, js_comment, js_string
 from rankone.solution.solution import Solution
 from rankone.trajectories.system.verdict import Remedy
 from tests.share.export.node import NODE, needs_node

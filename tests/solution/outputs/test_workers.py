@@ -8,7 +8,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.solution.outputs import sampling
-from tests.solvers.engines.cross.functions import cosine, sine
+from tests.solvers.engines.cross_functions import cosine, sine
 
 
 @pytest.fixture(autouse=True)

@@ -6,8 +6,8 @@ import pytest
 import rankone as ro
 from rankone.solvers import attempts
 from rankone.solvers.request import Check, Domain, SolveRequest
-from rankone.solvers.verification.finer import _finer, confirmed
 from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.solvers.verification.worst_points import _finer, confirmed
 from rankone.support.budget import OutOfWorkError, limited, work_done
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator

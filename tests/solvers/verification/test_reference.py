@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.stats import poisson
 
 import rankone as ro
+from rankone.solvers.march import amplification
 from rankone.solvers.request import Check, Domain, SolveRequest
 from rankone.solvers.verification import reference, resolution
-from rankone.solvers.verification.growth import amplification
 from rankone.solvers.verification.measure import measure
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.reference import integrate_reference

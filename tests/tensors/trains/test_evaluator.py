@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rankone.tensors.bases import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.tensors.evaluators import evaluator as module
-from rankone.tensors.evaluators.evaluator import TrainEvaluator
+from rankone.tensors.trains import evaluator as module
+from rankone.tensors.trains.evaluator import TrainEvaluator
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.evaluators.evaluator import TrainEvaluator
+from rankone.tensors.trains.evaluator import TrainEvaluator
 from rankone.tensors.trains.slab import SlabTrain, sharing
 from rankone.tensors.trains.train import Train
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rankone.trajectories.system.events import Ending
+from rankone.trajectories.system.features import Ending
 from rankone.trajectories.system.timeline import Timeline
 
 

@@ -29,12 +29,12 @@ from rankone.compiler.codegen.rates import (
     unchanged_states,
 )
 from rankone.compiler.passes.first_order import FirstOrderSystem, RestForm
-from rankone.problem.expressions.derivatives import Differentiator
+from rankone.problem.algebra.term_table import RateForm, TermTable, Value
+from rankone.problem.expressions.conditions import Differentiator
 from rankone.problem.expressions.notation import plain_text
 from rankone.problem.expressions.stable import stable
 from rankone.problem.forms import ConstraintForms
-from rankone.problem.tables.term_table import RateForm, TermTable, Value
-from rankone.support.wording import clip
+from rankone.support.errors import clip
 
 _HELPERS = '''\
 def _steps(terms):

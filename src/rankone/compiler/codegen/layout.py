@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import TypeAlias
 
-from rankone.support.wording import number
+from rankone.support.errors import number
 
 MOST_TERMS = 200
 """Terms of a sum in one expression: Python compiles longer sums by deep recursion."""

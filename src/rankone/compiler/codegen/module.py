@@ -8,7 +8,7 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.codegen.kernels import kernel_blocks
+from rankone.compiler.codegen.kernels import general_header, header, kernel_blocks, sum_text
 from rankone.compiler.codegen.law_code import FormWriter, constraint_blocks, rest_blocks
 from rankone.compiler.codegen.layout import (
     WIDTH,
@@ -22,19 +22,14 @@ from rankone.compiler.codegen.layout import (
     table,
 )
 from rankone.compiler.codegen.loading import ModuleSpecification
-from rankone.compiler.codegen.module_header import general_header, header, sum_text
 from rankone.compiler.codegen.pointwise import PointwiseWriter
 from rankone.compiler.codegen.printer import numpy_text
-from rankone.compiler.codegen.rates import (
-    ArrayWriter,
-    GeneralWriter,
-    SeparatedWriter,
-    long_tables,
-)
+from rankone.compiler.codegen.rates import ArrayWriter, GeneralWriter, SeparatedWriter, long_tables
 from rankone.compiler.codegen.sums import coordinate_functions, quadratic_system
 from rankone.compiler.passes.feature_pass import SymbolicFeatures, features_of, features_of_table
 from rankone.compiler.passes.first_order import FirstOrderSystem, RestForm
 from rankone.compiler.passes.well_posed import Gap, NamedExpression, gaps_in_unknowns
+from rankone.problem.algebra.term_table import TermTable
 from rankone.problem.expressions.admissible import known_functions
 from rankone.problem.expressions.notation import named_constants
 from rankone.problem.forms import (
@@ -48,12 +43,10 @@ from rankone.problem.forms import (
     Term,
 )
 from rankone.problem.functions import known_applied
-from rankone.problem.tables.term_table import TermTable
-from rankone.support.errors import check_kind
-from rankone.support.precision import MANY_STATES
+from rankone.support.arrays import MANY_STATES
+from rankone.support.errors import check_kind, number
 from rankone.support.progress import timed
-from rankone.support.wording import number
-from rankone.tensors.bases.scales import LINEAR
+from rankone.tensors.bases.coordinates import LINEAR
 
 Block = Sequence[str]
 """Source lines that stand together."""

@@ -11,10 +11,10 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.agreement.agreement import check_outputs
+from rankone.compiler.agreement import check_outputs
+from rankone.compiler.codegen.loading import Quantities, Source, WrittenFunction
 from rankone.compiler.codegen.output_translation import KINDS, OutputTranslator
 from rankone.compiler.codegen.printer import numpy_text
-from rankone.compiler.codegen.quantities import Quantities, Source, WrittenFunction
 from rankone.compiler.codegen.sums import Sums, long_sums
 from rankone.compiler.passes.feature_pass import cuts_of
 from rankone.compiler.passes.well_posed import Gap, check_gaps
@@ -26,17 +26,15 @@ from rankone.problem.expressions.boundaries import (
     peaks,
     steps,
 )
-from rankone.problem.expressions.derivatives import rate_of, unknown_of
+from rankone.problem.expressions.conditions import rate_of, unknown_of
 from rankone.problem.expressions.notation import exact, expression_of, plain_text
 from rankone.problem.expressions.parsing import parse_expression
 from rankone.problem.expressions.stable import stable
 from rankone.problem.forms import Coordinate
 from rankone.problem.functions import known_applied
 from rankone.solvers.outcome import SolutionMetadata
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, ProblemError
-from rankone.support.precision import COINCIDENT, SEED
-from rankone.support.wording import listing, quote, shown
+from rankone.support.arrays import COINCIDENT, SEED, Array
+from rankone.support.errors import OptionError, ProblemError, listing, quote, shown
 from rankone.trajectories.system.timeline import Timeline
 
 # Cuts of one period over the horizon; a quadrature between more would take minutes

@@ -18,7 +18,7 @@ import sympy as sp
 
 from rankone.compiler.codegen.layout import INDENT, WIDTH, Names, assignment, docstring, unpacking
 from rankone.compiler.codegen.printer import common_subexpressions
-from rankone.problem.expressions.derivatives import unknown_of
+from rankone.problem.expressions.conditions import unknown_of
 from rankone.problem.forms import Coordinate, Jump, State
 from rankone.problem.functions import nodes_of
 

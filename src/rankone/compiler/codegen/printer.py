@@ -15,8 +15,7 @@ from sympy.printing.printer import Printer
 from rankone.compiler.codegen.layout import MOST_TERMS, literal, quoted
 from rankone.problem.expressions.notation import NamedConstant, plain_text
 from rankone.problem.expressions.stable import fraction, scaled_power, stable
-from rankone.support.errors import ProblemError, SeparationError
-from rankone.support.wording import quote
+from rankone.support.errors import ProblemError, SeparationError, quote
 
 _MAX_INTEGER = 10**15  # Every integer up to this is a floating-point number
 # Whole powers that are written by squares: NumPy takes ten times as long for others as for these

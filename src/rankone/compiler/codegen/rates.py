@@ -23,11 +23,11 @@ from rankone.compiler.codegen.printer import numpy_text
 from rankone.compiler.codegen.sums import Addend, share
 from rankone.compiler.passes.first_order import FirstOrderSystem
 from rankone.compiler.passes.well_posed import NamedExpression
-from rankone.problem.expressions.derivatives import Differentiator
+from rankone.problem.expressions.conditions import Differentiator
 from rankone.problem.expressions.stable import stable
 from rankone.problem.forms import QuadraticSystem, Term
+from rankone.support.arrays import MANY_STATES
 from rankone.support.errors import ProblemError, SeparationError
-from rankone.support.precision import MANY_STATES
 
 
 class SeparatedWriter(PointwiseWriter):

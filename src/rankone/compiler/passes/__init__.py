@@ -3,11 +3,9 @@
 - ``feature_pass``: the features of a system: all that is not smooth, or so narrow that samples
   may miss it
 - ``first_order``: reduction to first order, the weak form, and parameters whose effects add up
-- ``levels``: functions with many levels, written as steps and kinks at those that trajectories
-  reach
 - ``lifting``: functions of the unknowns become unknowns themselves, with equations of their own
-- ``over_stretches``: a system over the pseudo-time of its stretches, where all events are at
-  known times
+- ``over_stretches``: systems over the pseudo-time of their stretches, and functions with many
+  levels
 - ``separation``: the separated form: every term a product of functions of one coordinate
 - ``splitting``: splitting an expression into products of functions of one coordinate
 - ``surfaces``: functions that vanish where a system is not smooth, and what vanishes by the

@@ -32,16 +32,15 @@ from rankone.compiler.passes.surfaces import (
     parameter_surfaces,
     state_surfaces,
 )
+from rankone.problem.algebra.term_table import TermTable
 from rankone.problem.expressions.admissible import numeric
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries, peaks, steps
-from rankone.problem.expressions.derivatives import slope
+from rankone.problem.expressions.conditions import slope
 from rankone.problem.expressions.notation import text_of
 from rankone.problem.forms import Coordinate
-from rankone.problem.tables.term_table import TermTable
-from rankone.support.arrays import Array
+from rankone.support.arrays import EPSILON, TINY, Array
 from rankone.support.budget import check_time
-from rankone.support.precision import EPSILON, TINY
-from rankone.support.wording import quote, written
+from rankone.support.errors import quote, written
 from rankone.trajectories.system.verdict import SwitchingTerm
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds

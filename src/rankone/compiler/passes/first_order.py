@@ -15,21 +15,19 @@ from functools import partial
 import sympy as sp
 from sympy.functions.elementary.piecewise import ExprCondPair
 
-from rankone.problem.expressions.conditions import with_plain_conditions
-from rankone.problem.expressions.derivatives import rate_of, unknown_of
+from rankone.problem.algebra.term_table import TabulatedRates, TermTable
+from rankone.problem.expressions.conditions import rate_of, unknown_of, with_plain_conditions
 from rankone.problem.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.problem.forms import ConstraintForms, Coordinate, EventForm, Jump, State
 from rankone.problem.functions import namespace_of
 from rankone.problem.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.problem.problem import Problem
-from rankone.problem.tables.term_table import TabulatedRates, TermTable
 from rankone.problem.user_events import Event, event_latex, event_texts, known_time
 from rankone.solvers.outcome import Role
 from rankone.support.arrays import Deferred
-from rankone.support.errors import check_kind
-from rankone.support.wording import abridged, aligned_equations, count, number, quote
+from rankone.support.errors import abridged, aligned_equations, check_kind, count, number, quote
 from rankone.tensors.bases.coordinates import name_of
-from rankone.trajectories.system.events import BOTH, FALLING, RISING
+from rankone.trajectories.system.features import BOTH, FALLING, RISING
 
 _DIRECTIONS = {"rising": RISING, "falling": FALLING, "both": BOTH}
 

@@ -20,9 +20,9 @@ from rankone.compiler.passes.splitting import Indivisible, Splitter
 from rankone.problem.expressions.notation import exact, text_of
 from rankone.problem.forms import Jump, State
 from rankone.solvers.outcome import Role
+from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import check_time
-from rankone.support.precision import MANY_STATES
-from rankone.support.wording import count
+from rankone.support.errors import count
 
 # Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the degree
 # of z' grows with q

@@ -21,15 +21,14 @@ from rankone.compiler.passes.splitting import (
     Splitter,
 )
 from rankone.compiler.passes.well_posed import check_gaps, check_known, check_tables
+from rankone.problem.algebra.term_table import Entry, TermTable
 from rankone.problem.expressions.admissible import known_functions, located_defect
 from rankone.problem.expressions.notation import NamedConstant, exact
 from rankone.problem.forms import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.problem.problem import Problem
-from rankone.problem.tables.term_table import Entry, TermTable
 from rankone.support.arrays import Deferred
-from rankone.support.errors import ProblemError, check_kind
+from rankone.support.errors import ProblemError, check_kind, listing, quote
 from rankone.support.progress import timed
-from rankone.support.wording import listing, quote
 
 _LARGEST = 1e100  # Coefficients up to this, and down to its reciprocal, need no closer look
 _Key = tuple[int, int, tuple[int, ...]]

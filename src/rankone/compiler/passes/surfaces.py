@@ -31,10 +31,10 @@ from rankone.problem.expressions.boundaries import (
     subexpressions,
     valleys,
 )
-from rankone.problem.expressions.derivatives import slope
+from rankone.problem.expressions.conditions import slope
 from rankone.problem.expressions.notation import exact
 from rankone.problem.forms import Coordinate
-from rankone.support.precision import NEGLIGIBLE
+from rankone.support.arrays import NEGLIGIBLE
 
 # Functions of two sides, one of which may be narrow
 _SIDES = (sp.Abs, sp.Max, sp.Min, Relational, sp.Heaviside, sp.sign)

@@ -36,11 +36,10 @@ from sympy.logic.boolalg import Boolean
 
 from rankone.compiler.passes.first_order import FirstOrderSystem
 from rankone.compiler.passes.surfaces import Sides, only_kinks, zero_where
-from rankone.problem.expressions.conditions import definite_sign
-from rankone.problem.expressions.derivatives import Differentiator, slope
+from rankone.problem.expressions.conditions import Differentiator, definite_sign, slope
 from rankone.problem.forms import EventForm, Jump, State
 from rankone.solvers.outcome import Role
-from rankone.trajectories.system.events import FALLING
+from rankone.trajectories.system.features import FALLING
 
 MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""

@@ -22,17 +22,15 @@ from sympy.core.relational import Relational
 
 from rankone.compiler.passes.feature_pass import SAMPLES, cuts_of
 from rankone.compiler.passes.first_order import FirstOrderSystem
-from rankone.problem.algebra.consistency import no_consistent_values
+from rankone.problem.algebra.algebraic import no_consistent_values
 from rankone.problem.expressions.admissible import gaps, known_functions, located_defect, numeric
 from rankone.problem.expressions.stable import in_floats
 from rankone.problem.forms import Coordinate, SeparatedForm, State
 from rankone.problem.functions import Table, known_applied
 from rankone.problem.problem import Problem
 from rankone.solvers.request import Domain
-from rankone.support.arrays import HALVINGS, Array, bisected, corners, spread
-from rankone.support.errors import OptionError, ProblemError, RankoneWarning
-from rankone.support.precision import COINCIDENT, SEED
-from rankone.support.wording import number, quote
+from rankone.support.arrays import COINCIDENT, HALVINGS, SEED, Array, bisected, corners, spread
+from rankone.support.errors import OptionError, ProblemError, RankoneWarning, number, quote
 from rankone.trajectories.system.features import GAP_REMEDY
 from rankone.trajectories.system.system import System, refuse_gap
 

@@ -25,9 +25,16 @@ from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, RankoneError, check_kind
+from rankone.support.errors import (
+    OptionError,
+    RankoneError,
+    check_kind,
+    count,
+    listing,
+    quote,
+    shown,
+)
 from rankone.support.options import of_keywords, takes_options_of
-from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
 MOST_END_PARAMETERS = 6

@@ -28,9 +28,17 @@ from rankone.inference.calibration.trajectory_likelihood import OfFiles
 from rankone.inference.estimation.least_squares import Starts, descents
 from rankone.inference.estimation.posterior import Posterior
 from rankone.problem.problem import Problem
-from rankone.support.errors import OptionError, check_kind
+from rankone.support.errors import (
+    OptionError,
+    check_kind,
+    count,
+    did_you_mean,
+    html_table,
+    quote,
+    shown,
+    text_table,
+)
 from rankone.support.options import checked_number, of_keywords, takes_options_of
-from rankone.support.wording import count, did_you_mean, html_table, quote, shown, text_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -23,23 +23,21 @@ from rankone.inference.calibration.records import (
     SimulatedExperiment,
     measured,
 )
+from rankone.inference.estimation import fitted_models as sensitivities
 from rankone.inference.estimation.experiments import Trial, trials_of
-from rankone.inference.estimation.fitted_models import IntegratedSolution
+from rankone.inference.estimation.fitted_models import IntegratedSolution, Sensitive, Start
 from rankone.inference.estimation.formulas import value_of
 from rankone.inference.estimation.free_parameters import FreeParameters
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.support import errors
-from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import listing, quote
+from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.errors import listing, quote
 from rankone.tensors.bases.coordinates import Coordinates
-from rankone.trajectories.integrators import sensitivities
 from rankone.trajectories.integrators.integrator import Spans, Tolerances
-from rankone.trajectories.integrators.sensitivities import Sensitive, Start
 from rankone.trajectories.integrators.single import SingleIntegrator
-from rankone.trajectories.steady.rest import SteadyStates, from_states
+from rankone.trajectories.rest import SteadyStates, from_states
 from rankone.trajectories.system.system import System
 
 ACCURACY = 1e-9

@@ -21,9 +21,17 @@ from rankone.inference.calibration import records
 from rankone.inference.estimation.formulas import Formula, formula_of
 from rankone.problem.models.model import Model
 from rankone.problem.models.sbml import read_with_starts
-from rankone.support.errors import OptionError, ProblemError, optional_module
+from rankone.support.errors import (
+    OptionError,
+    ProblemError,
+    clip,
+    count,
+    did_you_mean,
+    listing,
+    optional_module,
+    quote,
+)
 from rankone.support.files import as_path
-from rankone.support.wording import clip, count, did_you_mean, listing, quote
 
 if TYPE_CHECKING:
     import pandas as pd

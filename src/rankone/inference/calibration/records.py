@@ -21,8 +21,7 @@ from rankone.problem.models.model import Model
 from rankone.problem.problem import Problem
 from rankone.problem.steady_start import SteadyState
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError, RankoneWarning
-from rankone.support.wording import did_you_mean, quote
+from rankone.support.errors import ProblemError, RankoneWarning, did_you_mean, quote
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,15 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from rankone.inference.estimation import results
+from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.fit import Fit, one_sided
 from rankone.inference.estimation.free_parameters import ends_at_bounds
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import quantile_of
 from rankone.inference.estimation.least_squares import SAME_COST, Descent, Expandable, Expansion
 from rankone.solution.solution import Solution
-from rankone.support.arrays import Array
-from rankone.support.errors import with_remedy
-from rankone.support.labelled import Table, Variables
-from rankone.support.wording import count, listing, quote
+from rankone.support.arrays import Array, Table, Variables
+from rankone.support.errors import count, listing, quote, with_remedy
 from rankone.tensors.bases.joint_distribution import LEVEL
 
 

@@ -30,10 +30,18 @@ from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
-from rankone.support.errors import OptionError, ProblemError
-from rankone.support.labelled import Table, html_of
+from rankone.support.arrays import Table, html_of
+from rankone.support.errors import (
+    OptionError,
+    ProblemError,
+    count,
+    did_you_mean,
+    listing,
+    quote,
+    shown,
+    text_table,
+)
 from rankone.support.options import checked_number
-from rankone.support.wording import count, did_you_mean, listing, quote, shown, text_table
 from rankone.tensors.bases.coordinates import name_of
 
 

@@ -28,10 +28,8 @@ from rankone.inference.estimation.likelihood import (
 )
 from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
-from rankone.support.arrays import Array, spread
-from rankone.support.errors import ProblemError, RankoneError
-from rankone.support.precision import TINY
-from rankone.support.wording import quote
+from rankone.support.arrays import TINY, Array, spread
+from rankone.support.errors import ProblemError, RankoneError, quote
 from rankone.tensors.bases.joint_distribution import LEVEL
 
 _RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart

@@ -3,10 +3,10 @@
 - ``cube_distributions``: distributions in a unit cube: on cells that are halved, or as points of
   a Markov chain
 - ``design``: where to measure next: sampling times that tell the most about the parameters
-- ``estimates``: best values of a fit, its residuals, and how well the model describes the data
+- ``estimates``: results with tables and a verdict; best values of a fit, and its residuals
 - ``experiments``: what was measured under which conditions, checked against a solution
 - ``fit``: best values, intervals, what the data identify, and reasons not to trust it
-- ``fitted_models``: solutions, or integrated problems, at the times of data, with derivatives
+- ``fitted_models``: models at the times of data, solved or integrated, with derivatives
 - ``formulas``: arithmetic of named quantities with derivatives, from text or symbols
 - ``free_parameters``: the free parameters, their bounds and scales, and the start of a search
 - ``identification``: which parameters, and which combinations of them, the data identify, by
@@ -23,7 +23,6 @@
 - ``observations``: measured data at times, checked and put in a row, and what was measured
 - ``posterior``: posterior distributions of parameters: by quadrature, or by a Markov chain beyond
   three
-- ``results``: what fits, calibrations, posteriors, designs and populations share: a verdict, tables
 - ``search``: parameters of solutions from data, by least squares or maximum likelihood
 - ``tables``: tables of measurements and doses: columns by name, cut into their experiments
 """

@@ -20,9 +20,8 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
-from rankone.support.arrays import HALVINGS, Array, bisected
+from rankone.support.arrays import COINCIDENT, HALVINGS, NEGLIGIBLE, Array, bisected
 from rankone.support.errors import optional_module, with_remedy
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE
 
 Density = Callable[[Array], Array]
 """A density, or its logarithm, at points (N, n) of the unit cube: shape (N,)."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rankone.inference.estimation import results
+from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import Formula, value_of
@@ -34,12 +34,17 @@ from rankone.inference.estimation.observations import (
 )
 from rankone.inference.estimation.tables import Doses
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array, Labelled, Table, Variables
+from rankone.support.errors import (
+    OptionError,
+    count,
+    did_you_mean,
+    listing,
+    quote,
+    shown,
+    with_remedy,
+)
 from rankone.support.options import checked_number
-from rankone.support.precision import NEGLIGIBLE, TINY
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
 

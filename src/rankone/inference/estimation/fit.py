@@ -11,16 +11,13 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from rankone.inference.estimation import results
+from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import Trial, failures_of
 from rankone.inference.estimation.formulas import formula_of
 from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.intervals import Intervals
-from rankone.support.arrays import Array
-from rankone.support.errors import with_remedy
-from rankone.support.labelled import Table, Variables
-from rankone.support.precision import COINCIDENT
-from rankone.support.wording import count, listing, quote
+from rankone.support.arrays import COINCIDENT, Array, Table, Variables
+from rankone.support.errors import count, listing, quote, with_remedy
 from rankone.tensors.bases.distributions import Distribution
 from rankone.tensors.bases.joint_distribution import Known
 

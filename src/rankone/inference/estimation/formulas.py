@@ -18,8 +18,7 @@ import numpy as np
 from scipy import special
 
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
 
 

@@ -10,14 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
+from rankone.tensors.bases.coordinates import LOG, name_of
 from rankone.tensors.bases.distributions import scale_of
 from rankone.tensors.bases.joint_distribution import by_name
-from rankone.tensors.bases.scales import LOG
 
 ParameterValues = Mapping[Any, float] | None
 """Values by parameter, a name or a symbol."""

@@ -19,11 +19,9 @@ from rankone.inference.estimation.identification import Profile, Stop, profiles
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.noise import Noise
 from rankone.inference.estimation.observations import checked_times
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.arrays import TINY, Array
+from rankone.support.errors import OptionError, did_you_mean, listing, quote
 from rankone.support.options import checked_number
-from rankone.support.precision import TINY
-from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
 
 

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
-from rankone.support.arrays import Array, bisected
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, TINY, Array, bisected
 from rankone.support.budget import limited
 from rankone.support.options import checked_number
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
 
 

@@ -16,10 +16,8 @@ from rankone.inference.estimation.formulas import linear_names, value_of, with_s
 from rankone.inference.estimation.free_parameters import SAME, FreeParameters, Range
 from rankone.inference.estimation.noise import Terms, log_likelihood, terms
 from rankone.inference.estimation.observations import MISSPELT, check_levels
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import NEGLIGIBLE, TINY
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array
+from rankone.support.errors import OptionError, did_you_mean, listing, quote
 from rankone.tensors.bases.distributions import Measure
 
 # Rounds of linear parameters and levels of noise in turn, where states are known

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize as scipy_minimize
 from scipy.spatial import cKDTree
 
-from rankone.inference.estimation import results
+from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import failure_of
 from rankone.inference.estimation.fitted_models import model_of
 from rankone.inference.estimation.free_parameters import (
@@ -27,13 +27,10 @@ from rankone.inference.estimation.free_parameters import (
 from rankone.inference.estimation.observations import checked_times, state_name
 from rankone.inference.estimation.search import DISTINCT_DISTANCE
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array
+from rankone.support.arrays import DIFFERENCE, Array, Labelled, Table, Variables
 from rankone.support.budget import NORMAL, operations_for
-from rankone.support.errors import OptionError, with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.errors import OptionError, count, quote, shown, with_remedy
 from rankone.support.options import checked_number
-from rankone.support.precision import DIFFERENCE
-from rankone.support.wording import count, quote, shown
 
 
 @dataclass(frozen=True)

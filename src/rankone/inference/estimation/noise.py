@@ -19,10 +19,8 @@ import scipy
 from numpy.typing import NDArray
 
 from rankone.inference.estimation import formulas
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import did_you_mean, quote, shown
+from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.errors import OptionError, did_you_mean, quote, shown
 
 STUDENT_FREEDOM = 4.0
 """Degrees of freedom of Student's noise: heavy tails that still have a variance."""

@@ -13,8 +13,15 @@ from rankone.inference.estimation.formulas import Formula, formula_of
 from rankone.inference.estimation.noise import Noise, noise_of, usual_levels
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    count,
+    did_you_mean,
+    listing,
+    quote,
+    shown,
+)
 from rankone.tensors.bases.coordinates import name_of
 
 Measurements = ArrayLike | Mapping[Any, ArrayLike]

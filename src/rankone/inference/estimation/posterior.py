@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rankone.inference.estimation import results
+from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
 from rankone.inference.estimation.experiments import trial_of
 from rankone.inference.estimation.fit import Fit
@@ -23,13 +23,19 @@ from rankone.inference.estimation.search import fit
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import with_fixed
 from rankone.solution.statistics.over_box import checked_probabilities
-from rankone.support.arrays import Array, spread
-from rankone.support.errors import OptionError, with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.arrays import (
+    COINCIDENT,
+    NEGLIGIBLE,
+    TINY,
+    Array,
+    Labelled,
+    Table,
+    Variables,
+    spread,
+)
+from rankone.support.errors import OptionError, listing, quote, shown, with_remedy
 from rankone.support.options import checked_count, checked_number, takes_options_of
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
-from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.distributions import Distribution, Measure, from_text
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
 

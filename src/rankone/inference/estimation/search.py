@@ -30,12 +30,10 @@ from rankone.inference.estimation.noise import noise_of
 from rankone.inference.estimation.observations import Measurements, Observations
 from rankone.inference.estimation.tables import is_table
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array, spread
+from rankone.support.arrays import NEGLIGIBLE, Array, spread
 from rankone.support.budget import NORMAL, operations_for
-from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
 from rankone.support.options import checked_number, of_keywords, takes_options_of
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import count, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort

@@ -19,8 +19,7 @@ from rankone.inference.estimation.noise import Noise
 from rankone.inference.estimation.observations import observables
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.joint_distribution import by_name
 

@@ -2,10 +2,10 @@
 
 - ``individuals``: empirical Bayes: the most probable random effects of each subject
 - ``marginal``: the marginal likelihood by Laplace's method, its derivatives and its optimum
-- ``population``: ``fit_population``: nonlinear mixed effects on a solution
+- ``population``: ``fit_population``: nonlinear mixed effects on a solution, and whether to
+  believe them
 - ``population_estimates``: estimates of a population: means, spreads, subjects, and how sure they
   are
-- ``population_fit``: a fit of a population: estimates, and whether to believe them
 - ``population_layout``: what users say of a population, and the population parameters in a row
 - ``predictive_check``: visual predictive checks: quantiles of data beside those of data simulated
   from a fit

@@ -19,8 +19,7 @@ from rankone.inference.estimation.formulas import Dual, Operand, value_of, with_
 from rankone.inference.estimation.noise import terms
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import Array
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, Array
 
 MOST_STEPS = 60
 """Most steps of the search for the random effects."""

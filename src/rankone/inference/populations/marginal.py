@@ -25,10 +25,8 @@ from rankone.inference.populations.individuals import (
 )
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import Array, spread
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.precision import NEGLIGIBLE, TINY
-from rankone.support.wording import quote
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array, spread
+from rankone.support.errors import EvaluationError, OptionError, quote
 
 
 @dataclass(frozen=True)

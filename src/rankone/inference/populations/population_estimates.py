@@ -22,10 +22,8 @@ from rankone.inference.populations.marginal import Marginal, Optimum, standard_s
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Measured, Subjects
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import COINCIDENT, DIFFERENCE, TINY
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.arrays import COINCIDENT, DIFFERENCE, TINY, Array
+from rankone.support.errors import OptionError, did_you_mean, listing, quote
 
 # Share of the largest component of a flat direction from which a parameter moves along it
 _FLAT_SHARE = 0.1

@@ -14,10 +14,8 @@ from scipy import special
 from rankone.inference.estimation.formulas import formula_of
 from rankone.inference.estimation.tables import label_of, numbers_of
 from rankone.inference.populations.subjects import SUBJECT, Subjects
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import NEGLIGIBLE, TINY
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array
+from rankone.support.errors import OptionError, count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.joint_distribution import by_name
 
 

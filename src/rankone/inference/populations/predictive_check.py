@@ -19,9 +19,8 @@ from rankone.inference.estimation.noise import noise_draws
 from rankone.inference.populations.individuals import EmpiricalBayes
 from rankone.inference.populations.population_estimates import PopulationEstimates
 from rankone.inference.populations.subjects import Measured
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, Labelled, Table, Variables
 from rankone.support.errors import OptionError, with_remedy
-from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count, checked_number
 
 _MOST_BINS = 10

@@ -17,12 +17,11 @@ from sympy.polys.matrices import DomainMatrix
 
 from rankone.problem.equations import highest_orders
 from rankone.problem.expressions.admissible import zero
-from rankone.problem.expressions.derivatives import rate_of
+from rankone.problem.expressions.conditions import rate_of
 from rankone.problem.expressions.notation import exact
 from rankone.problem.forms import Coordinate
-from rankone.support.errors import ProblemError
-from rankone.support.precision import EXACT_DIGITS, SEED
-from rankone.support.wording import listing, quote
+from rankone.support.arrays import EXACT_DIGITS, SEED
+from rankone.support.errors import ProblemError, listing, quote
 
 Row = dict[int, sp.Expr]
 """The entries of a row of the mass matrix that are not zero, by column."""

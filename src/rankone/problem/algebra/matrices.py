@@ -14,19 +14,17 @@ import scipy.sparse
 import sympy as sp
 from numpy.typing import ArrayLike
 
-from rankone.problem.expressions.derivatives import rate_of, unknown_of
-from rankone.problem.expressions.notation import exact, expression_of
-from rankone.problem.tables.term_table import (
+from rankone.problem.algebra.term_table import (
     FEWEST_TABULATED,
     Entry,
     TabulatedEquations,
     TermTable,
     fraction_of,
 )
-from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
-from rankone.support.precision import COINCIDENT
-from rankone.support.wording import count, quote, shown
+from rankone.problem.expressions.conditions import rate_of, unknown_of
+from rankone.problem.expressions.notation import exact, expression_of
+from rankone.support.arrays import COINCIDENT, Array
+from rankone.support.errors import ProblemError, count, quote, shown
 
 Matrix: TypeAlias = "Array | scipy.sparse.csr_matrix | sp.MatrixBase"
 """Numbers, dense or sparse, or expressions."""

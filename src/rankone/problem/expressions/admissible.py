@@ -26,9 +26,8 @@ from sympy.logic.boolalg import Boolean
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.forms import Coordinate
 from rankone.problem.functions import nodes_of
-from rankone.support.arrays import Array
-from rankone.support.precision import COINCIDENT, ROUNDING
-from rankone.support.wording import quote
+from rankone.support.arrays import COINCIDENT, ROUNDING, Array
+from rankone.support.errors import quote
 
 _SAMPLES = 501  # Evenly spaced points, and Chebyshev points, that bracket changes of sign
 _ZOOMS = 6  # Refinements around a sample, each by about 250: the last spacing is rounding

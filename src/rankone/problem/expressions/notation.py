@@ -23,8 +23,7 @@ from sympy.printing.str import StrPrinter
 
 from rankone.problem.expressions.boundaries import peaks, steps
 from rankone.problem.functions import nodes_of
-from rankone.support.errors import ProblemError
-from rankone.support.wording import clip, quote, written
+from rankone.support.errors import ProblemError, clip, quote, written
 
 # Functions without thresholds: they are smooth wherever they are finite
 _SMOOTH = (sp.sin, sp.cos, sp.tan, sp.exp, sp.sinh)

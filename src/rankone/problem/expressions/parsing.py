@@ -24,8 +24,7 @@ import sympy as sp
 
 from rankone.problem.expressions.notation import LARGEST_SCALE_BITS, check_size, exact
 from rankone.support.budget import check_time
-from rankone.support.errors import ProblemError
-from rankone.support.wording import clip, did_you_mean, quote
+from rankone.support.errors import ProblemError, clip, did_you_mean, quote
 
 _AS_IN_SYMPY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh"),

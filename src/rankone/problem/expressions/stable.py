@@ -17,7 +17,7 @@ import numpy as np
 import sympy as sp
 from scipy import special
 
-from rankone.support.precision import EXACT_DIGITS
+from rankone.support.arrays import EXACT_DIGITS
 
 # Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied
 _ORDINARY_RATIO = sp.Integer(10) ** 30

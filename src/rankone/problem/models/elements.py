@@ -22,8 +22,7 @@ from rankone.problem.models.species import (
     reactions_of,
     unused,
 )
-from rankone.support.errors import ProblemError
-from rankone.support.wording import count, listing, quote
+from rankone.support.errors import ProblemError, count, listing, quote
 
 if TYPE_CHECKING:
     import libsbml

@@ -14,9 +14,8 @@ from rankone.problem.expressions.notation import text_of
 from rankone.problem.models.elements import Definitions, Happening, expanded, reached
 from rankone.problem.models.model_events import StartingPoint, events_of
 from rankone.problem.problem import Problem
-from rankone.support.errors import ProblemError
+from rankone.support.errors import ProblemError, count, did_you_mean, listing, quote, shown
 from rankone.support.options import checked_number
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
 _LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond the nominal value

@@ -20,8 +20,7 @@ from sympy.logic.boolalg import Boolean, BooleanFunction
 
 from rankone.problem.models.elements import Happening, rate_of
 from rankone.problem.user_events import Event, known_time
-from rankone.support.errors import ProblemError
-from rankone.support.wording import quote
+from rankone.support.errors import ProblemError, quote
 
 _IN_STEPS = (sp.floor, sp.ceiling, sp.sign, Relational, BooleanFunction)
 _MOST_DERIVATIVES = 3  # By which it is told to which side a trajectory leaves a surface

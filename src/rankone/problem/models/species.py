@@ -16,8 +16,7 @@ from rankone.problem.models.sbml_formulas import (
     exact_number,
     members,
 )
-from rankone.support.errors import ProblemError
-from rankone.support.wording import quote
+from rankone.support.errors import ProblemError, quote
 
 if TYPE_CHECKING:
     import libsbml

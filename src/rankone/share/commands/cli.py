@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from rankone.share.commands import fit_data, report, solve_files, solved_files
+from rankone.share.commands import solve_files, solved_files
 from rankone.share.commands.common import BAD_INPUT, FAILURE, complain, spelled
 
 _INTERRUPTED = 130  # Exit status after an interrupt, as shells have it: 128 and the signal
@@ -56,7 +56,7 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            from rankone.support.wording import did_you_mean
+            from rankone.support.errors import did_you_mean
 
             options = [option for action in self._actions for option in action.option_strings]
             named = (each.partition("=")[0] for each in unknown if each.startswith("--"))
@@ -77,8 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     solve_files.register(commands)
     solved_files.register_evaluation(commands)
-    report.register(commands)
-    fit_data.register(commands)
+    solved_files.register_report(commands)
+    solve_files.register_fit(commands)
     solved_files.register_exports(commands)
     return parser
 

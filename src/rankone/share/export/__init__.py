@@ -1,22 +1,21 @@
 """Solvers and solved models as files that need neither rankone nor SymPy.
 
-- ``explorer``: the page that explores a solution: one HTML file, without a server or a network
+- ``explorer``: the page that explores a solution: one HTML file, its data and its sentences
+- ``mathml``: equations as people write them, typeset as MathML
 - ``model_branches``: evaluation of the solved model where the order of events changes inside the
   box
 - ``model_c``: the solved model in C99: one source file and its header, without any dependency
 - ``model_fmu``: the solved model as an FMU for co-simulation, with the files that describe it
 - ``model_js``: the solved model in JavaScript: one ES module without dependencies, and its
   declarations
-- ``model_program``: evaluation of the solved model: a tensor train of Chebyshev polynomials on
-  each time slab
+- ``model_program``: evaluation of the solved model, which exported Python modules contain as text
 - ``model_python``: the solved model in Python: evaluation and derivatives with NumPy alone
 - ``model_stretches``: evaluation of the solved model with events: its slabs are over the
   stretches between them
 - ``packing``: a solution as plain tables, which the solved models evaluate
 - ``program``: solving, loading and the command line of every standalone solver
 - ``rounding``: smaller slabs of a model that may differ from its solution, also in branches
-- ``standalone``: the standalone solver: one file that needs only NumPy and SciPy
-- ``templates``: templates of exported files in C, JavaScript and HTML, and expressions they share
+- ``standalone``: the standalone solver, and templates of exported files in other languages
 """
 
 from __future__ import annotations
@@ -32,9 +31,8 @@ from rankone.share.export.model_fmu import FMI
 from rankone.share.export.packing import PackedModel, States, check_states, checked_rtol, pack
 from rankone.share.export.standalone import standalone_source
 from rankone.solvers.selection import AUTO, engines_for
-from rankone.support.errors import ExportError
+from rankone.support.errors import ExportError, quote
 from rankone.support.files import Content, as_path, free_target, write_files
-from rankone.support.wording import quote
 
 if TYPE_CHECKING:
     from rankone.solution.statistics.densities import DistributionOverBox

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.share.export.packing import PackedChoice, PackedCore, PackedModel, PackedTimeline
-from rankone.share.export.templates import (
+from rankone.share.export.standalone import (
     BLOCK,
     TERMS,
     c_comment,

@@ -23,11 +23,10 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from rankone.share.export.model_c import c_identifier, c_model, needs_math
 from rankone.share.export.packing import PackedModel
-from rankone.share.export.templates import TERMS, filled
+from rankone.share.export.standalone import TERMS, filled
 from rankone.support import __version__
-from rankone.support.errors import ExportError, OptionError, warn
+from rankone.support.errors import ExportError, OptionError, shown, warn
 from rankone.support.files import Content
-from rankone.support.wording import shown
 
 FMI = Literal["2.0", "3.0"]  # Versions of the Functional Mock-up Interface
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.share.export.packing import PackedModel
-from rankone.share.export.templates import (
+from rankone.share.export.standalone import (
     BLOCK,
     LINE,
     TERMS,

@@ -24,8 +24,7 @@ from rankone.compiler.codegen.layout import (
     table,
 )
 from rankone.share.export.packing import PackedChoice, PackedModel
-from rankone.share.export.standalone import banner, source_text
-from rankone.share.export.templates import TERMS
+from rankone.share.export.standalone import TERMS, banner, source_text
 from rankone.support import __version__
 from rankone.support.files import Content, npz
 from rankone.tensors.bases.coordinates import round_off
@@ -67,7 +66,7 @@ def _program(model: PackedModel) -> list[str]:
     if model.events is not None:
         modules.append(f"{_EXPORT}stretches")
     if model.choice is not None:
-        modules += ["rankone.tensors.evaluators.decisions", f"{_EXPORT}branches"]
+        modules += ["rankone.tensors.trains.decisions", f"{_EXPORT}branches"]
     return modules
 
 

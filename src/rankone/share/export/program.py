@@ -23,10 +23,9 @@ from rankone.solvers.selection import solve_with
 from rankone.solvers.ways import Engine
 from rankone.support.arrays import Array
 from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
-from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
+from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError, quote
 from rankone.support.files import npz, write_files
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
-from rankone.support.wording import quote
 from rankone.trajectories.system.system import System
 
 LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from rankone.solution.evaluation.core import timeline_evaluator
 from rankone.solvers.branches import evaluator_of_branches
-from rankone.solvers.verification.branch_errors import undecided_share
+from rankone.solvers.verification.measure import undecided_share
 from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import Array
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator
-from rankone.tensors.evaluators.evaluator import TrainEvaluator
+from rankone.tensors.trains.branch_evaluator import BranchEvaluator
+from rankone.tensors.trains.evaluator import TrainEvaluator
 from rankone.tensors.trains.slab import SlabTrain, sharing
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 

@@ -1,4 +1,4 @@
-"""The standalone solver: one file that needs only NumPy and SciPy.
+"""The standalone solver: one file that needs only NumPy and SciPy; and what other files share.
 
 People read its front: the equations, ``solve``, ``load``, the command line, the generated system.
 Below stand the modules of the library that it needs (:mod:`rankone.share.export.standalone`) and a
@@ -12,13 +12,15 @@ import dataclasses
 import importlib.machinery
 import importlib.util
 import inspect
+import json
 import re
 import symtable
 import sys
 import textwrap
 import types
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
+from pathlib import Path
 
 from rankone.compiler.codegen.layout import (
     INDENT,
@@ -26,17 +28,26 @@ from rankone.compiler.codegen.layout import (
     docstring,
     is_identifier,
     literal,
+    one_line,
+    paragraph,
     quoted,
     tuple_lines,
 )
-from rankone.share.export.templates import TERMS
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.selection import engines_for
 from rankone.solvers.ways import Engine
 from rankone.support import __version__, errors
 from rankone.support.errors import ExportError
+from rankone.tensors.bases import Logarithm, Reciprocal, Scale
 
-_RESTING = "rankone.trajectories.steady.bifurcations"
+BLOCK = 8  # Rows of a core contracted together; the same in the templates
+LINE = 96  # Characters in a line of a file that is not in Python
+TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
+"""What exported files say about the source of the library in them."""
+_FOLDER = Path(__file__).parent
+_CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
+_JOINING = ("\\", "*", "/")  # Characters that mean something else together with what follows a text
+_RESTING = "rankone.trajectories.bifurcations"
 _HELD = "rankone.held"  # The module of the system with the sides of its switches as states
 
 
@@ -49,7 +60,7 @@ def standalone_source(
     switches as states, if there is one; and the metadata name the engine.
     """
     engine, *_ = engines_for(metadata.method)
-    home = f"rankone.solvers.engines.{engine.name}"
+    home = f"rankone.solvers.engines.{engine.name}_engine"
     about, imports, system = _generated(source)
     rests = any(line.startswith("SETTLE = ") for line in source.splitlines())
     roots = ["rankone.share.export.program", home, *([_RESTING] if rests else [])]
@@ -405,3 +416,86 @@ def _declarations(source: str) -> str:
         subsequent_indent="global ",
         break_long_words=False,
     ).replace(",\n", "\n")
+
+
+# -----------------------------------------------------------------------------
+# Expressions of scales in other languages.
+
+
+def scale_expressions(scale: Scale, library: str = "") -> tuple[str, str]:
+    """The coordinate s and its slope ds/dx as functions of ``x``.
+
+    ``library`` stands before the names of functions.
+    """
+    if scale.is_identity:
+        return "x", "1"
+    if isinstance(scale, Logarithm):
+        return f"{library}log(x)", "1 / x"
+    if isinstance(scale, Reciprocal):
+        return "-1 / x", "1 / (x * x)"
+    raise ExportError(f"the scale {scale} has no expression in other languages", term=scale)
+
+
+# -----------------------------------------------------------------------------
+# Templates of exported files in C, JavaScript and HTML, and text that stays a comment or a string.
+#
+# What a comment may hold is decided for each language here and nowhere else. Whatever the text, it
+# ends neither the line nor the comment and begins no other one; a string says the same text
+# exactly.
+
+
+def filled(template: str, fields: Mapping[str, str]) -> str:
+    """A template with every ``@name@`` replaced by the field of that name.
+
+    Lines from ``@if name@`` to ``@end@`` stay only if the field is not empty, lines after
+    ``@else@`` only if it is.
+    """
+    text = (_FOLDER / template).read_text(encoding="utf-8")
+    text = _CONDITION.sub(lambda match: match[2 if fields[match[1]] else 3] or "", text)
+    return re.sub(r"@(\w+)@", lambda match: fields[match.group(1)], text)
+
+
+def comment(paragraphs: Iterable[str], escaped: Callable[[str], str]) -> str:
+    """The lines inside a block comment, each of them escaped."""
+    lines = (line for text in paragraphs for line in paragraph(text, LINE))
+    return "\n".join(f" * {escaped(line)}".rstrip() for line in lines)
+
+
+def wrapped(items: Iterable[str]) -> str:
+    """Lines of items separated by commas, as many in a line as fit."""
+    lines = ["   "]
+    for item in items:
+        if len(lines[-1]) + len(item) + 2 > LINE:
+            lines.append("   ")
+        lines[-1] += f" {item},"
+    return "\n".join(lines)
+
+
+def c_comment(text: str) -> str:
+    """Text inside a block comment of C, on one line.
+
+    No trigraph stays, and no backslash at the end, which would join the line with the next one.
+    """
+    plain = one_line(text)
+    while "??" in plain:
+        plain = plain.replace("??", "? ?")
+    plain = plain.replace("*/", "* /").replace("/*", "/ *")
+    return f"{plain}_" if plain.rstrip().endswith(_JOINING) else plain
+
+
+def c_string(text: str) -> str:
+    """A string literal of C; anything but printable ASCII becomes bytes of UTF-8."""
+    if text.isascii() and text.isprintable():
+        return json.dumps(text).replace("?", "\\?")  # no trigraphs
+    return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
+
+
+def js_comment(text: str) -> str:
+    """Text inside a block comment of JavaScript, on one line, also in a script of a page."""
+    return c_comment(text).replace("</", "< /").replace("<!", "< !").replace("-->", "-- >")
+
+
+def js_string(text: str) -> str:
+    """A string literal of JavaScript, also in a script of a page."""
+    quoted = json.dumps(text, ensure_ascii=not text.isprintable())
+    return quoted.replace("<", "\\u003c")

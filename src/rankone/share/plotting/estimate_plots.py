@@ -12,13 +12,12 @@ from rankone.inference.estimation.design import Design
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.identification import Stop
 from rankone.inference.estimation.posterior import Posterior
-from rankone.inference.populations.population_fit import PopulationFit
+from rankone.inference.populations.population import PopulationFit
 from rankone.inference.populations.predictive_check import PredictiveCheck
 from rankone.share.plotting import style
 from rankone.share.plotting.style import fine_times
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, check_kind
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.errors import OptionError, check_kind, did_you_mean, listing, quote
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,7 @@ from rankone.inference.estimation.fit import Fit
 from rankone.share.plotting import style
 from rankone.share.plotting.style import CURVE_TIMES, fine_times, needs_time
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, check_kind
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.errors import OptionError, check_kind, did_you_mean, listing, quote
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

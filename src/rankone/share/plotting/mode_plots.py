@@ -24,18 +24,23 @@ from rankone.share.plotting.style import (
     unknown_of,
 )
 from rankone.solution.evaluation.domains import merged
-from rankone.solvers.engines.cross.cross_options import CrossRecord
-from rankone.solvers.engines.greedy.slabs import EquationRecord, GreedySlabRecord
+from rankone.solvers.engines.engine_options import CrossRecord
+from rankone.solvers.engines.greedy_engine import EquationRecord, GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
-from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.arrays import COINCIDENT, Array
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    count,
+    did_you_mean,
+    listing,
+    quote,
+    shown,
+)
 from rankone.support.options import checked_number
-from rankone.support.precision import COINCIDENT
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
 from rankone.tensors.bases import Logarithm
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.bases.coordinates import evenly_on_scale, name_of
 from rankone.tensors.bases.joint_distribution import Correlations, Under
-from rankone.tensors.bases.scales import evenly_on_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,7 @@ from rankone.share.plotting import style
 from rankone.share.plotting.style import check_solution, one_time, sometimes_of, unknown_of
 from rankone.solution.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import did_you_mean, quote, shown
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, quote, shown
 from rankone.tensors.bases.joint_distribution import Correlations, Under
 
 if TYPE_CHECKING:

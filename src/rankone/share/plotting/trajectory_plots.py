@@ -21,9 +21,8 @@ from rankone.share.plotting.style import (
 from rankone.solution.evaluation.domains import merged
 from rankone.solution.statistics.over_box import CENTRAL
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, shown
 from rankone.support.options import checked_number
-from rankone.support.wording import shown
 from rankone.tensors.bases.coordinates import round_off
 from rankone.tensors.bases.joint_distribution import Correlations, Under
 

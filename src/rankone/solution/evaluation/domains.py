@@ -12,13 +12,18 @@ import numpy as np
 
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Measured, Outcome, Piece, SolutionMetadata
-from rankone.solvers.verification.branch_errors import MOST_UNDECIDED, undecided_share
+from rankone.solvers.verification.measure import MOST_UNDECIDED, undecided_share
 from rankone.solvers.verification.points import Coverage
-from rankone.support.errors import OptionError
-from rankone.support.wording import did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of, round_off
-from rankone.tensors.bases.scales import LINEAR, SCALES, measure_text, written_scale
-from rankone.tensors.evaluators.branch_evaluator import Tiling
+from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
+from rankone.tensors.bases.coordinates import (
+    LINEAR,
+    SCALES,
+    measure_text,
+    name_of,
+    round_off,
+    written_scale,
+)
+from rankone.tensors.trains.branch_evaluator import Tiling
 from rankone.tensors.trains.slab import SlabTrain, at_one_time, differentiated, restricted
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline

@@ -17,11 +17,9 @@ from numpy.typing import ArrayLike
 
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solvers.outcome import Outcome, with_unit
-from rankone.support.errors import optional_module
+from rankone.support.errors import count, listing, optional_module, shortened
 from rankone.support.options import in_words
-from rankone.support.wording import count, listing, shortened
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.bases.scales import with_measure
+from rankone.tensors.bases.coordinates import name_of, with_measure
 
 if TYPE_CHECKING:
     import xarray

@@ -14,8 +14,7 @@ from rankone.solution.solution import Solution
 from rankone.solvers.outcome import SlabRecord, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
 from rankone.trajectories.system.verdict import Status
 

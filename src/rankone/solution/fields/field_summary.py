@@ -5,7 +5,7 @@ from __future__ import annotations
 from rankone.solution.evaluation.presentation import in_lines, in_table, over, some, trains
 from rankone.solution.solution import Solution
 from rankone.solvers.reduced.field_modes import FieldModes
-from rankone.support.wording import count, shortened
+from rankone.support.errors import count, shortened
 
 
 def field_summary_text(coefficients: Solution, modes: FieldModes, verdict: str) -> str:

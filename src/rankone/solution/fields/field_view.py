@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError
-from rankone.support.wording import shown
-from rankone.tensors.evaluators.evaluator import Rows
+from rankone.support.errors import EvaluationError, shown
+from rankone.tensors.trains.evaluator import Rows
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.quantities import Quantities
+from rankone.compiler.codegen.loading import Quantities
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solution.outputs.output_check import (
     Check,
@@ -25,10 +25,10 @@ from rankone.solution.outputs.output_check import (
 )
 from rankone.solution.outputs.sampling import Sampler
 from rankone.solution.outputs.stretch_sampling import ClockSampler, StretchSampler
-from rankone.solvers.engines.cross import CrossOptions
+from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Measured, Outcome
 from rankone.solvers.request import Domain
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, TINY, Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
@@ -37,12 +37,10 @@ from rankone.support.budget import (
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import COINCIDENT, TINY
 from rankone.support.progress import ProgressEvent, Report, quiet
 from rankone.support.tasks import Pool
 from rankone.tensors.bases import BASES
 from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
-from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
 from rankone.tensors.trains.adaptive import (
     TUNING,
     AdaptiveInterpolation,
@@ -52,6 +50,7 @@ from rankone.tensors.trains.adaptive import (
 )
 from rankone.tensors.trains.cross import GrowingBasis
 from rankone.tensors.trains.slab import SlabTrain, slab_trains
+from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import Timeline
 from rankone.trajectories.system.verdict import (
     Note,

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.compiler.codegen.quantities import Quantities
+from rankone.compiler.codegen.loading import Quantities
 from rankone.solution.outputs.sampling import Sampler
 from rankone.solvers.request import USUAL_POINTS, Domain
 from rankone.solvers.verification.points import Climb, Coverage, climbed
-from rankone.support.arrays import Array, bisected, corners, spread
-from rankone.support.precision import ACCUMULATED
+from rankone.support.arrays import ACCUMULATED, Array, bisected, corners, spread
 from rankone.tensors.bases.time_grid import TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions
 

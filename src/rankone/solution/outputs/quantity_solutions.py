@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.quantities import Kind, Quantities, Reduction, Source
+from rankone.compiler.codegen.loading import Kind, Quantities, Reduction, Source
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import position
 from rankone.solution.outputs.branch_outputs import OfBranch, over_branches, require_states
@@ -18,13 +18,19 @@ from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
 from rankone.support.budget import operations_for
-from rankone.support.errors import ConvergenceError, EvaluationError, OptionError
+from rankone.support.errors import (
+    ConvergenceError,
+    EvaluationError,
+    OptionError,
+    did_you_mean,
+    listing,
+    quote,
+)
 from rankone.support.options import checked_number
 from rankone.support.progress import Report, quiet
 from rankone.support.tasks import Pool
-from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import DerivativeOf, EarlyEnd, Status
 

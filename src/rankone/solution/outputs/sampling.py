@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.compiler.codegen.quantities import Kind, Quantities, Reduction
-from rankone.support.arrays import Array
+from rankone.compiler.codegen.loading import Kind, Quantities, Reduction
+from rankone.support.arrays import AT_ONCE, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError, RankoneError
-from rankone.support.precision import AT_ONCE, NEGLIGIBLE, TINY
 from rankone.support.tasks import Pool, Shared
 from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
 from rankone.tensors.trains.slab import SlabTrain, slab_positions

@@ -25,9 +25,8 @@ from rankone.solution.statistics.solution_statistics import (
     warn_of_ends,
     when,
 )
-from rankone.support.arrays import Array
+from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array
 from rankone.support.budget import check_time
-from rankone.support.precision import ACCUMULATED, COINCIDENT
 from rankone.support.progress import StepReport
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.bases.coordinates import round_off
@@ -39,9 +38,9 @@ from rankone.tensors.bases.joint_distribution import (
     even_shares,
     half_width,
 )
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.trains.slab import SlabTrain, sharing, slab_positions
+from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 # Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time

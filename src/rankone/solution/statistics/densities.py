@@ -15,12 +15,16 @@ from scipy.ndimage import gaussian_filter1d
 from rankone.solution.evaluation.core import UnknownView
 from rankone.solution.statistics.over_box import StatisticsOverBox, Times
 from rankone.solution.statistics.solution_statistics import Statistics
-from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError, RankoneWarning
-from rankone.support.labelled import Labelled, Table, Variables
+from rankone.support.arrays import COINCIDENT, Array, Labelled, Table, Variables
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    RankoneWarning,
+    listing,
+    quote,
+    shown,
+)
 from rankone.support.options import checked_count
-from rankone.support.precision import COINCIDENT
-from rankone.support.wording import listing, quote, shown
 from rankone.tensors.bases.joint_distribution import SETS, Correlations, Under, half_width, share_of
 
 _VALUES = 512  # Values at which a density is evaluated

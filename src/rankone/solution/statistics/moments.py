@@ -20,10 +20,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
-from rankone.support.precision import NEGLIGIBLE
 from rankone.tensors.bases.joint_distribution import Copula, JointDistribution
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train

@@ -23,12 +23,11 @@ from rankone.solution.statistics.solution_statistics import (
     quiet,
     warn_of_ends,
 )
-from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError, warn
+from rankone.support.arrays import ACCUMULATED, Array
+from rankone.support.errors import EvaluationError, OptionError, shown, warn
 from rankone.support.options import checked_count, checked_number
-from rankone.support.precision import ACCUMULATED
 from rankone.support.progress import StepReport, counting_bar
-from rankone.support.wording import shown
+from rankone.tensors.bases.coordinates import IDENTITY, SCALES, Scale, evenly_on_scale
 from rankone.tensors.bases.distributions import Distribution, from_text, scale_of
 from rankone.tensors.bases.joint_distribution import (
     SETS,
@@ -40,10 +39,9 @@ from rankone.tensors.bases.joint_distribution import (
     fitted_distribution,
     measures_of,
 )
-from rankone.tensors.bases.scales import IDENTITY, SCALES, Scale, evenly_on_scale
-from rankone.tensors.evaluators.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.evaluators.evaluator import TrainEvaluator
-from rankone.tensors.evaluators.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
+from rankone.tensors.trains.evaluator import TrainEvaluator
+from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""

@@ -10,12 +10,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from rankone.solution.statistics.moments import ConditionalMoments, HigherMoments, TrainMoments
-from rankone.support.arrays import Array
-from rankone.support.errors import warn
-from rankone.support.labelled import Labelled, Table, Variables
-from rankone.support.precision import ACCUMULATED
+from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
+from rankone.support.errors import quote, warn
 from rankone.support.progress import StepReport
-from rankone.support.wording import quote
 from rankone.tensors.bases.joint_distribution import SETS, JointDistribution, share_of
 from rankone.tensors.trains.slab import SlabTrain
 

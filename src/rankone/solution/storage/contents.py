@@ -25,12 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
-from rankone.support.errors import StorageError
+from rankone.support.arrays import NEGLIGIBLE
+from rankone.support.errors import StorageError, is_line, name_defect, quote
 from rankone.support.files import as_path, plain, rebuilt
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.bases import BASES, SCALES, Basis1D, Scale
-from rankone.tensors.evaluators.branch_evaluator import Tiling
+from rankone.tensors.trains.branch_evaluator import Tiling
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.system.timeline import CLOCK_STATES, BranchedTimeline, Timeline

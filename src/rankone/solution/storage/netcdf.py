@@ -29,9 +29,8 @@ from rankone.solution.storage.contents import (
 )
 from rankone.solvers.outcome import Outcome, SlabRecord, SolutionMetadata
 from rankone.support.arrays import Array
-from rankone.support.errors import StorageError, optional_module
+from rankone.support.errors import StorageError, clip, optional_module
 from rankone.support.files import as_path, free_target, write_files
-from rankone.support.wording import clip
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import Status
 

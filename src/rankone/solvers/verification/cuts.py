@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, KnownFactors
-from rankone.solvers.verification.check_tuning import CHECK
-from rankone.support.arrays import Array
+from rankone.solvers.tuning import CHECK
+from rankone.support.arrays import NEGLIGIBLE, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
 from rankone.support.errors import OptionError
-from rankone.support.precision import NEGLIGIBLE, ROUNDING
 from rankone.tensors.bases import IDENTITY, ChebyshevBasis, Scale
 from rankone.trajectories.system.system import System
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, SolveRequest
-from rankone.solvers.verification.check_tuning import CHECK
+from rankone.solvers.tuning import CHECK
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.bases import Basis1D
-from rankone.tensors.bases.scales import IDENTITY, Interval, Logarithm, Scale, on_scale
+from rankone.tensors.bases.coordinates import IDENTITY, Interval, Logarithm, Scale, on_scale
 from rankone.tensors.trains.slab import SlabTrain, sharing
 from rankone.trajectories.system.system import System
 

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from rankone.solvers.outcome import SafeInterval
 from rankone.solvers.request import Domain, Observation
-from rankone.solvers.verification.check_tuning import CHECK
+from rankone.solvers.tuning import CHECK
 from rankone.solvers.verification.points import check_points
 from rankone.solvers.verification.resolution import NEGLIGIBLE, Resolution, times_held
-from rankone.support.arrays import Array, bisected
+from rankone.support.arrays import ROUNDING, Array, bisected
 from rankone.support.budget import OutOfBudgetError, charge, limited, reserve, work_done, work_left
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import ROUNDING
 from rankone.trajectories.integrators.diagnosis import (
     first_to_end,
     is_regular,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, Observation, SolveRequest
-from rankone.solvers.verification.check_tuning import CHECK
+from rankone.solvers.tuning import CHECK
 from rankone.solvers.verification.cuts import Cuts, system_cuts
 from rankone.solvers.verification.points import (
     FEW_PARAMETERS,
@@ -32,12 +32,11 @@ from rankone.solvers.verification.reference import (
     reference_accuracy,
 )
 from rankone.solvers.verification.resolution import NEGLIGIBLE
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import COINCIDENT
 from rankone.tensors.bases.time_grid import times_within
-from rankone.trajectories.events.event_order import OrderError
+from rankone.trajectories.events.sides import OrderError
 from rankone.trajectories.integrators.integrator import SampledTrajectories, Tolerances
 from rankone.trajectories.integrators.integrator_choice import (
     explicit_steps,

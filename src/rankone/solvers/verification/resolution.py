@@ -13,12 +13,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.verification.check_tuning import CHECK
-from rankone.support.arrays import Array
+from rankone.solvers.tuning import CHECK
+from rankone.support.arrays import AT_ONCE, Array
 from rankone.support.budget import COPIES, OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
-from rankone.support.precision import AT_ONCE
 from rankone.trajectories.integrators.diagnosis import (
     MOST_GROWTH,
     Rounding,

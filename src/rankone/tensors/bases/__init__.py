@@ -2,12 +2,12 @@
 
 - ``basis``: bases of one coordinate: nodal polynomials, elements of them, and Lagrange finite
   elements
-- ``coordinates``: arguments of a solution: names and values turned into checked coordinates
+- ``coordinates``: coordinates of a solution: their scales, and arguments turned into checked
+  values
 - ``distributions``: distributions of one parameter: of scipy.stats, as text, and cut at the ends
   of an interval
 - ``joint_distribution``: joint distributions of the coordinates, and points drawn from them in
   sets
-- ``scales``: scales of a parameter, and the intervals that have one
 - ``time_grid``: slabs of time, and Radau nodes and integration on one of them
 """
 
@@ -20,7 +20,7 @@ from rankone.tensors.bases.basis import (
     legendre_derivative,
     legendre_values,
 )
-from rankone.tensors.bases.scales import (
+from rankone.tensors.bases.coordinates import (
     IDENTITY,
     SCALES,
     Identity,

@@ -19,9 +19,8 @@ from numpy.polynomial import legendre as npl
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
-from rankone.support.precision import COINCIDENT, TINY
-from rankone.tensors.bases.scales import IDENTITY, Scale
+from rankone.support.arrays import COINCIDENT, TINY, Array
+from rankone.tensors.bases.coordinates import IDENTITY, Scale
 
 _NODES_OF_DIGIT = 1.4
 

@@ -20,10 +20,8 @@ import numpy as np
 import scipy
 from scipy.special import ndtr, ndtri
 
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.precision import EPSILON, NEGLIGIBLE, TINY
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.arrays import EPSILON, NEGLIGIBLE, TINY, Array
+from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.distributions import Distribution, Measure, PointMeasure
 

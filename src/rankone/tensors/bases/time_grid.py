@@ -12,8 +12,7 @@ from numpy.polynomial import legendre as npl
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array, bisected
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE, TINY
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, TINY, Array, bisected
 from rankone.tensors.bases.basis import legendre_derivative, legendre_values
 
 _SHORTEST_OF_HORIZON = 1e-18

@@ -15,8 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rankone.support.arrays import Array
-from rankone.support.precision import EPSILON, NEGLIGIBLE, SEED, TINY
+from rankone.support.arrays import EPSILON, NEGLIGIBLE, SEED, TINY, Array
 from rankone.tensors.bases import Basis1D, Scale, first_scale
 from rankone.tensors.bases.basis import nodes_for
 from rankone.tensors.trains.cross import (

@@ -26,11 +26,9 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, warn
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, Array
+from rankone.support.errors import EvaluationError, listing, warn
 from rankone.support.options import checked_number
-from rankone.support.precision import COINCIDENT, NEGLIGIBLE, ROUNDING
-from rankone.support.wording import listing
 from rankone.tensors.bases import IDENTITY, Basis1D, Scale, legendre_values
 from rankone.tensors.bases.coordinates import Coordinates, name_of, round_off
 from rankone.tensors.trains.slab import SlabTrain

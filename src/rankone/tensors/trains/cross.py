@@ -18,10 +18,9 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dpstrf
 
-from rankone.support.arrays import Array, sequence
+from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array, sequence
 from rankone.support.budget import COPIES, charge, reserve
 from rankone.support.costs import CALL, COPY, product, qr
-from rankone.support.precision import ACCUMULATED, COINCIDENT
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.trains.train import Integers, Skeleton, Train, skeleton_of
 

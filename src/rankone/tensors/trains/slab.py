@@ -14,10 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import AT_ONCE, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
-from rankone.support.precision import AT_ONCE
 from rankone.tensors.bases import (
     IDENTITY,
     Basis1D,
@@ -62,7 +61,7 @@ class SlabTrain:
         """Evaluate at paired times (M,) and parameter points (d, M): shape (states, M).
 
         The plain way, without any preparation;
-        :class:`~rankone.tensors.evaluators.evaluator.TrainEvaluator` serves many calls.
+        :class:`~rankone.tensors.trains.evaluator.TrainEvaluator` serves many calls.
         """
         modes = self.time_modes(times)
         products = np.multiply(modes.T[:, None], self.over_parameters(points))

@@ -17,10 +17,9 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqp3, dtrtrs
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import ACCUMULATED, Array
 from rankone.support.budget import charge
 from rankone.support.costs import COPY, product, qr, svd
-from rankone.support.precision import ACCUMULATED
 
 # Combinations of rows over the expected rank, and how many more: pivots fit them, too
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8

@@ -3,8 +3,6 @@
 - ``event_crossings``: where paths cross the roots of functions: all of a stack at once
 - ``event_integration``: roots of functions along trajectories, which end them or reset their
   states
-- ``event_order``: the order in which the trajectories of a box meet their events, and what does
-  not follow it
 - ``event_trajectory``: a trajectory with its events, and what events do at an instant
 - ``flows``: states along stretches, forwards and backwards, and the roots and turns on them
 - ``forced``: trajectories that follow an order of events, whether it holds or not
@@ -15,8 +13,7 @@
 - ``orders``: orders of events that hold in parts of a box, each continued to all of it
 - ``periods``: periods that repeat: an autonomous oscillator that has come back goes on as it went
   before
-- ``sides``: systems on the sides of switches that stretches hold, whether trajectories stay on
-  them, and rates of which some states are known numbers
+- ``sides``: the order of events in a box, and systems on the sides of their switches
 - ``stretch_integrator``: trajectories over the pseudo-time of stretches, integrated over clock
   time
 - ``stretches``: trajectories over stretches: from event to event, each in a time of its own

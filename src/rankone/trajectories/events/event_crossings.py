@@ -10,10 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
-from rankone.support.precision import NEGLIGIBLE, TINY
 from rankone.trajectories.events.event_trajectory import (
     LOOK_COST,
     SAME_INSTANT,
@@ -22,7 +21,7 @@ from rankone.trajectories.events.event_trajectory import (
 )
 from rankone.trajectories.integrators.defects import roots_or_jumps
 from rankone.trajectories.integrators.integrator import BLOCK, NODES, Path, step_coefficients
-from rankone.trajectories.system.events import BOTH, SystemEvent
+from rankone.trajectories.system.features import BOTH, SystemEvent
 from rankone.trajectories.system.system import System
 
 

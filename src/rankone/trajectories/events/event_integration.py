@@ -28,7 +28,7 @@ from rankone.trajectories.integrators.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.system.events import SystemEvent
+from rankone.trajectories.system.features import SystemEvent
 from rankone.trajectories.system.system import System
 
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end

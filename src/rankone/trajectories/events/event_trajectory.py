@@ -11,14 +11,12 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
-from rankone.support.errors import ProblemError
-from rankone.support.precision import COINCIDENT, ROUNDING
-from rankone.support.wording import quote
+from rankone.support.errors import ProblemError, quote
 from rankone.trajectories.integrators.integrator import NODES, Path, joined
-from rankone.trajectories.system.events import BOTH, CROSSINGS, SystemEvent, overlap
+from rankone.trajectories.system.features import BOTH, CROSSINGS, SystemEvent, overlap
 
 _MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 

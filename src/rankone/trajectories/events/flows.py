@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
-from rankone.support.precision import EPSILON, ROUNDING, TINY
+from rankone.support.arrays import EPSILON, ROUNDING, TINY, Array
 from rankone.trajectories.integrators.defects import roots
 from rankone.trajectories.integrators.integrator import Paths
 from rankone.trajectories.system.system import System

@@ -14,10 +14,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE
-from rankone.support.wording import quote
-from rankone.trajectories.events.event_order import REMEDY, OrderError, at_point
+from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.errors import quote
 from rankone.trajectories.events.flows import (
     LOOKING,
     Flow,
@@ -26,7 +24,7 @@ from rankone.trajectories.events.flows import (
     nearest_roots,
     nearest_turns,
 )
-from rankone.trajectories.events.sides import on_sides
+from rankone.trajectories.events.sides import REMEDY, OrderError, at_point, on_sides
 from rankone.trajectories.events.stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
@@ -37,7 +35,7 @@ from rankone.trajectories.integrators.integrator import (
     Tolerances,
     share_paths,
 )
-from rankone.trajectories.system.events import Clearance, Ending, ForcedOrder, Guard, Turn
+from rankone.trajectories.system.features import Clearance, Ending, ForcedOrder, Guard, Turn
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES
 

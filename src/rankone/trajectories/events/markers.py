@@ -15,15 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import TINY, Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.support.precision import TINY
 from rankone.trajectories.events.event_crossings import Crossings
 from rankone.trajectories.events.event_integration import Goal, integrate_to_events
-from rankone.trajectories.events.event_order import SPARE, follow
 from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory
 from rankone.trajectories.events.periods import FAR, repeated, repeating_from, repeats
+from rankone.trajectories.events.sides import SPARE, follow
 from rankone.trajectories.events.stretches import marker_event, timed_events
 from rankone.trajectories.integrators.integrator import (
     NODES,
@@ -34,7 +33,7 @@ from rankone.trajectories.integrators.integrator import (
     Tolerances,
     joined,
 )
-from rankone.trajectories.system.events import Ending, EventOrder, Foreseen, Marker
+from rankone.trajectories.system.features import Ending, EventOrder, Foreseen, Marker
 from rankone.trajectories.system.system import Clock, System
 
 OUT_OF_PHASE = 8.0

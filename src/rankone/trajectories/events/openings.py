@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array, spread
-from rankone.support.precision import NEGLIGIBLE
+from rankone.support.arrays import NEGLIGIBLE, Array, spread
 from rankone.trajectories.events.flows import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
-from rankone.trajectories.system.events import FALLING, Beginning, ForcedOrder, Guard, Turn
+from rankone.trajectories.system.features import FALLING, Beginning, ForcedOrder, Guard, Turn
 
 
 @dataclass(frozen=True)

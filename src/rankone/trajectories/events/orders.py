@@ -14,8 +14,8 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from rankone.support.arrays import Array
-from rankone.support.wording import quote
-from rankone.trajectories.events import event_order
+from rankone.support.errors import quote
+from rankone.trajectories.events import sides as event_order
 from rankone.trajectories.events.event_integration import integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.flows import guard_heights
@@ -26,7 +26,7 @@ from rankone.trajectories.events.forced import (
 )
 from rankone.trajectories.events.stretches import in_stretches
 from rankone.trajectories.integrators.integrator import SpanIntegrator, Tolerances
-from rankone.trajectories.system.events import (
+from rankone.trajectories.system.features import (
     BOTH,
     Beginning,
     Clearance,

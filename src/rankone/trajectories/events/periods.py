@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.support.arrays import Array
-from rankone.support.precision import NEGLIGIBLE, ROUNDING, TINY
+from rankone.support.arrays import NEGLIGIBLE, ROUNDING, TINY, Array
 from rankone.trajectories.events.event_integration import Ahead, Goal, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.integrators.integrator import (
@@ -27,7 +26,7 @@ from rankone.trajectories.integrators.integrator import (
     joined,
 )
 from rankone.trajectories.integrators.single import SingleIntegrator
-from rankone.trajectories.system.events import Ending, Foreseen
+from rankone.trajectories.system.features import Ending, Foreseen
 from rankone.trajectories.system.system import Clock, System
 
 FAR = 10.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ConvergenceError
-from rankone.trajectories.events import event_order
+from rankone.trajectories.events import sides as event_order
 from rankone.trajectories.events.event_trajectory import EventTrajectory, folded
 from rankone.trajectories.events.forced import ForcedTrajectories, forced_trajectories
 from rankone.trajectories.events.sides import check_sides, times_to_check
@@ -30,7 +30,7 @@ from rankone.trajectories.integrators.integrator import (
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.integrators.workers import OnWorkers, hold_all
 from rankone.trajectories.stacks.stack import StackedIntegrator
-from rankone.trajectories.system.events import Ending, SystemEvent
+from rankone.trajectories.system.features import Ending, SystemEvent
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES
 

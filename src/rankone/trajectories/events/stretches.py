@@ -12,17 +12,20 @@ import numpy as np
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.trajectories.system.events import (
+from rankone.trajectories.system.features import (
     RISING,
+    Constraints,
     EventOrder,
+    Features,
     ForcedOrder,
+    Jumps,
     Marker,
     OfMarks,
     OfTrajectory,
     SystemEvent,
     Turn,
+    VectorLike,
 )
-from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
 from rankone.trajectories.system.system import Clock, ModuleSpecification, System, UserFunction
 from rankone.trajectories.system.timeline import CLOCK_STATES
 

@@ -12,10 +12,9 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import EPSILON, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
-from rankone.support.precision import EPSILON, ROUNDING
 from rankone.trajectories.system.system import System
 
 SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed

@@ -19,13 +19,12 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, eigs
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, EPSILON, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import eigenvalues, in_pieces
-from rankone.support.precision import COINCIDENT, EPSILON, ROUNDING
 from rankone.trajectories.integrators.integrator import JACOBIAN_ENTRY, finite_blocks, jacobians
 from rankone.trajectories.stacks.newton import entries_at, sparse_pattern
-from rankone.trajectories.system.events import FALLING, RISING
+from rankone.trajectories.system.features import FALLING, RISING
 from rankone.trajectories.system.system import AHEAD, PatternJacobian, System
 
 Matrix: TypeAlias = Array | scipy.sparse.csr_array

@@ -23,10 +23,9 @@ import numpy as np
 import scipy.integrate
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, ROUNDING, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost, inverse
-from rankone.support.precision import COINCIDENT, ROUNDING
 from rankone.tensors.bases.time_grid import inset
 from rankone.trajectories.integrators import lsoda
 from rankone.trajectories.integrators.defects import SHORTENING, DefectControl, Interpolant

@@ -16,7 +16,7 @@ from typing import Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import MANY_STATES, Array
 from rankone.support.budget import (
     Counted,
     LimitsElsewhere,
@@ -26,7 +26,6 @@ from rankone.support.budget import (
     memory_left,
 )
 from rankone.support.errors import OptionError, RankoneError
-from rankone.support.precision import MANY_STATES
 from rankone.support.tasks import (
     DEATHS,
     GUARD,

@@ -21,9 +21,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import SuperLU, splu
 
 from rankone.support import costs
-from rankone.support.arrays import Array
+from rankone.support.arrays import MANY_STATES, Array
 from rankone.support.budget import charge, reserve
-from rankone.support.precision import MANY_STATES
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.system import PatternJacobian, System, pattern_of
 

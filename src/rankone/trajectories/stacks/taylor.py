@@ -19,10 +19,9 @@ import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import MANY_STATES, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
-from rankone.support.precision import MANY_STATES, NEGLIGIBLE, TINY
 from rankone.trajectories.integrators.integrator import NODES, Tolerances
 from rankone.trajectories.stacks import explicit
 from rankone.trajectories.system.system import System

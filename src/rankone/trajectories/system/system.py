@@ -10,28 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, ProblemError
-from rankone.support.wording import listing
-from rankone.tensors.bases.scales import LINEAR
-from rankone.trajectories.system.events import (
+from rankone.support.errors import OptionError, ProblemError, listing
+from rankone.tensors.bases.coordinates import LINEAR
+from rankone.trajectories.system.features import (
     BOTH,
     CROSSINGS,
+    GAP_REMEDY,
+    Constraints,
     EventOrder,
+    Features,
     ForcedOrder,
+    Gaps,
+    Jumps,
     Marker,
     OfMarks,
+    OfParameters,
+    OfStates,
     OfTrajectory,
     Row,
     SystemEvent,
-)
-from rankone.trajectories.system.features import (
-    GAP_REMEDY,
-    Constraints,
-    Features,
-    Gaps,
-    Jumps,
-    OfParameters,
-    OfStates,
     VectorLike,
     no_rows,
     unchanged,
@@ -184,16 +181,16 @@ class System:
     (n, n, ...): rows of differential states hold f with products as states, the row of a product
     the derivative of ``s_a s_b - w``.
 
-    ``scales`` are those of the parameters, words of :data:`~rankone.tensors.bases.scales.SCALES`.
-    ``features`` say where the system is not smooth, ``jumps`` where its states are reset, ``gaps``
-    where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
-    from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
-    stretches between them has the ``clock`` that it runs by. ``separated_stretches`` makes a
-    separated system of that kind, of a clock and a box, where that is asked for. The last
-    ``n_sides`` of the differential states are the sides of switches, set by as many of the last
-    events; ``held`` is the same system with such states, where there are any.
-    ``constraints`` vanish on all trajectories. ``atol`` has absolute tolerances of states by name;
-    the states of each tuple in ``alike`` share a unit.
+    ``scales`` are those of the parameters, words of
+    :data:`~rankone.tensors.bases.coordinates.SCALES`. ``features`` say where the system is not
+    smooth, ``jumps`` where its states are reset, ``gaps`` where piecewise functions in its rates
+    have no branch. ``specification`` is what it is loaded from, if rankone compiled it. ``events``
+    reset its trajectories or end them; a system in stretches between them has the ``clock`` that
+    it runs by. ``separated_stretches`` makes a separated system of that kind, of a clock and a
+    box, where that is asked for. The last ``n_sides`` of the differential states are the sides of
+    switches, set by as many of the last events; ``held`` is the same system with such states,
+    where there are any. ``constraints`` vanish on all trajectories. ``atol`` has absolute
+    tolerances of states by name; the states of each tuple in ``alike`` share a unit.
     Where trajectories start at steady states, ``rest`` is what has them, and ``at_rest`` finds them
     at p (d, m), without lifted states.
     """

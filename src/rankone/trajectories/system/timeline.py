@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from rankone.support.wording import count
-from rankone.trajectories.system.events import Ending, SystemEvent
+from rankone.support.errors import count
+from rankone.trajectories.system.features import Ending, SystemEvent
 from rankone.trajectories.system.system import Clock
 
 _LONGEST_TURN, _FEWEST_TIMES = 8, 5  # Events that come in turn, and how often, to be one line

@@ -16,9 +16,9 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, OutOfWorkError
+from rankone.support.errors import listing, quote
 from rankone.support.files import Tagged
 from rankone.support.options import in_words
-from rankone.support.wording import listing, quote
 from rankone.trajectories.system.system import SHARED_UNIT, System
 
 _MOST_NAMES = 4  # Unknowns that a message names; a longer list is not read
