@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rankone.inference.estimation.search import fit_experiments as fit
     from rankone.inference.populations.population import PopulationFit
     from rankone.inference.populations.predictive_check import PredictiveCheck
+    from rankone.problem.fields import apply, field
     from rankone.problem.forms import GeneralTerm, QuadraticSystem, SeparatedForm
     from rankone.problem.functions import (
         at_event,
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from rankone.problem.integration import Trajectory
     from rankone.problem.models.model import Model
     from rankone.problem.models.sbml import read_sbml
-    from rankone.problem.problem import Problem
+    from rankone.problem.problem import FieldProblem, Problem
     from rankone.problem.steady_start import SteadyState
     from rankone.problem.user_events import Event
     from rankone.solution.compiled import CompiledProblem
@@ -91,6 +92,7 @@ __all__ = [
     "Event",
     "Experiment",
     "ExportError",
+    "FieldProblem",
     "FieldSolution",
     "FirstOrderSystem",
     "Fit",
@@ -119,11 +121,13 @@ __all__ = [
     "Trajectory",
     "WeakForm",
     "__version__",
+    "apply",
     "at_event",
     "calibrate",
     "compile",
     "duration",
     "event_time",
+    "field",
     "first_crossing",
     "first_order",
     "fit",
@@ -160,7 +164,8 @@ _MODULES = {
     "inference.estimation.posterior": ("Posterior", "posterior"),
     "inference.estimation.search": ("fit",),
     "problem.user_events": ("Event",),
-    "problem.problem": ("Problem",),
+    "problem.fields": ("apply", "field"),
+    "problem.problem": ("FieldProblem", "Problem"),
     "problem.steady_start": ("SteadyState",),
     "problem.integration": ("Trajectory",),
     "solution.compiled": ("CompiledProblem", "compile", "solve"),

@@ -36,7 +36,7 @@ def test_an_unknown_that_an_equation_gives_is_solved_for():
     assert solved.reduction.solved == {z: x / 2 + sp.sin(t) / 2}
     assert not solved.reduction.guessed
     assert solved.initial == {x: k, z: k / 2}
-    rates = dict(zip(solved.mass.leading, solved.mass.solved()[0], strict=True))
+    rates = dict(zip(solved.mass_form.leading, solved.mass_form.solved()[0], strict=True))
     half = (x + sp.sin(t)) / 2
     assert sp.expand(rates[x.diff(t)] + k * half) == 0
     assert sp.expand(rates[z.diff(t)] - (sp.cos(t) - k * half) / 2) == 0
@@ -48,7 +48,7 @@ def test_a_nonlinear_one_is_differentiated_once():
     assert guessed.reduction.guessed == (z,)
     (constraint,) = guessed.reduction.constraints
     assert (constraint.equation, constraint.order) == (2, 0)
-    (_, rate), origins = guessed.mass.solved()
+    (_, rate), origins = guessed.mass_form.solved()
     g = z**3 + z - x
     expected = -(k * z + 20 * g) / (3 * z**2 + 1)
     assert sp.simplify(rate - expected) == 0

@@ -76,7 +76,7 @@ def test_large_mass_matrices_of_numbers_are_inverted_by_numbers():
     stiffness = 2 * np.eye(size) - np.eye(size, k=1) - np.eye(size, k=-1)
     start = np.eye(size)[-1]
     problem = chain(M={1: mass / 2, sp.Rational(1, 2): mass}, K={k: stiffness}, initial=start)
-    assert problem.mass.places is not None
+    assert problem.mass_form.places is not None
     expected = by_scipy(mass, 1.5 * stiffness, size=size)
     assert problem.trajectory(2.0, k=1.5).values == pytest.approx(expected[:size], abs=1e-6)
 

@@ -102,6 +102,7 @@ class ProblemContent:
     constants: Mapping[sp.Symbol, Any] | None
     definitions: Mapping[sp.Expr, Any] | None
     atol: Mapping[Any, float] | None
+    mass: Mapping[Any, Any] | None
     distributions: Mapping[str, str]
     unknowns: tuple[sp.Expr, ...]
     table: TermTable | None
@@ -120,7 +121,7 @@ class ProblemContent:
         return tuple(closed(put_in(exact(e.lhs - e.rhs))) for e in self._shown())
 
     @cached_property
-    def mass(self) -> MassForm:
+    def mass_form(self) -> MassForm:
         """The residuals as mass matrix times highest derivatives, and the rest; likewise."""
         return check_mass(self.residuals, self.unknowns, self.coordinates)
 
@@ -197,6 +198,12 @@ class ProblemContent:
         )
         if self.rest is not None:
             at_start = [f"at the start: {self.rest_text}"]
+        lines += ["  " + ", ".join(at_start), *self._closing_lines()]
+        texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
+        return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
+
+    def _closing_lines(self) -> list[str]:
+        """The lines of a representation from the box on: constants, units and tolerances."""
         units = self.units or {}
         intervals = [
             with_measure(
@@ -205,7 +212,7 @@ class ProblemContent:
             )
             for c in self.coordinates
         ]
-        lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
+        lines = ["  " + ", ".join(intervals)]
         constants = (
             with_unit(f"{symbol.name} = {text_of(value)}", units, symbol.name)
             for symbol, value in (self.constants or {}).items()
@@ -217,8 +224,7 @@ class ProblemContent:
         if self.atol:
             tolerances = (f"{name} to {size:g}" for name, size in self.atol.items())
             lines.append(f"  absolute tolerances: {', '.join(tolerances)}")
-        texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
-        return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
+        return lines
 
     def _repr_latex_(self) -> str:
         written = {**(self.written["definitions"] or {}), **(self.constants or {})}
@@ -306,9 +312,13 @@ class CheckedProblem(ProblemContent):
 
     def _check(self) -> None:
         """Validate what was given, and set what follows from it."""
-        if self.name is not None and not is_line(self.name):
-            message = f"the name is {shown(self.name)}, not text in one line"
-            raise ProblemError(message, term=self.name, remedy="give a title")
+        self._check_title()
+        if self.mass is not None:
+            raise ProblemError(
+                f"`mass` is {shown(self.mass)}, and the problem has no fields",
+                term=self.mass,
+                remedy="write masses into the equations, or declare vectors by rankone.field",
+            )
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
         if self._is_plain and not self.constants:
@@ -344,12 +354,17 @@ class CheckedProblem(ProblemContent):
         self._determine_rates(symbols, moving)
         user_events.warn_of_late(self.events, box, time)
 
+    def _check_title(self) -> None:
+        if self.name is not None and not is_line(self.name):
+            message = f"the name is {shown(self.name)}, not text in one line"
+            raise ProblemError(message, term=self.name, remedy="give a title")
+
     def _determine_rates(self, symbols: Symbols, moving: int) -> None:
         """Set the mass matrix, and what else tells the rates; ``moving`` jumps are events."""
         if has_constraints(self.residuals, symbols.unknowns, symbols.time[0]):
             self._reduce(symbols.states)
             return
-        self._keep(mass=check_mass(self.residuals, symbols.unknowns, self.coordinates))
+        self._keep(mass_form=check_mass(self.residuals, symbols.unknowns, self.coordinates))
         self._take_out_impulses(symbols, moving)
         self._take_out_rates()
 
@@ -511,9 +526,9 @@ class CheckedProblem(ProblemContent):
 
     def _take_out_rates(self) -> None:
         """Put what equations say of highest derivatives in their place, where events cross zero."""
-        leading = set(self.mass.leading)
+        leading = set(self.mass_form.leading)
         if any(event.when.atoms(sp.Derivative) & leading for event in self.events):
-            rates = dict(zip(self.mass.leading, self.mass.solved()[0], strict=True))
+            rates = dict(zip(self.mass_form.leading, self.mass_form.solved()[0], strict=True))
             self._keep(events=user_events.without_rates(self.events, rates))
 
     def _reduce(self, states: Sequence[sp.Expr]) -> None:
@@ -525,7 +540,7 @@ class CheckedProblem(ProblemContent):
         jumps = consistency.consistent_jumps(self.jumps or {}, reduction, self.time[0])
         self._keep(
             reduction=reduction,
-            mass=reduction.mass,
+            mass_form=reduction.mass,
             initial=MappingProxyType(initial),
             jumps=MappingProxyType(jumps),
             events=consistency.consistent_events(self.events, reduction),
@@ -536,7 +551,7 @@ class CheckedProblem(ProblemContent):
         if not any(residual.has(sp.DiracDelta) for residual in self.residuals):
             return
         time = self.time[0]
-        rates, origins = self.mass.rates_of(symbols.states, time)
+        rates, origins = self.mass_form.rates_of(symbols.states, time)
         deltas, impulses = moving_impulses(rates, symbols.states, origins, time, self.parameters)
         if not deltas:
             return
@@ -548,5 +563,5 @@ class CheckedProblem(ProblemContent):
             events=user_events.check_events(
                 [*self.events, *user_events.impulse_events(impulses, symbols, first)], symbols
             ),
-            mass=check_mass(residuals, self.unknowns, self.coordinates),
+            mass_form=check_mass(residuals, self.unknowns, self.coordinates),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
@@ -19,6 +20,8 @@ from rankone.problem.algebra.tabulated import Network
 from rankone.problem.algebra.term_table import TermTable
 from rankone.problem.box import check_time, counts_of, pieces_of
 from rankone.problem.checked import CheckedProblem
+from rankone.problem.field_problem import CheckedFields
+from rankone.problem.fields import has_fields
 from rankone.problem.integration import Trajectory, trajectory_of
 from rankone.problem.numeric import NumericEquations
 from rankone.problem.shorthand import Shorthand
@@ -109,6 +112,8 @@ class Problem(CheckedProblem):
         ``x`` is relative to its largest reference value plus ``atol/rtol``, so that with
         ``{x: 1e-6}`` one of up to 1e-6 is always within the tolerance. An unknown that has none and
         shares its unit with others has 1e-12 of the largest of them; zero asks for its own size.
+    mass : mapping of Field to matrix, optional
+        Mass matrices of fields, see :class:`FieldProblem`.
 
     Attributes
     ----------
@@ -129,7 +134,7 @@ class Problem(CheckedProblem):
         the same equation are in the order of ``initial``. Algebraic unknowns are the last.
     residuals : tuple of Expr
         For each equation its left minus its right side, with constants and definitions put in.
-    mass : MassForm
+    mass_form : MassForm
         The residuals as mass matrix times highest derivatives, and the rest; with algebraic
         equations the rates that follow from them.
     table : TermTable or None
@@ -179,6 +184,7 @@ class Problem(CheckedProblem):
     constants: Mapping[sp.Symbol, Any] | None = None
     definitions: Mapping[sp.Expr, Any] | None = None
     atol: Mapping[Any, float] | None = None
+    mass: Mapping[Any, Any] | None = None
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     table: TermTable | None = field(init=False, default=None)
@@ -188,6 +194,12 @@ class Problem(CheckedProblem):
     written: Mapping[str, Any] = field(init=False)
     compiled: list[Any] = field(init=False)
     seconds: float = field(init=False)
+
+    def __new__(cls, *arguments: object, **named: object) -> Problem:
+        """A :class:`FieldProblem` where equations or initial values have fields."""
+        written = [*arguments, *named.values()]
+        with_fields = cls is Problem and any(map(_mentions_fields, written))
+        return super().__new__(FieldProblem if with_fields else cls)
 
     def __post_init__(self) -> None:
         began = clock.perf_counter()
@@ -465,7 +477,7 @@ class Problem(CheckedProblem):
         equations = NumericEquations(
             self.time,
             tuple(self.parameters),
-            self.mass,
+            self.mass_form,
             self.initial,
             self.jumps or {},
             self.events,
@@ -613,6 +625,74 @@ class Problem(CheckedProblem):
         return _rebuilt, (type(self), {**self.written, "parameters": self.written_parameters()})
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class FieldProblem(CheckedFields, Problem):
+    """A problem with fields: vectors of unknowns, as :func:`rankone.field` declares them.
+
+    :class:`Problem` makes one where the equations, or the initial values, have fields. It takes the
+    arguments of that class, except ``jumps`` and ``events``.
+
+    Parameters
+    ----------
+    equations : sequence of Eq, or mapping of Field to Expr
+        One equation for each field and each scalar unknown ``x(t)`` beside them. ``{u: rate}`` is
+        short for ``[sympy.Eq(u.diff(t), rate)]``. Rates are smooth, and written entry by entry;
+        :func:`rankone.apply` takes one entry to another. Fields may have second derivatives in
+        time, ``u.diff(t, 2)``; they become two fields, ``u`` and ``u_t``.
+    time, parameters, name, units, tail, correlation, constants, definitions, atol
+        As for :class:`Problem`; a tolerance holds for all entries of a field.
+    initial : mapping of Field to number, array or Expr
+        Numbers, arrays (n,), or elementwise expressions of parameters: ``{u: a *
+        rankone.apply(shape, 1)}``.
+    mass : mapping of Field to matrix, optional
+        Mass matrices (n, n) of numbers, as of finite elements: with ``mass={u: M}`` the equation
+        ``u.diff(t) = rate`` stands for ``M u' = rate``, and for second order ``M u'' = rate``.
+
+    Attributes
+    ----------
+    unknowns : tuple of Expr
+        Fields and scalar unknowns in the order of their equations.
+    rates : mapping of Expr to Expr
+        For each state, the unknowns and then the velocities of those of second order, its rate,
+        with constants and definitions put in.
+    masses : mapping of Expr to Operator
+        The mass matrices by state.
+    initial : mapping of Expr to Expr
+        By state.
+    fields : tuple of Field
+        The fields among the states.
+    size : int
+        The number of entries of all states.
+
+    Raises
+    ------
+    ProblemError
+        If the problem is incomplete or contradictory; the message says where and what to do.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse
+    >>> from rankone import apply, field
+    >>> t, D = sp.symbols("t D")
+    >>> ones = np.ones(100)
+    >>> L = scipy.sparse.diags_array([ones[1:], -2 * ones, ones[1:]], offsets=(-1, 0, 1))
+    >>> u = field("u", 100)
+    >>> start = np.linspace(0, 1, 100)
+    >>> Problem({u: D * apply(L, u) - u**3}, (t, 0, 1), {D: (1, 2)}, {u: start})
+    Problem: 1 field of 100 entries, 1 parameter
+      du/dt = -u**3 + D*apply(<100 x 100>, u)
+      u(0) = <100>
+      t in [0, 1], D in [1, 2]
+    """
+
+
+def _mentions_fields(argument: object) -> bool:
+    """Whether an argument of a problem, or what it holds, has fields."""
+    if isinstance(argument, Mapping) and not isinstance(argument, SteadyState):
+        return has_fields([*argument, *argument.values()])
+    return has_fields(argument if isinstance(argument, list | tuple) else [argument])
+
+
 def _kept(argument: object) -> object:
     """An argument that does not change when the caller changes his own."""
     if isinstance(argument, Mapping) and not isinstance(argument, SteadyState):
@@ -623,3 +703,6 @@ def _kept(argument: object) -> object:
 def _rebuilt(kind: type[Problem], arguments: dict[str, Any]) -> Problem:
     """A problem from its arguments, for unpickling."""
     return kind(**arguments)
+
+
+Problem.__new__.__signature__ = inspect.signature(Problem.__init__)  # type: ignore[attr-defined]

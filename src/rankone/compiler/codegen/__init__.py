@@ -1,5 +1,6 @@
 """Code generation: from equations to a plain NumPy module, and from its text to a System.
 
+- ``field_source``: the text of a system of fields
 - ``kernels``: the header of a module for a person, and the kernels of its separated right-hand
   side
 - ``law_code``: rates of many states with laws of a few forms, as array code, constraints, and

@@ -287,8 +287,8 @@ def _solved_rates(
     problem: Problem, functions: Mapping[sp.Expr, sp.Expr]
 ) -> tuple[list[sp.Expr], list[int | None]]:
     """The rate of each state, and the number of the equation solved for each highest derivative."""
-    solved, equations = problem.mass.solved()
-    highest = dict(zip(problem.mass.leading, solved, strict=True))
+    solved, equations = problem.mass_form.solved()
+    highest = dict(zip(problem.mass_form.leading, solved, strict=True))
     rates = (rate_of(state, problem.time[0]) for state in functions)
     return [highest.get(rate, rate).xreplace(dict(functions)) for rate in rates], equations
 
