@@ -58,7 +58,7 @@ def field(name: str, size: int) -> Field:
     >>> u = field("u", 3)
     >>> L = np.array([[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -1.0]])
     >>> sp.Eq(u.diff(t), D * apply(L, u) - u**3)
-    Eq(du/dt, D*apply(<3 x 3>, u) - u**3)
+    Eq(du/dt, -u**3 + D*apply(<3 x 3>, u))
     """
     return Field(name, size)
 
