@@ -1,6 +1,7 @@
 """Solutions of fields: a solution of coefficients, and the modes that make fields of them.
 
 - ``field_solution``: what users hold after a reduced solve of fields
+- ``field_statistics``: statistics of fields from those of their coefficients
 - ``field_summary``: the summary of a solution of fields, as text and as a table
 - ``field_view``: one unknown, or some of its entries, as functions of time and the parameters
 """

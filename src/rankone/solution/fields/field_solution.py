@@ -7,15 +7,19 @@ from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from rankone.solution.fields.field_statistics import FieldSobol
 from rankone.solution.fields.field_summary import field_summary_html, field_summary_text
 from rankone.solution.fields.field_view import FieldView
 from rankone.solution.solution import Solution
+from rankone.solution.statistics.over_box import Times
 from rankone.solvers.outcome import SlabRecord, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
 from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.bases.joint_distribution import Correlations, Under
 from rankone.trajectories.system.verdict import Status
 
 
@@ -146,6 +150,71 @@ class FieldSolution:
 
     def __iter__(self) -> NoReturn:
         raise TypeError("a FieldSolution is not iterable; its unknowns are in `.unknowns`")
+
+    # --- statistics ------------------------------------------------------------------------------
+
+    def mean(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Means of all entries over the box, (entries of all unknowns, *shape of t).
+
+        Arguments of this and all other statistics are those of a plain solution: see
+        :meth:`rankone.Solution.mean`.
+        """
+        return self.modes.fields(self.coefficients.mean(t, under=under, correlation=correlation))
+
+    def var(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Variances of all entries over the box, (entries of all unknowns, *shape of t)."""
+        views = self._views
+        return np.concatenate([v.var(t, under=under, correlation=correlation) for v in views])
+
+    def std(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Standard deviations of all entries over the box."""
+        return np.asarray(np.sqrt(self.var(t, under=under, correlation=correlation)))
+
+    def sobol(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> dict[str, FieldSobol]:
+        """First-order and total Sobol indices of all entries, for each unknown by its name."""
+        options = {"under": under, "correlation": correlation}
+        return {name: self[name].sobol(t, **options) for name in self.unknowns}
+
+    def quantile(
+        self,
+        q: ArrayLike,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        count: int = 2**13,
+    ) -> Array:
+        """Quantiles of all entries, (*shape of q, entries of all unknowns, *shape of t).
+
+        ``solution[u].quantile(...)`` has half-widths besides.
+        """
+        options = {"under": under, "correlation": correlation, "count": count}
+        blocks = [np.asarray(view.quantile(q, t, **options)) for view in self._views]
+        return np.concatenate(blocks, axis=np.ndim(q))
+
+    def sample(
+        self,
+        count: int,
+        *,
+        seed: int | None = None,
+        under: Under = None,
+        correlation: Correlations = None,
+    ) -> dict[str, Array]:
+        """Random values of the parameters, by name: ``solution(t=1.0, **solution.sample(100))``."""
+        return self.coefficients.sample(count, seed=seed, under=under, correlation=correlation)
+
+    @property
+    def _views(self) -> list[FieldView]:
+        """All unknowns with an axis of entries, also those that are scalars."""
+        return [self[name] if self[name].shape else self[name].reshape(1) for name in self.unknowns]
 
     # --- smaller solutions and derivatives -------------------------------------------------------
 

@@ -13,9 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rankone.solution.fields.field_statistics import (
+    EntryStatistics,
+    FieldSobol,
+    covariances,
+    variances,
+)
 from rankone.solution.solution import Solution
+from rankone.solution.statistics.over_box import Quantiles, Times
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, shown
+from rankone.tensors.bases.joint_distribution import Correlations, Under
 from rankone.tensors.trains.evaluator import Rows
 
 
@@ -142,8 +150,8 @@ class FieldView:
 
     def of(self, own: Array) -> Array:
         """The entries (*shape, ...) of numbers (r, ...) that are linear in the coefficients."""
-        flat = self.weights.reshape(self.size, -1) @ own.reshape(len(own), math.prod(own.shape[1:]))
-        return np.asarray(flat.reshape(*self.shape, *own.shape[1:]))
+        flat = self._flat @ own.reshape(len(own), math.prod(own.shape[1:]))
+        return np.asarray(flat.reshape((*self.shape, *own.shape[1:])))
 
     @property
     def _rows(self) -> Rows:
@@ -155,9 +163,87 @@ class FieldView:
 
     # --- statistics ----------------------------------------------------------------------------
 
-    def mean(self, *at: Any, **options: Any) -> Array:
-        """Means over the box, (*shape, *shape of t); arguments as for :meth:`Solution.mean`."""
-        return self.of(self.coefficients.mean(*at, **options)[self.own])
+    def mean(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Means over the box, (*shape, *shape of t); see :meth:`rankone.Solution.mean`."""
+        means = self.coefficients.mean(t, under=under, correlation=correlation)
+        return self.of(means[self.own])
+
+    def var(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Variances over the box, (*shape, *shape of t)."""
+        covariance = self.coefficients.cov(t, under=under, correlation=correlation)
+        diagonal = variances(self._flat, covariance[self.own, self.own])
+        return diagonal.reshape((*self.shape, *covariance.shape[2:]))
+
+    def std(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Standard deviations over the box, (*shape, *shape of t)."""
+        return np.asarray(np.sqrt(self.var(t, under=under, correlation=correlation)))
+
+    def cov(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> Array:
+        """Covariances of chosen entries at the same time, (*shape, *shape, *shape of t).
+
+        Raises
+        ------
+        EvaluationError
+            If these are more than 10^8 numbers: choose entries, ``solution[u][[3, 17]].cov(t)``.
+        """
+        covariance = self.coefficients.cov(t, under=under, correlation=correlation)
+        pairs = covariances(self._flat, covariance[self.own, self.own])
+        return pairs.reshape((*self.shape, *self.shape, *covariance.shape[2:]))
+
+    def sobol(
+        self, t: Times = None, *, under: Under = None, correlation: Correlations = None
+    ) -> FieldSobol:
+        """Variance-based sensitivities of each entry at times: first-order and total Sobol indices.
+
+        Nothing is sampled. The indices are NaN where an entry varies by less than the measured
+        error of the field. Correlations are refused, and so are solutions with events.
+        """
+        statistics = self._statistics
+        times, variance, indices = statistics.sobol(t, under, correlation)
+        variance, *shaped = (a.reshape((*self.shape, *a.shape[1:])) for a in (variance, *indices))
+        first, total, *widths = shaped
+        names = self.coefficients.metadata.parameters
+        return FieldSobol(self.name, names, self.positions, times, first, total, variance, *widths)
+
+    def quantile(
+        self,
+        q: ArrayLike,
+        t: Times = None,
+        *,
+        under: Under = None,
+        correlation: Correlations = None,
+        count: int = 2**13,
+    ) -> Quantiles:
+        """Quantiles over the box, (*shape of q, *shape, *shape of t).
+
+        They are computed at ``count`` evenly spread points; see :meth:`rankone.Solution.quantile`.
+        """
+        flat = self._statistics.quantiles(q, t, under, correlation, count)
+        before = np.ndim(q)
+        shape = (*flat.shape[:before], *self.shape, *flat.shape[before + 1 :])
+        half_width = flat.half_width
+        return Quantiles(
+            np.asarray(flat).reshape(shape),
+            None if half_width is None else half_width.reshape(shape),
+        )
+
+    @property
+    def _flat(self) -> Array:
+        """The weights with one axis for all entries, (entries, modes)."""
+        return self.weights.reshape(self.size, -1)
+
+    @property
+    def _statistics(self) -> EntryStatistics:
+        """What takes more than means and covariances."""
+        return EntryStatistics(self.coefficients, self.own, self._flat, self.error * self.scale)
 
     def __repr__(self) -> str:
         entries = f"{self.size} entries of " if self.shape else ""

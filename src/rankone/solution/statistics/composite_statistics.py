@@ -27,6 +27,7 @@ from rankone.solution.statistics.solution_statistics import (
 )
 from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array
 from rankone.support.budget import check_time
+from rankone.support.errors import EvaluationError
 from rankone.support.progress import StepReport
 from rankone.tensors.bases import Basis1D
 from rankone.tensors.bases.coordinates import round_off
@@ -142,6 +143,15 @@ class TimelineStatistics(Statistics):
             else []
         )
         return VarianceParts(mean[:, 0], effects, split(widths), tuple(doubts))
+
+    def first_covariances(self, times: Array) -> Array:
+        """Refused: they are not products of one-dimensional integrals."""
+        raise EvaluationError(
+            "Sobol indices of fields are not computed over solutions with events or joined pieces",
+            remedy="ask for them of outputs: solution.output({...}).sobol(t)",
+        )
+
+    total_covariances = first_covariances
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
         """Means given one parameter, (states, points, times)."""

@@ -243,12 +243,7 @@ class Statistics:
 
     def covariance(self, times: Array) -> Array:
         """Covariances, (states, states, times)."""
-
-        def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            covariance = moments.covariance[0]
-            return np.asarray(np.einsum("ntr,rs,mts->nmt", rows, covariance, rows, optimize=True))
-
-        return self._gathered(times, self._moments, of_slab)
+        return self._covariances(times, lambda moments: moments.covariance)[0]
 
     def variance(self, times: Array) -> Array:
         """Variances, (states, times)."""
@@ -265,6 +260,14 @@ class Statistics:
     def total(self, times: Array) -> Array:
         """Means of the variance over one parameter, (states, parameters, times)."""
         return self._squares(times, lambda moments: moments.total)
+
+    def first_covariances(self, times: Array) -> Array:
+        """Covariances of the means given one parameter, (parameters, states, states, times)."""
+        return self._covariances(times, lambda moments: moments.first)
+
+    def total_covariances(self, times: Array) -> Array:
+        """Means of the covariance over one parameter, (parameters, states, states, times)."""
+        return self._covariances(times, lambda moments: moments.total)
 
     def second(self, times: Array) -> Array:
         """Variances of interactions, (states, parameters, parameters, times)."""
@@ -320,7 +323,7 @@ class Statistics:
         After them the half-widths of 95 % of their probabilities, of the same shape.
         """
         points = self.parameters.sets_of_points(count)
-        both = self.over_points(times, points, lambda states: _quantiles(states, probabilities))
+        both = self.over_points(times, points, lambda states: quantiles_of(states, probabilities))
         return both[0], both[1]
 
     def at_points(self, time: float, points: Array, row: int) -> Array:
@@ -365,6 +368,19 @@ class Statistics:
 
         return self._gathered(times, self._moments, of_slab)
 
+    def _covariances(self, times: Array, matrices: Callable[[TrainMoments], Array]) -> Array:
+        """``a(t) P a(t)^T`` for several matrices and all states, (matrices, states, states, times).
+
+        A row a(t) stands for each state.
+        """
+
+        def of_slab(rows: Array, moments: TrainMoments) -> Array:
+            by_time = rows.swapaxes(0, 1)
+            products = by_time @ matrices(moments)[:, None] @ by_time.swapaxes(1, 2)
+            return np.moveaxis(products, 1, 3)
+
+        return self._gathered(times, self._moments, of_slab)
+
     def _gathered(
         self,
         times: Array,
@@ -383,7 +399,7 @@ class Statistics:
         return table
 
 
-def _quantiles(states: Array, probabilities: Array) -> Array:
+def quantiles_of(states: Array, probabilities: Array) -> Array:
     """Quantiles of states (rows, N), and half-widths of their probabilities, (2, P, rows)."""
     sets = np.sort(states.reshape(len(states), SETS, -1), axis=2)  # NaN come last
     runs = np.isfinite(states[0])
