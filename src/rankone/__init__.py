@@ -59,8 +59,9 @@ if TYPE_CHECKING:
     from rankone.solution.compiled import compile_problem as compile
     from rankone.solution.compiled import solve_problem as solve
     from rankone.solution.fields.field_solution import FieldSolution
+    from rankone.solution.fields.field_solution import load_saved as load
     from rankone.solution.many import Solutions, solve_many
-    from rankone.solution.solution import Solution, load
+    from rankone.solution.solution import Solution
     from rankone.solution.statistics.solution_statistics import Sobol
     from rankone.solution.steady import steady_state
     from rankone.solvers.engines.engine_options import CrossOptions, GreedyOptions, TrainOptions
@@ -169,9 +170,9 @@ _MODULES = {
     "problem.steady_start": ("SteadyState",),
     "problem.integration": ("Trajectory",),
     "solution.compiled": ("CompiledProblem", "compile", "solve"),
-    "solution.fields.field_solution": ("FieldSolution",),
+    "solution.fields.field_solution": ("FieldSolution", "load"),
     "solution.many": ("Solutions", "solve_many"),
-    "solution.solution": ("Solution", "load"),
+    "solution.solution": ("Solution",),
     "solution.steady": ("steady_state",),
     "problem.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
     "problem.functions": (
@@ -205,6 +206,7 @@ _MODULES = {
 _INNER_NAMES = {
     "compile": "compile_problem",
     "fit": "fit_experiments",
+    "load": "load_saved",
     "posterior": "posterior_of",
     "solve": "solve_problem",
 }

@@ -39,7 +39,7 @@ from rankone.solution.outputs.quantity_solutions import (
 )
 from rankone.solution.statistics.densities import DistributionOverBox
 from rankone.solution.storage import read, write
-from rankone.solvers.outcome import Piece, SlabRecord
+from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
 from rankone.solvers.selection import ENGINES
 from rankone.support.arrays import Array
 from rankone.support.errors import (
@@ -712,7 +712,16 @@ def load(path: str | PathLike[str]) -> Solution:
     StorageError
         As for :func:`rankone.solution.storage.read`.
     """
-    outcome, metadata = read(path, {name: engine.record for name, engine in ENGINES.items()})
+    outcome, metadata = read(path, RECORDS)
+    return loaded(path, outcome, metadata)
+
+
+RECORDS = {name: engine.record for name, engine in ENGINES.items()}
+"""The class of the records of each method."""
+
+
+def loaded(path: str | PathLike[str], outcome: Outcome, metadata: SolutionMetadata) -> Solution:
+    """A solution that was read from a file; a StorageError if its distributions are none."""
     try:
         for _, text in metadata.distributions:
             from_text(text)

@@ -213,6 +213,7 @@ def solution_of(
     """Load a saved solution, which takes no tolerance and no method, or solve a problem file."""
     import rankone
     from rankone.problem.models.sbml_formulas import is_model_file
+    from rankone.solution.solution import load
     from rankone.support.budget import preparing
     from rankone.support.errors import OptionError, ProblemError
 
@@ -224,7 +225,7 @@ def solution_of(
                     f"{option} is for problem files; `{path}` is solved already",
                     remedy=f"leave {option} out, or solve again",
                 )
-        return rankone.load(path)
+        return load(path)
     if path.suffix not in (".py", ".toml"):
         solved_first = f"rankone solve {path} --t-final 10 --save {path.stem}.npz"
         raise ProblemError(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +14,21 @@ from numpy.typing import ArrayLike
 from rankone.solution.fields.field_statistics import FieldSobol
 from rankone.solution.fields.field_summary import field_summary_html, field_summary_text
 from rankone.solution.fields.field_view import FieldView
-from rankone.solution.solution import Solution
+from rankone.solution.solution import RECORDS, Solution, load, loaded
 from rankone.solution.statistics.over_box import Times
+from rankone.solution.storage import read_fields
+from rankone.solution.storage.field_contents import FieldContent, write_fields
 from rankone.solvers.outcome import SlabRecord, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
+from rankone.support.errors import (
+    EvaluationError,
+    OptionError,
+    did_you_mean,
+    listing,
+    quote,
+    shown,
+)
 from rankone.tensors.bases.coordinates import name_of
 from rankone.tensors.bases.joint_distribution import Correlations, Under
 from rankone.trajectories.system.verdict import Status
@@ -180,8 +191,10 @@ class FieldSolution:
         self, t: Times = None, *, under: Under = None, correlation: Correlations = None
     ) -> dict[str, FieldSobol]:
         """First-order and total Sobol indices of all entries, for each unknown by its name."""
-        options = {"under": under, "correlation": correlation}
-        return {name: self[name].sobol(t, **options) for name in self.unknowns}
+        return {
+            name: self[name].sobol(t, under=under, correlation=correlation)
+            for name in self.unknowns
+        }
 
     def quantile(
         self,
@@ -196,8 +209,10 @@ class FieldSolution:
 
         ``solution[u].quantile(...)`` has half-widths besides.
         """
-        options = {"under": under, "correlation": correlation, "count": count}
-        blocks = [np.asarray(view.quantile(q, t, **options)) for view in self._views]
+        blocks = [
+            np.asarray(view.quantile(q, t, under=under, correlation=correlation, count=count))
+            for view in self._views
+        ]
         return np.concatenate(blocks, axis=np.ndim(q))
 
     def sample(
@@ -329,6 +344,61 @@ class FieldSolution:
         """Start and end of what was solved."""
         return self.coefficients.time
 
+    # --- files -----------------------------------------------------------------------------------
+
+    def save(
+        self,
+        path: str | PathLike[str],
+        *,
+        overwrite: bool = False,
+        modes: Literal["float64", "float32"] = "float64",
+    ) -> Path:
+        """Write coefficients and modes to an ``.npz`` file, without pickle; ``load`` reads it.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.npz``.
+        overwrite : bool
+            Whether to replace an existing file.
+        modes : {"float64", "float32"}
+            Numbers of the modes. Single precision takes half the space; what it changes the fields
+            by at most, some 1e-7 of their largest value, adds to the saved errors.
+
+        Raises
+        ------
+        StorageError
+            If the name has another suffix, the file exists and must not be replaced, or it cannot
+            be written. The file is complete or absent, even after an interrupt.
+        OptionError
+            If the modes are to be other numbers.
+        """
+        if modes not in ("float64", "float32"):
+            raise OptionError(
+                f"modes={shown(modes)} is neither", term=modes, remedy='give "float64" or "float32"'
+            )
+        saved = self if modes == "float64" else self._in_single_precision()
+        solved = saved.coefficients
+        content = FieldContent(
+            solved.outcome, solved.metadata, saved.modes, saved.status, saved.message
+        )
+        return write_fields(path, content, modes, overwrite)
+
+    def _in_single_precision(self) -> FieldSolution:
+        """The fields with rounded modes, whose errors are that much larger.
+
+        No coefficient is larger than the field, since modes are orthonormal in the mean.
+        """
+        rounded = tuple(own.astype(np.float32).astype(np.float64) for own in self.modes.modes)
+        pairs = zip(rounded, self.modes.modes, strict=True)
+        moved = [float(np.abs(a - b).sum(axis=1).max()) for a, b in pairs]
+        errors = tuple(map(float, np.add(self.modes.errors, moved))) if self.modes.errors else ()
+        modes = replace(self.modes, modes=rounded, errors=errors)
+        within = max(errors, default=0.0) <= self.rtol
+        if self.status is not Status.CONVERGED or within:
+            return replace(self, modes=modes)
+        return FieldSolution(self.coefficients, modes)
+
     # --- display ---------------------------------------------------------------------------------
 
     def summary(self) -> str:
@@ -344,3 +414,27 @@ class FieldSolution:
     @property
     def _verdict(self) -> str:
         return f"{'yes' if self.success else 'no'}: {self.message}"
+
+
+def load_saved(path: str | PathLike[str]) -> Solution | FieldSolution:
+    """Read what :meth:`Solution.save` or :meth:`FieldSolution.save` wrote.
+
+    Nothing in the file is executed.
+
+    Returns
+    -------
+    Solution or FieldSolution
+        Evaluates to exactly the same values as what was saved; fields whose modes were saved in
+        single precision, to these.
+
+    Raises
+    ------
+    StorageError
+        If there is no such file, it is not a rankone solution, it is damaged, a newer version of
+        rankone wrote it, or a package that it needs is not installed.
+    """
+    content = read_fields(path, RECORDS)
+    if content is None:
+        return load(path)
+    coefficients = loaded(path, content.outcome, content.metadata)
+    return FieldSolution(coefficients, content.modes, content.message, content.status)

@@ -21,11 +21,9 @@ from rankone.solution.statistics.over_box import (
     checked_probabilities,
 )
 from rankone.solution.statistics.solution_statistics import changed_shares, quantiles_of
-from rankone.support.arrays import Array
+from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count
-from rankone.support.precision import ACCUMULATED
 from rankone.tensors.bases.joint_distribution import Correlations, Under
 
 _MOST_COVARIANCES = 10**8  # Numbers of a matrix of covariances, 0.8 GB
@@ -128,7 +126,8 @@ def covariances(weights: Array, covariance: Array) -> Array:
             f"covariances of {len(weights)} entries with each other are {count:.2g} numbers",
             remedy="choose entries, solution[u][[3, 17]].cov(t), or ask for .var(t)",
         )
-    return np.einsum("mi,ij...,nj->mn...", weights, covariance, weights, optimize=True)
+    pairs = np.einsum("mi,ij...,nj->mn...", weights, covariance, weights, optimize=True)
+    return np.asarray(pairs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -243,7 +243,8 @@ class Statistics:
 
     def covariance(self, times: Array) -> Array:
         """Covariances, (states, states, times)."""
-        return self._covariances(times, lambda moments: moments.covariance)[0]
+        covariances = self._covariances(times, lambda moments: moments.covariance)
+        return np.asarray(covariances[0])
 
     def variance(self, times: Array) -> Array:
         """Variances, (states, times)."""
@@ -377,7 +378,7 @@ class Statistics:
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
             by_time = rows.swapaxes(0, 1)
             products = by_time @ matrices(moments)[:, None] @ by_time.swapaxes(1, 2)
-            return np.moveaxis(products, 1, 3)
+            return np.asarray(np.moveaxis(products, 1, 3))
 
         return self._gathered(times, self._moments, of_slab)
 

@@ -1,6 +1,8 @@
 """Saving and loading solutions in open formats, without pickle.
 
 - ``contents``: the content of a solution file, whatever its container: a header and cores
+- ``field_contents``: the content of a file of fields: a header, the modes, and the solution of
+  the coefficients
 - ``netcdf``: solutions in netCDF-4: the same header, cores and digest, and what xarray shows of
   them
 - ``npz``: solutions in NumPy's ``.npz``: the default, always available, no pickle
@@ -13,6 +15,7 @@ from os import PathLike
 from pathlib import Path
 
 from rankone.solution.storage import netcdf, npz
+from rankone.solution.storage.field_contents import FieldContent, fields_of
 from rankone.solvers.outcome import Outcome, SlabRecord, SolutionMetadata
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
@@ -64,6 +67,16 @@ def read(
     """
     container_read = netcdf.read if _is_netcdf(as_path(path, StorageError)) else npz.read
     return container_read(path, records)
+
+
+def read_fields(
+    path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
+) -> FieldContent | None:
+    """Read fields from a file, whatever its name; None if it holds something else.
+
+    Errors are those of :func:`read`.
+    """
+    return None if _is_netcdf(as_path(path, StorageError)) else fields_of(path, records)
 
 
 def _is_netcdf(path: Path) -> bool:

@@ -36,6 +36,7 @@ from rankone.trajectories.system.timeline import CLOCK_STATES, BranchedTimeline,
 from rankone.trajectories.system.verdict import NarrowBox, Status
 
 FORMAT = "rankone-solution"
+FIELD_FORMAT = "rankone-fields"  # Of files with a solution of coefficients, and modes
 FORMAT_VERSION = 6  # Newest version that is read: it came with openings of branches
 _FIFTH_VERSION = 5  # It came with solutions joined of pieces
 _FOURTH_VERSION = 4  # It came with timelines of several branches
@@ -196,6 +197,13 @@ def _header(arrays: Arrays, path: Path) -> dict[str, Any]:
     if "header" not in arrays:
         raise not_a_solution(path)
     header = json.loads(str(arrays["header"][()]))
+    if isinstance(header, dict) and header.get("format") == FIELD_FORMAT:
+        raise StorageError(
+            f"`{path}` holds fields, not a plain solution",
+            term=path,
+            remedy="read it in Python by rankone.load, and save outputs: "
+            "solution.output({...}).save(...)",
+        )
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise not_a_solution(path)
     version = header["format_version"]
@@ -235,7 +243,7 @@ def _joined_outcome(
 ) -> Outcome:
     """The outcome of a solution that was joined of pieces, with these."""
     count = rebuilt(int, header["pieces"])
-    own = [_OfPiece(arrays, piece_prefix(i)) for i in range(count)]
+    own = [WithPrefix(arrays, piece_prefix(i)) for i in range(count)]
     pieces = tuple(Piece(*unpacked(piece, path, records)) for piece in own)
     if count < 2 or any(piece.outcome.pieces or not piece.outcome.slabs for piece in pieces):
         raise ValueError("it is said to be joined of pieces, and has none")
@@ -244,8 +252,8 @@ def _joined_outcome(
     return replace(outcome, pieces=pieces, history=history)
 
 
-class _OfPiece(Mapping[str, NDArray[Any]]):
-    """The arrays of a piece among those of a file."""
+class WithPrefix(Mapping[str, NDArray[Any]]):
+    """The arrays of a file whose names begin with a prefix, without it."""
 
     def __init__(self, arrays: Arrays, prefix: str) -> None:
         self._arrays, self._prefix = arrays, prefix

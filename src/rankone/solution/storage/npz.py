@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from zipfile import ZIP_STORED, ZipFile, is_zipfile
 
 import numpy as np
 
-from rankone.solution.storage.contents import not_a_solution, packed, reading, unpacked
+from rankone.solution.storage.contents import Arrays, not_a_solution, packed, reading, unpacked
 from rankone.solvers.outcome import Outcome, SlabRecord, SolutionMetadata
 from rankone.support.arrays import Array
 from rankone.support.errors import StorageError
@@ -55,13 +56,20 @@ def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
     """Read a solution from a file, as :func:`rankone.solution.storage.read` does."""
+    with read_arrays(path) as (arrays, place):
+        return unpacked(arrays, place, records)
+
+
+@contextmanager
+def read_arrays(path: str | PathLike[str]) -> Iterator[tuple[Arrays, Path]]:
+    """The arrays of a file and its path; whatever goes wrong inside becomes a StorageError."""
     with reading(path) as place, place.open("rb") as stream:
         if not is_zipfile(stream):
             raise not_a_solution(place)
         stream.seek(0)
         size = stream.seek(0, os.SEEK_END)
         with ZipFile(stream) as archive:
-            return unpacked(_Members(archive, size), place, records)
+            yield _Members(archive, size), place
 
 
 class _Members(Mapping[str, Array]):
