@@ -130,7 +130,7 @@ def controlled():
     """A heater that follows the mean temperature, and heats and cools what it is beside."""
     mean = ro.apply(np.full((1, N), 1 / N), u)
     problem = ro.Problem(
-        {u: ro.apply(L, u) + q * x + x * u + mean * u**2, x: 1 - mean + sp.sin(x)},
+        {u: ro.apply(L, u) + q * x + x * u - mean * u**2, x: 1 - mean + sp.sin(x)},
         (t, 0, 1),
         {q: (1, 2)},
         {u: place, x: 0.5},
@@ -138,7 +138,7 @@ def controlled():
 
     def rates(t, y, p):
         u, x = y[:N], y[N]
-        return np.append(L @ u + p[0] * x + x * u + u.mean() * u**2, 1 - u.mean() + np.sin(x))
+        return np.append(L @ u + p[0] * x + x * u - u.mean() * u**2, 1 - u.mean() + np.sin(x))
 
     return problem, rates, (2, 1, 2)
 

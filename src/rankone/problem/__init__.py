@@ -11,6 +11,8 @@ In come equations, parameters with their intervals, initial values and events; o
 - ``crossings``: on which sides of its events' surfaces a trajectory is, and where it crosses them
 - ``equations``: the equations of a problem and the initial values of its states
 - ``expressions``: single SymPy expressions, whatever problem they belong to
+- ``field_conversions``: matrices as problems with one field, and problems with fields entry by
+  entry
 - ``field_problem``: the checks of a problem with fields, and all that follows from them
 - ``fields``: vectors of unknowns as SymPy expressions: fields, and constant matrices that act on
   them

@@ -20,6 +20,7 @@ from rankone.problem.algebra.tabulated import Network
 from rankone.problem.algebra.term_table import TermTable
 from rankone.problem.box import check_time, counts_of, pieces_of
 from rankone.problem.checked import CheckedProblem
+from rankone.problem.field_conversions import field_of_matrices, scalar_arguments
 from rankone.problem.field_problem import CheckedFields
 from rankone.problem.fields import has_fields
 from rankone.problem.integration import Trajectory, trajectory_of
@@ -35,7 +36,7 @@ from rankone.problem.steady_start import (
 from rankone.problem.text import problem_arguments
 from rankone.problem.toml_layout import save_problem
 from rankone.problem.user_events import Event
-from rankone.support.errors import bounded_depth
+from rankone.support.errors import ProblemError, bounded_depth
 from rankone.tensors.bases.coordinates import name_of
 
 _P = ParamSpec("_P")
@@ -230,6 +231,9 @@ class Problem(CheckedProblem):
         atol: Mapping[str, float] | None = None,
         equations: Sequence[str] = (),
         unknowns: Sequence[str] = (),
+        fields: Mapping[str, int] | None = None,
+        matrices: Mapping[str, Any] | None = None,
+        mass: Mapping[str, Any] | None = None,
     ) -> Problem:
         """Build a problem from text.
 
@@ -269,6 +273,14 @@ class Problem(CheckedProblem):
             values by these names.
         unknowns : sequence of str, optional
             Names of further unknowns, where ``equations`` have some without initial values.
+        fields : mapping of str to int, optional
+            The unknowns that are vectors, and their numbers of entries, see :func:`field`. Their
+            initial values may be arrays.
+        matrices : mapping of str to array or sparse matrix, optional
+            Matrices by name, for ``{"u": "D*apply(L, u) - u**3"}``; an array of one dimension is
+            used like a field.
+        mass : mapping of str to matrix, optional
+            Mass matrices by the names of fields.
 
         Raises
         ------
@@ -291,6 +303,9 @@ class Problem(CheckedProblem):
             "atol": atol,
             "equations": equations,
             "unknowns": unknowns,
+            "fields": fields,
+            "matrices": matrices,
+            "mass": mass,
         }
         return cls(**problem_arguments(written))
 
@@ -307,6 +322,7 @@ class Problem(CheckedProblem):
         parameters: Mapping[sp.Symbol, Any],
         initial: MatrixLike | Sequence[MatrixLike],
         names: str | Sequence[str] = "q",
+        fields: bool = False,
         **further: Any,
     ) -> Problem:
         """Build a problem ``M q'' + C q' + K q = force`` from matrices.
@@ -329,6 +345,10 @@ class Problem(CheckedProblem):
             ``"q0_t"``. What is left out is zero.
         names : str or sequence of str
             ``"q"`` calls the unknowns ``q0``, ``q1``, ...; or a name for each.
+        fields : bool
+            Whether the unknowns are one field of the name ``names``, whose errors are relative to
+            its largest value. Matrices are then of numbers, and initial values by ``"q"`` and
+            ``"q_t"``.
         **further
             ``name``, ``jumps``, ``units``, ``constants`` and other arguments of the class.
 
@@ -351,6 +371,9 @@ class Problem(CheckedProblem):
           t in [0, 5], k in [1, 2]
         """
         matrices = {"M": M, "C": C, "K": K}
+        if fields:
+            field_of = field_of_matrices(matrices, force, check_time(time)[0], initial, names)
+            return cls(time=time, parameters=parameters, **field_of, **further)
         system = MatrixSystem.of(matrices, force, check_time(time)[0], names)
         return cls(system.equations, time, parameters, system.initial(initial), **further)
 
@@ -684,6 +707,49 @@ class FieldProblem(CheckedFields, Problem):
       u(0) = <100>
       t in [0, 1], D in [1, 2]
     """
+
+    def scalar(self) -> Problem:
+        """The same problem entry by entry: unknowns ``u0``, ``u1``, ... for the field ``u``.
+
+        Other methods of :func:`rankone.solve` take it, and :meth:`trajectory` integrates it.
+
+        Returns
+        -------
+        Problem
+            Of first order; velocities are ``u_t0``, ``u_t1``, ...
+
+        Raises
+        ------
+        ProblemError
+            If the fields have more than 2,000 entries together.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from rankone import apply, field
+        >>> t, D = sp.symbols("t D")
+        >>> u = field("u", 2)
+        >>> L = np.array([[-1.0, 1.0], [1.0, -1.0]])
+        >>> Problem({u: D * apply(L, u)}, (t, 0, 1), {D: (1, 2)}, {u: [0, 1]}).scalar()
+        Problem: 2 unknowns, 1 parameter
+          du0/dt = D*(-u0 + u1)
+          du1/dt = D*(u0 - u1)
+          u0(0) = 0, u1(0) = 1
+          t in [0, 1], D in [1, 2]
+        """
+        return Problem(**scalar_arguments(self))
+
+    def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
+        """Integrate one ordinary trajectory of :meth:`scalar`; see :meth:`Problem.trajectory`."""
+        return self.scalar().trajectory(*at, rtol=rtol, **named)
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Raise a ProblemError: matrices and arrays are no text."""
+        raise ProblemError(
+            "a problem with fields has matrices, which a TOML file does not hold",
+            term=path,
+            remedy="keep the Python file that builds it, or pickle the problem",
+        )
 
 
 def _mentions_fields(argument: object) -> bool:

@@ -17,6 +17,7 @@ from rankone.problem.algebra.term_table import FEWEST_TABULATED, TabulatedEquati
 from rankone.problem.equations import check_names
 from rankone.problem.expressions.conditions import rate_of, unknown_of
 from rankone.problem.expressions.parsing import parse_expression
+from rankone.problem.fields import Field, FieldDerivative, Operator, Vector, apply, constant_of
 from rankone.problem.steady_start import SteadyState
 from rankone.problem.user_events import Event, event_name
 from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown
@@ -50,20 +51,25 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
     }
     equations = listed_texts("equations", written["equations"])
     unknowns = _unknowns(rhs, initial, listed_texts("unknowns", written["unknowns"]), equations)
-    functions = {name: unknown_of(name, t) for name in unknowns}
+    functions = _functions(unknowns, written["fields"], t)
+    matrices = {
+        name: constant_of(array, f"the matrix {quote(name)}", name)
+        for name, array in normalised("matrices", written["matrices"] or {}).items()
+    }
     owners = [(name, f"{key[:-1]} {quote(name)}") for key in _NAMED for name in tables[key]]
+    owners += [(name, f"matrix {quote(name)}") for name in matrices]
     parameters = [symbols[name] for name in tables["parameters"]]
     check_names(list(functions.items()), parameters, t, owners)
     states: dict[str, sp.Expr] = {**functions}
     if equations:
         states |= {
-            f"{name}_{'t' * order}": rate_of(function, t, order)
+            f"{name}_{'t' * order}": _rate(function, t, order)
             for name, function in functions.items()
             for order in range(1, _HIGHEST_ORDER + 1)
         }
-    names = {**states, "t": t, **symbols, **functions}
+    names = {**states, "t": t, **symbols, **matrices, **functions}
     units = written["units"]
-    plain = not any(written[key] for key in ("jumps", "events", *_NAMED))
+    plain = not any(written[key] for key in ("jumps", "events", "fields", *_NAMED))
     return {
         "equations": _equations(rhs, equations, functions, names, plain),
         "time": (t, *time),
@@ -71,7 +77,7 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
         "initial": _start(
             written["initial"],
             {
-                states[state]: formula(start, names, f"initial value of {quote(state)}", None)
+                states[state]: _initial_value(state, start, states, names)
                 for state, start in initial.items()
             },
             symbols,
@@ -87,8 +93,41 @@ def problem_arguments(written: Mapping[str, Any]) -> dict[str, Any]:
             symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
             for name, text in definitions.items()
         },
-        **{key: written[key] for key in ("name", "tail", "correlation", "atol")},
+        **{key: written[key] for key in ("name", "tail", "correlation", "atol", "mass")},
     }
+
+
+def _functions(
+    unknowns: Sequence[str], fields: Mapping[str, int] | None, time: sp.Symbol
+) -> dict[str, sp.Expr]:
+    """The unknowns by name: fields where sizes are given, else functions of time."""
+    sizes: dict[str, int] = normalised("fields", fields or {})
+    for name in sizes:
+        if name not in unknowns:
+            raise ProblemError(
+                f"the field {quote(name)} has no equation{did_you_mean(name, unknowns)}",
+                term=name,
+                remedy="give its rate in `rhs`",
+            )
+    return {
+        name: Field(name, sizes[name]) if name in sizes else unknown_of(name, time)
+        for name in unknowns
+    }
+
+
+def _rate(unknown: sp.Expr, time: sp.Symbol, order: int = 1) -> sp.Expr:
+    """A derivative of an unknown."""
+    return (
+        unknown.diff(time, order) if isinstance(unknown, Field) else rate_of(unknown, time, order)
+    )
+
+
+def _initial_value(state: str, start: object, states: Names, names: Names) -> object:
+    """A formula or number as an expression; arrays are for fields."""
+    of_field = isinstance(states[state], Field | FieldDerivative)
+    if of_field and not isinstance(start, str | numbers.Real | sp.Basic):
+        return start
+    return formula(start, names, f"initial value of {quote(state)}", None)
 
 
 def _equations(
@@ -112,7 +151,7 @@ def _written(
     """Right-hand sides and further equations as expressions."""
     rates = (
         (
-            rate_of(functions[state], names["t"]),
+            _rate(functions[state], names["t"]),
             formula(text, names, f"right-hand side of {quote(state)}", i),
         )
         for i, (state, text) in enumerate(rhs.items(), 1)
@@ -267,12 +306,28 @@ def formula(
     if isinstance(text, str):
         remedy = unknown_name_remedy
         return parse_expression(
-            text, names, where=where, equation=equation, unknown_name_remedy=remedy
+            text,
+            names,
+            where=where,
+            equation=equation,
+            further={"apply": _applied},
+            unknown_name_remedy=remedy,
         )
     if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
         return sp.sympify(text)
     raise ProblemError(
         f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
+    )
+
+
+def _applied(matrix: sp.Expr, expression: sp.Expr) -> sp.Expr:
+    """``apply(L, u)`` in a formula."""
+    if isinstance(matrix, Operator | Vector):
+        return apply(matrix, expression)
+    raise ProblemError(
+        f"{quote(f'apply({matrix}, {expression})')} has no matrix as its first argument",
+        term=matrix,
+        remedy="give the matrix in `matrices`, and write its name",
     )
 
 
