@@ -314,6 +314,11 @@ class TestAgreement:
         with pytest.raises(DisagreementError, match=message):
             check_field_agreement(problem, system, self.places(system))
 
+    @pytest.mark.parametrize("start", [0, 1e-9 * place, place**4])
+    def test_small_states_are_no_disagreement(self, start):
+        rate = u**6 - A * u**3 + u * ro.apply(L, u)
+        field_system(ro.Problem({u: rate}, (t, 0, 1), {A: (1, 2)}, {u: start}))
+
     def test_matrices(self):
         linear = field_system(brusselator()[0]).linear
         problem, system = self.changed(linear=linear[1:])

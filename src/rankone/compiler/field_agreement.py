@@ -68,12 +68,26 @@ def check_field_agreement(
             size = here.magnitude(rate, own)
             values, slopes, scale = computed.at(own + places[state].start)
             _compare(values - here.value(rate, own), size, NEGLIGIBLE, "rate", state)
-            after, before = (
-                _Tree(numbers, places, u + h * direction).value(rate, own)
-                for h in (np.longdouble(_STEP), np.longdouble(-_STEP))
+            near, far = (
+                _slope(numbers, places, (u, h * direction), rate, own) / np.longdouble(h)
+                for h in (_STEP, 2.0 * _STEP)
             )
-            gap = slopes - (after - before) / np.longdouble(2.0 * _STEP)
+            curvature = np.abs(far - near)  # three times what the step leaves in the nearer one
+            gap = np.maximum(np.abs(slopes - near) - curvature, 0.0)
             _compare(gap, size + scale, _SLOPE_AGREED, "derivative of the rate", state)
+
+
+def _slope(
+    numbers: Mapping[sp.Expr, float],
+    places: Mapping[sp.Expr, slice],
+    segment: tuple[Array, Array],
+    rate: sp.Expr,
+    rows: Places,
+) -> Extended:
+    """Half the difference of a rate at a state plus and minus a change, at some entries."""
+    state, change = (np.asarray(part, dtype=np.longdouble) for part in segment)
+    after, before = (_Tree(numbers, places, state + side * change) for side in (1, -1))
+    return (after.value(rate, rows) - before.value(rate, rows)) / np.longdouble(2.0)
 
 
 def _sample(rows: slice, many: int, rng: np.random.Generator) -> Places:
@@ -149,7 +163,10 @@ class _Tree:
     """Expressions as they were written, at numbers for symbols and states."""
 
     def __init__(
-        self, numbers: Mapping[sp.Expr, float], places: Mapping[sp.Expr, slice], states: Array
+        self,
+        numbers: Mapping[sp.Expr, float],
+        places: Mapping[sp.Expr, slice],
+        states: Array | Extended,
     ) -> None:
         self._numbers = {symbol: np.longdouble(number) for symbol, number in numbers.items()}
         self._places, self._states = places, np.asarray(states, dtype=np.longdouble)

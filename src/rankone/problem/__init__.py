@@ -14,6 +14,8 @@ In come equations, parameters with their intervals, initial values and events; o
 - ``field_conversions``: matrices as problems with one field, and problems with fields entry by
   entry
 - ``field_problem``: the checks of a problem with fields, and all that follows from them
+- ``field_rates``: the rates of fields from their equations, and what rates may have
+- ``field_values``: initial values of fields, and their mass matrices
 - ``fields``: vectors of unknowns as SymPy expressions: fields, and constant matrices that act on
   them
 - ``forms``: separated forms: frozen data between the symbolic front end and code generation

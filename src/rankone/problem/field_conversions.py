@@ -14,7 +14,8 @@ from sympy.core.function import AppliedUndef
 from rankone.problem.algebra.matrices import Addends, addends_of
 from rankone.problem.expressions.conditions import rate_of, unknown_of
 from rankone.problem.expressions.notation import exact
-from rankone.problem.field_problem import CheckedFields, State
+from rankone.problem.field_problem import CheckedFields
+from rankone.problem.field_rates import State
 from rankone.problem.fields import Apply, Field, Operator, Vector, apply, constant_of, size_of
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, count, quote, shown
