@@ -10,6 +10,8 @@ the module is compared with the expressions that the user wrote. Out go its text
   rounding
 - ``field_agreement``: a system of fields compared with the rates that the user wrote
 - ``field_lowering``: from a problem with fields to the system that solvers read
+- ``field_outputs``: outputs of fields as expressions of functionals, which are linear in the
+  coefficients
 - ``passes``: passes over a problem, from its equations to the separated form and the features
 - ``reformulated``: problems in other unknowns, and quantities that a solve holds in place of the
   states

@@ -2,40 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.solution.fields.field_core import FieldCore
+from rankone.solution.fields.field_quantities import (
+    functional_solution,
+    largest_values,
+    linear_outputs,
+)
 from rankone.solution.fields.field_statistics import FieldSobol
-from rankone.solution.fields.field_summary import field_summary_html, field_summary_text
 from rankone.solution.fields.field_view import FieldView
+from rankone.solution.outputs.interpolation import DEFAULT_MARGIN, LARGEST_DEFAULT
+from rankone.solution.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
 from rankone.solution.solution import RECORDS, Solution, load, loaded
 from rankone.solution.statistics.over_box import Times
 from rankone.solution.storage import read_fields
 from rankone.solution.storage.field_contents import FieldContent, write_fields
-from rankone.solvers.outcome import SlabRecord, SolutionMetadata
-from rankone.solvers.reduced.field_modes import FieldModes
+from rankone.solvers.reduced.functionals import Functional
 from rankone.support.arrays import Array
 from rankone.support.errors import (
-    EvaluationError,
     OptionError,
-    did_you_mean,
-    listing,
+    optional_module,
     quote,
     shown,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.support.options import checked_number
 from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.trajectories.fields.field_system import Unknown
 from rankone.trajectories.system.verdict import Status
+
+if TYPE_CHECKING:
+    from rankone.inference.estimation.design import Design
+    from rankone.inference.estimation.fit import Fit
+    from rankone.inference.estimation.minimize import Optimum
+    from rankone.inference.estimation.posterior import Posterior
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class FieldSolution:
+class FieldSolution(FieldCore):
     """Fields as functions of time and of all parameters: modes times coefficients.
 
     - ``solution(t=1.0, k=2.0)`` has all entries of all unknowns, stacked;
@@ -60,107 +71,6 @@ class FieldSolution:
     OptionError
         If the coefficients are not those of the modes.
     """
-
-    coefficients: Solution
-    modes: FieldModes
-    message: str = ""
-    status: Status = None  # type: ignore[assignment]  # completed below
-
-    def __post_init__(self) -> None:
-        if self.coefficients.unknowns != self.modes.names:
-            raise OptionError(
-                f"the solution of coefficients has {listing(self.coefficients.unknowns)}, and "
-                f"the modes need {listing(self.modes.names)}",
-                remedy="solve for the coefficients of the modes, in their order",
-            )
-        if self.status is None:
-            object.__setattr__(self, "status", self._measured_status())
-        if not self.message:
-            object.__setattr__(self, "message", self.status.value)
-
-    def _measured_status(self) -> Status:
-        """What the measured errors say."""
-        if not self.modes.errors:
-            return Status.UNCHECKED
-        return Status.CONVERGED if self.error <= self.rtol else Status.TOLERANCE
-
-    # --- evaluation ----------------------------------------------------------------------------
-
-    def __call__(
-        self, *at: object, max_memory: str | float | None = None, **named: object
-    ) -> Array:
-        """Evaluate all entries of all unknowns.
-
-        Arguments and errors are those of a call of a :class:`~rankone.Solution`.
-
-        Returns
-        -------
-        ndarray (entries of all unknowns, *broadcast shape of the values)
-        """
-        solved = self.coefficients
-        gathered = solved._coordinates.gather(at, named)
-        point = solved._coordinates.numbers(gathered) if max_memory is None else None
-        if point is not None:
-            return self.modes.fields(solved._evaluator.one(point, solved._unknowns))
-
-        def evaluate(arrays: Any) -> Array:
-            return self.modes.fields(solved._evaluate_block(arrays, solved._unknowns))
-
-        solved._evaluator  # noqa: B018 - raises if nothing was solved
-        return solved._within(max_memory, gathered, (self.size,), evaluate)
-
-    def grid(self, *at: object, max_memory: str | float | None = None, **named: object) -> Array:
-        """Evaluate all entries for every combination of values, one axis per coordinate.
-
-        Returns
-        -------
-        ndarray (entries of all unknowns, times, values of parameter 1, ...)
-        """
-        return self.modes.fields(self.coefficients.grid(*at, max_memory=max_memory, **named))
-
-    def gradient(
-        self, *at: object, max_memory: str | float | None = None, **named: object
-    ) -> Array:
-        """Derivatives of all entries with respect to all parameters, at times and values.
-
-        Returns
-        -------
-        ndarray (entries of all unknowns, parameters, *broadcast shape of the values)
-        """
-        slopes = self.coefficients.gradient(*at, max_memory=max_memory, **named)
-        return self.modes.fields(slopes)
-
-    def __getitem__(self, unknown: object) -> FieldView:
-        """Return one unknown, by its symbol or its name."""
-        k = self._position(unknown)
-        modes, is_field = self.modes.modes[k], self.modes.unknowns[k].is_field
-        return FieldView(
-            self.coefficients,
-            self.unknowns[k],
-            np.arange(len(modes)) if is_field else np.zeros((), dtype=np.intp),
-            modes if is_field else modes[0],
-            self.modes.coefficients_of(k),
-            self.modes.scales[k],
-            self.errors[self.unknowns[k]],
-        )
-
-    def modes_of(self, unknown: object) -> Array:
-        """The modes of an unknown, (entries, modes), orthonormal in the mean over the entries."""
-        return self.modes.modes[self._position(unknown)]
-
-    def _position(self, unknown: object) -> int:
-        """Which unknown it is, or an EvaluationError."""
-        name = name_of(unknown, self.metadata.time)
-        if name not in self.unknowns:
-            raise EvaluationError(
-                f"no unknown {quote(name)}{did_you_mean(name, self.unknowns)}; "
-                f"the solution holds {listing(self.unknowns, name)}",
-                term=unknown,
-            )
-        return self.unknowns.index(name)
-
-    def __iter__(self) -> NoReturn:
-        raise TypeError("a FieldSolution is not iterable; its unknowns are in `.unknowns`")
 
     # --- statistics ------------------------------------------------------------------------------
 
@@ -231,6 +141,128 @@ class FieldSolution:
         """All unknowns with an axis of entries, also those that are scalars."""
         return [self[name] if self[name].shape else self[name].reshape(1) for name in self.unknowns]
 
+    # --- outputs and applications ----------------------------------------------------------------
+
+    def output(
+        self, quantities: Mapping[str, Any], *, rtol: float | None = None, **options: Any
+    ) -> Solution:
+        """Quantities of interest as a plain solution: with densities, fits, exports and pages.
+
+        Parameters
+        ----------
+        quantities : mapping of str to view or Expr
+            For each name a single entry, ``solution[u][3]``, or an expression of scalar unknowns,
+            parameters, time and of functionals: ``rankone.apply(row, u)`` with a matrix of one row,
+            and ``rankone.apply(row, u**2)`` or other products of two fields. A row of at most 32
+            entries that are not zero takes any function, ``rankone.apply(row, exp(u))``. Integrals
+            over time, maxima and the like are as in :meth:`rankone.Solution.output`.
+        rtol : float, optional
+            Tolerance, relative to the largest value of each quantity. By default 1.5 times what
+            errors of the fields' tolerance would bring, or that tolerance.
+        **options
+            As for :meth:`rankone.Solution.output`.
+
+        Returns
+        -------
+        Solution
+            Sums of functionals alone are exact sums of the coefficients: nothing is interpolated.
+            The error of an output is what the measured errors of the fields change it by at most,
+            such as the error of a field times the sum of the absolute weights of its entries, plus
+            that of the interpolation, relative to the largest value of the output.
+
+        Raises
+        ------
+        OptionError
+            If an expression has a whole field, a field that the solution does not hold, a
+            derivative of one, or a function of many entries that is no polynomial of second degree;
+            and as for :meth:`rankone.Solution.output`.
+        """
+        self.coefficients._evaluator  # noqa: B018 - raises if nothing was solved
+        if not isinstance(quantities, Mapping) or not quantities:
+            raise OptionError(
+                f"{shown(quantities)} is not a mapping from names to quantities",
+                term=quantities,
+                remedy='give for example {"tip": solution[u][3]}',
+            )
+        lowering = optional_module(
+            "rankone.compiler.field_outputs",
+            "outputs are given as expressions of SymPy",
+            "pip install sympy",
+        )
+        entry_of = lowering.entry_of
+        terms = {name: self._written(name, each, entry_of) for name, each in quantities.items()}
+        asked = lowering.field_outputs(terms, self.modes, self.metadata)
+        if asked.linear is not None and not options:
+            rtol = self._output_tolerance(rtol, [*asked.linear.values()])
+            status = self.status
+            return linear_outputs(self.coefficients, asked.linear, asked.texts, rtol, status)
+        states = functional_solution(self.coefficients, asked.states, self.status)
+        solution = states.output(asked.outputs, rtol=rtol, **options)
+        own = zip(solution.unknowns, solution.metadata.equations, strict=True)
+        equations = tuple(asked.texts.get(name, equation) for name, equation in own)
+        return Solution(solution.outcome, replace(solution.metadata, equations=equations))
+
+    def _written(
+        self, name: str, term: object, entry_of: Callable[[Unknown, int, str], object]
+    ) -> object:
+        """A quantity as an expression where it is a view."""
+        if not isinstance(term, FieldView):
+            return term
+        if term.size != 1:
+            raise OptionError(
+                f"the output {quote(name)} is {term.size} entries of `{term.name}`, and an output "
+                "is one number",
+                term=name,
+                remedy="give entries one by one: solution[u][3]",
+            )
+        unknown = self.modes.unknowns[self._position(term.name)]
+        return entry_of(unknown, int(term.positions.ravel()[0]), self.metadata.time)
+
+    def _output_tolerance(self, rtol: float | None, functionals: list[Functional]) -> float:
+        """The tolerance of sums of functionals."""
+        if rtol is not None:
+            return float(checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float))
+        sizes = largest_values(self.coefficients, functionals)
+        pairs = zip(functionals, sizes, strict=True)
+        effect = self.rtol * max((each.size / size for each, size in pairs if size), default=1.0)
+        default = DEFAULT_MARGIN * max(self.rtol, effect)
+        return float(min(default, max(LARGEST_DEFAULT, self.rtol)))
+
+    def fit(
+        self, times: object, data: Any = None, *, observe: Mapping[str, Any], **options: Any
+    ) -> Fit:
+        """Parameters from data of sensors: ``observe={"s1": solution[u][3]}``.
+
+        Parameters
+        ----------
+        times, data, **options
+            As for :meth:`rankone.Solution.fit`; data by the names of the sensors.
+        observe : mapping
+            What the sensors measure, as for :meth:`output`.
+        """
+        return self.output(observe).fit(times, data, observe=[*observe], **options)
+
+    def posterior(
+        self, times: object, data: Any = None, *, observe: Mapping[str, Any], **options: Any
+    ) -> Posterior:
+        """The distribution of the parameters given data of sensors; see :meth:`fit`."""
+        return self.output(observe).posterior(times, data, observe=[*observe], **options)
+
+    def minimize(
+        self, objective: object, t: Any = None, *, observe: Mapping[str, Any], **options: Any
+    ) -> Optimum:
+        """The parameters for which a quantity is least: an expression of those in ``observe``.
+
+        Other arguments are those of :meth:`rankone.Solution.minimize`.
+        """
+        return self.output(observe).minimize(objective, t, **options)
+
+    def design(
+        self, times: int, candidates: Any = None, *, observe: Mapping[str, Any], **options: Any
+    ) -> Design:
+        """When to read sensors, to learn the most; see :meth:`rankone.Solution.design`."""
+        return self.output(observe).design(times, candidates, observe=[*observe], **options)
+
     # --- smaller solutions and derivatives -------------------------------------------------------
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> FieldSolution:
@@ -256,93 +288,6 @@ class FieldSolution:
         return FieldSolution(
             derivative, replace(self.modes, errors=()), derivative.message, derivative.status
         )
-
-    # --- how it was found ------------------------------------------------------------------------
-
-    @property
-    def success(self) -> bool:
-        """Whether the errors were measured, and the largest is within the tolerance."""
-        return self.status is Status.CONVERGED and self.error <= self.rtol
-
-    @property
-    def error(self) -> float:
-        """Largest measured error of all fields; NaN if it was not measured.
-
-        It is the largest over entries, times and check points, relative to the largest value of
-        the field, not of each of its entries.
-        """
-        return max(self.modes.errors, default=float("nan"))
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Measured error of each unknown by its name, relative to the largest value of it."""
-        every = self.modes.errors or (float("nan"),) * len(self.unknowns)
-        return dict(zip(self.unknowns, every, strict=True))
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the unknowns, in the order of the values."""
-        return tuple(unknown.name for unknown in self.modes.unknowns)
-
-    @property
-    def size(self) -> int:
-        """Number of all entries of all unknowns."""
-        return sum(len(modes) for modes in self.modes.modes)
-
-    @property
-    def rtol(self) -> float:
-        """Relative tolerance asked for."""
-        return self.coefficients.rtol
-
-    @property
-    def method(self) -> str:
-        """Name of the method that found it."""
-        return self.coefficients.method
-
-    @property
-    def rank(self) -> int:
-        """The largest rank of the coefficients."""
-        return self.coefficients.rank
-
-    @property
-    def history(self) -> tuple[SlabRecord, ...]:
-        """Every slab tried for the coefficients."""
-        return self.coefficients.history
-
-    @property
-    def timings(self) -> dict[str, float]:
-        """Seconds by stage."""
-        return self.coefficients.timings
-
-    @property
-    def work(self) -> dict[str, float]:
-        """Operations counted by stage."""
-        return self.coefficients.work
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the coefficients and of the modes."""
-        return self.coefficients.nbytes + sum(modes.nbytes for modes in self.modes.modes)
-
-    @property
-    def metadata(self) -> SolutionMetadata:
-        """What was asked, of the coefficients."""
-        return self.coefficients.metadata
-
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """The box: the interval of each parameter."""
-        return self.coefficients.parameters
-
-    @property
-    def box(self) -> tuple[tuple[float, float], ...]:
-        """The interval of each parameter, in their order."""
-        return self.metadata.box
-
-    @property
-    def time(self) -> tuple[float, float]:
-        """Start and end of what was solved."""
-        return self.coefficients.time
 
     # --- files -----------------------------------------------------------------------------------
 
@@ -398,22 +343,6 @@ class FieldSolution:
         if self.status is not Status.CONVERGED or within:
             return replace(self, modes=modes)
         return FieldSolution(self.coefficients, modes)
-
-    # --- display ---------------------------------------------------------------------------------
-
-    def summary(self) -> str:
-        """How it was found, in lines: what ``repr`` shows."""
-        return field_summary_text(self.coefficients, self.modes, self._verdict)
-
-    def __repr__(self) -> str:
-        return self.summary()
-
-    def _repr_html_(self) -> str:
-        return field_summary_html(self.coefficients, self.modes, self._verdict)
-
-    @property
-    def _verdict(self) -> str:
-        return f"{'yes' if self.success else 'no'}: {self.message}"
 
 
 def load_saved(path: str | PathLike[str]) -> Solution | FieldSolution:

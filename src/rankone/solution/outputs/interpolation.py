@@ -67,8 +67,8 @@ _OF_INTERPOLATION = Remedy(f"raise effort, loosen rtol or restrict the solution;
 
 # Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up
 _AIMED_SHARE = 0.1
-_DEFAULT_MARGIN = 1.5  # Default tolerance over the effect of errors of the solution's tolerance
-_LARGEST_DEFAULT = 0.1  # Largest default tolerance
+DEFAULT_MARGIN = 1.5  # Default tolerance over the effect of errors of the solution's tolerance
+LARGEST_DEFAULT = 0.1  # Largest default tolerance
 _BASIS_SHARE = 0.1  # Error of the basis of the columns, relative to the error aimed at
 # Tolerances are tightened only when no nodes are added: attempts are cheap
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
@@ -161,8 +161,8 @@ class OutputInterpolation:
             amplified = check.amplified(finer, tolerances)
             if rtol is None:
                 effect = float(amplified.sum(axis=0).max(initial=0.0))
-                default = _DEFAULT_MARGIN * max(solution.rtol, effect)
-                rtol = min(default, max(_LARGEST_DEFAULT, solution.rtol))
+                default = DEFAULT_MARGIN * max(solution.rtol, effect)
+                rtol = min(default, max(LARGEST_DEFAULT, solution.rtol))
             target = self._check(sampler, np.concatenate([points.aimed, critical]))
             with limited(_TRAIN_SHARE * budget_left(), _TRAIN_SHARE * seconds_left()):
                 slabs, hopeless = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
@@ -396,7 +396,7 @@ def _with_honest_remedy(outcome: Outcome) -> Outcome:
     if outcome.measured is None or _OF_INTERPOLATION not in outcome.notes:
         return outcome
     enough = _ROUNDED_UP * outcome.measured.error
-    looser = f"give rtol={enough:.1e}, or " if enough <= _LARGEST_DEFAULT else ""
+    looser = f"give rtol={enough:.1e}, or " if enough <= LARGEST_DEFAULT else ""
     remedy = Remedy(f"{looser}restrict the solution to where it is smooth; {_HARDLY}")
     notes = (remedy if note is _OF_INTERPOLATION else note for note in outcome.notes)
     return replace(outcome, notes=tuple(notes))

@@ -5,4 +5,6 @@ coefficients, which the cross engine solves, the modes that make fields of them,
 trajectories of the fields themselves showed.
 
 - ``field_modes``: from coefficients to fields
+- ``functionals``: numbers that are linear in all coefficients of fields, and what errors of the
+  fields do to them
 """
