@@ -9,7 +9,9 @@ import pytest
 
 import rankone as ro
 from rankone.solution.solution import load
+from rankone.solvers.outcome import Role
 from rankone.support.files import npz, write_files
+from rankone.trajectories.system.verdict import Status
 from tests.solution.fields.small_fields import small_fields
 
 AT = {"t": 0.4, "k": 1.3, "s": 0.7}
@@ -64,6 +66,25 @@ def test_single_precision_adds_to_the_errors(solution, tmp_path):
     assert not again.success
     with pytest.raises(ro.OptionError, match="is neither"):
         solution.save(tmp_path / "half.npz", modes="float16")
+
+
+def test_fields_without_values(solution, tmp_path):
+    """A solve may end before there are any modes."""
+    empty = tuple(own[:, :0] for own in solution.modes.modes[:1]) + solution.modes.modes[1:]
+    nothing = replace(solution.coefficients.outcome, slabs=(), status=Status.WORK_LIMIT)
+    metadata = replace(solution.coefficients.metadata, states=("w",), roles=(Role.UNKNOWN,))
+    modes = replace(solution.modes, modes=empty, errors=())
+    fields = ro.FieldSolution(
+        ro.Solution(replace(nothing, measured=None), metadata), modes, "spent", Status.WORK_LIMIT
+    )
+    assert not fields.success
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        fields["u"](**AT)
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        fields.output({"w": fields["w"]})
+    again = ro.load(fields.save(tmp_path / "u.npz"))
+    assert again.message == "spent"
+    assert "no: spent" in repr(again)
 
 
 def test_targets_are_checked(solution, tmp_path):

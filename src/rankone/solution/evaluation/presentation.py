@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solvers.outcome import Outcome, with_unit
+from rankone.support.arrays import Array
 from rankone.support.errors import count, listing, optional_module, shortened
 from rankone.support.options import in_words
 from rankone.tensors.bases.coordinates import name_of, with_measure
@@ -155,11 +156,7 @@ def dataset(solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]) -> xar
 
     Each coordinate, by name, is a number, which becomes a scalar coordinate, or one-dimensional.
     """
-    module = optional_module("xarray", "labelled values need xarray", "pip install xarray")
-    start, end = solution.time
-    points = {name_of(key): at for key, at in coordinates.items()}
-    if not solution.metadata.timeless:
-        points.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
+    module, points = xarray_and_points(solution, coordinates)
     grid = solution.grid(points)
     units = {name: {"units": unit} for name, unit in solution.metadata.units}
     axes = {name: np.asarray(points[name], dtype=float) for name in solution.metadata.coordinates}
@@ -172,16 +169,42 @@ def dataset(solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]) -> xar
             )
             for name, on_grid in zip(solution.unknowns, grid, strict=True)
         },
+        labelled_axes(solution, axes),
         {
-            name: (name, np.atleast_1d(axis), {"long_name": name, **units.get(name, {})})
-            for name, axis in axes.items()
-        },
-        {
-            "title": "; ".join(solution.metadata.statements),
-            "source": f"rankone {solution.metadata.version}, method {solution.method}",
-            "rtol": solution.rtol,
+            **request_of(solution),
             "success": int(solution.success),
             "comment": solution.message,
         },
     )
     return labelled.squeeze([name for name, axis in axes.items() if axis.ndim == 0])
+
+
+def xarray_and_points(
+    solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]
+) -> tuple[Any, dict[str, Any]]:
+    """The module, and values of all coordinates by name; times where none are given."""
+    module = optional_module("xarray", "labelled values need xarray", "pip install xarray")
+    start, end = solution.time
+    points: dict[str, Any] = {name_of(key): at for key, at in coordinates.items()}
+    if not solution.metadata.timeless:
+        points.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
+    return module, points
+
+
+def labelled_axes(solution: SolutionCore, axes: Mapping[str, Array]) -> dict[str, Any]:
+    """Time and parameters as coordinates of a data set."""
+    units = dict(solution.metadata.units)
+    named = {name: {"units": units[name]} if name in units else {} for name in axes}
+    return {
+        name: (name, np.atleast_1d(axis), {"long_name": name, **named[name]})
+        for name, axis in axes.items()
+    }
+
+
+def request_of(solution: SolutionCore) -> dict[str, Any]:
+    """What was asked, as attributes of a data set."""
+    return {
+        "title": "; ".join(solution.metadata.statements),
+        "source": f"rankone {solution.metadata.version}, method {solution.method}",
+        "rtol": solution.rtol,
+    }

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from rankone.solution.fields.field_summary import field_summary_html, field_summary_text
+from rankone.solution.fields.field_presentation import field_summary_html, field_summary_text
 from rankone.solution.fields.field_view import FieldView
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import SlabRecord, SolutionMetadata

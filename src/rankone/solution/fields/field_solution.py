@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.solution.evaluation.domains import merged
 from rankone.solution.fields.field_core import FieldCore
+from rankone.solution.fields.field_presentation import field_dataset
 from rankone.solution.fields.field_quantities import (
     functional_solution,
     largest_values,
@@ -28,6 +30,7 @@ from rankone.solution.storage.field_contents import FieldContent, write_fields
 from rankone.solvers.reduced.functionals import Functional
 from rankone.support.arrays import Array
 from rankone.support.errors import (
+    ExportError,
     OptionError,
     optional_module,
     quote,
@@ -39,6 +42,8 @@ from rankone.trajectories.fields.field_system import Unknown
 from rankone.trajectories.system.verdict import Status
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from rankone.inference.estimation.design import Design
     from rankone.inference.estimation.fit import Fit
     from rankone.inference.estimation.minimize import Optimum
@@ -288,6 +293,65 @@ class FieldSolution(FieldCore):
         return FieldSolution(
             derivative, replace(self.modes, errors=()), derivative.message, derivative.status
         )
+
+    # --- other forms -----------------------------------------------------------------------------
+
+    def to_xarray(
+        self,
+        values: Mapping[Any, Any] | None = None,
+        /,
+        *,
+        coordinates: Mapping[str, ArrayLike] | None = None,
+        **named: object,
+    ) -> xr.Dataset:
+        """All unknowns on the grid of all combinations of values, with labels.
+
+        Parameters
+        ----------
+        values, **named
+            As for :meth:`rankone.Solution.to_xarray`.
+        coordinates : mapping, optional
+            Names and values along each axis of the grid that the entries are on, the last axis
+            running first: ``{"x": x, "y": y}`` where entry ``i*len(y) + j`` is at ``x[i], y[j]``.
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable for each unknown with its error and scale as attributes. Its dimensions are
+            those of the grid, or ``entry``, or ``u_entry`` if fields differ in size; then time and
+            the parameters that are no numbers.
+
+        Raises
+        ------
+        OptionError
+            If no field has as many entries as the grid has points, or a name is taken.
+        RankoneError
+            If xarray is not installed.
+        EvaluationError
+            As for a call.
+        """
+        verdict = {"success": int(self.success), "comment": self.message}
+        at, grid = merged(values, named), coordinates or {}
+        return field_dataset(self.coefficients, self.modes, at, grid, verdict)
+
+    def export(self, path: str | PathLike[str], **options: Any) -> NoReturn:
+        """Refused: models of whole fields are not written.
+
+        Raises
+        ------
+        ExportError
+            It says how to export outputs: ``solution.output({...}).export(path)``.
+        """
+        raise ExportError(
+            f"`{path}` would hold a whole field of {self.size} entries, which exports do not write",
+            term=path,
+            remedy="export the outputs that you need: "
+            'solution.output({"tip": solution[u][3], "mean": rankone.apply(row, u)}).export(path); '
+            "or save the field, solution.save(...), and multiply modes by coefficients "
+            "(docs/formats.md)",
+        )
+
+    explore = export
 
     # --- files -----------------------------------------------------------------------------------
 

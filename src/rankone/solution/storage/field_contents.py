@@ -164,7 +164,7 @@ def _matrix(arrays: Arrays, k: int, unknown: Unknown) -> NDArray[Any]:
     modes = arrays[f"modes_{k}"]
     if modes.dtype.str not in _KINDS.values() or modes.ndim != 2 or len(modes) != unknown.size:
         raise ValueError(f"the modes of {unknown.name} do not fit its entries")
-    if not modes.shape[1] or not np.isfinite(modes).all():
+    if not np.isfinite(modes).all():
         raise ValueError(f"the modes of {unknown.name} are not finite numbers")
     return np.ascontiguousarray(modes, dtype=np.float64)
 
