@@ -56,12 +56,13 @@ if TYPE_CHECKING:
     from rankone.problem.steady_start import SteadyState
     from rankone.problem.user_events import Event
     from rankone.solution.compiled import CompiledProblem
-    from rankone.solution.compiled import compile_problem as compile
-    from rankone.solution.compiled import solve_problem as solve
+    from rankone.solution.compiled_fields import CompiledFields
     from rankone.solution.fields.field_solution import FieldSolution
     from rankone.solution.fields.field_solution import load_saved as load
     from rankone.solution.many import Solutions, solve_many
     from rankone.solution.solution import Solution
+    from rankone.solution.solving import compile_any as compile
+    from rankone.solution.solving import solve_any as solve
     from rankone.solution.statistics.solution_statistics import Sobol
     from rankone.solution.steady import steady_state
     from rankone.solvers.engines.engine_options import CrossOptions, GreedyOptions, TrainOptions
@@ -85,6 +86,7 @@ __all__ = [
     "Calibration",
     "CalibrationProblem",
     "CalibrationSolutions",
+    "CompiledFields",
     "CompiledProblem",
     "ConvergenceError",
     "CrossOptions",
@@ -169,7 +171,9 @@ _MODULES = {
     "problem.problem": ("FieldProblem", "Problem"),
     "problem.steady_start": ("SteadyState",),
     "problem.integration": ("Trajectory",),
-    "solution.compiled": ("CompiledProblem", "compile", "solve"),
+    "solution.compiled": ("CompiledProblem",),
+    "solution.compiled_fields": ("CompiledFields",),
+    "solution.solving": ("compile", "solve"),
     "solution.fields.field_solution": ("FieldSolution", "load"),
     "solution.many": ("Solutions", "solve_many"),
     "solution.solution": ("Solution",),
@@ -204,11 +208,11 @@ _MODULES = {
 """The public names by their modules, which are imported when a name is first used, so that
 ``import rankone`` and the command line begin at once."""
 _INNER_NAMES = {
-    "compile": "compile_problem",
+    "compile": "compile_any",
     "fit": "fit_experiments",
     "load": "load_saved",
     "posterior": "posterior_of",
-    "solve": "solve_problem",
+    "solve": "solve_any",
 }
 """Public names of functions that have a longer name where they are defined."""
 

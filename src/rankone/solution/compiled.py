@@ -18,7 +18,7 @@ from rankone.compiler.passes.feature_pass import switching_term
 from rankone.compiler.passes.well_posed import check_gaps
 from rankone.compiler.reformulated import LiftedProblem, SolveOutputs, StretchedProblem, check_rest
 from rankone.compiler.stages import CompiledStages, compiled_stages, with_numbers_of
-from rankone.problem.problem import Problem
+from rankone.problem.problem import FieldProblem, Problem
 from rankone.problem.text import formula
 from rankone.problem.user_events import Event
 from rankone.solution.evaluation.core import raise_blow_up
@@ -26,7 +26,6 @@ from rankone.solution.solution import Solution
 from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, Observation, SolveRequest
 from rankone.solvers.selection import engines_for, solve_with
 from rankone.solvers.ways import Engine
-from rankone.support.budget import preparing
 from rankone.support.errors import (
     ConvergenceError,
     OptionError,
@@ -37,7 +36,6 @@ from rankone.support.errors import (
     quote,
     warn,
 )
-from rankone.support.options import takes_options_of
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import one_thread
 from rankone.tensors.bases.coordinates import name_of
@@ -420,7 +418,14 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     ProblemError
         A coefficient is complex or not finite somewhere in the box, or a function cannot be
         written with NumPy or SciPy.
+    OptionError
+        It has fields, which are compiled otherwise.
     """
+    if isinstance(problem, FieldProblem):
+        raise OptionError(
+            "fields are taken by rankone.solve and rankone.compile alone",
+            remedy="write the problem entry by entry: problem.scalar()",
+        )
     remedy = "build one with rankone.Problem(...) or Problem.from_strings(...)"
     if isinstance(problem, CompiledProblem):
         remedy = "this one is compiled already; call its .solve(...)"
@@ -431,16 +436,3 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     if problem.shorthand.named and not problem.compiled:
         problem.compiled.append(compiled)
     return compiled
-
-
-@takes_options_of(CompiledProblem.solve)
-def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
-    """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
-
-    Parameters
-    ----------
-    problem : Problem
-        What to solve. ``max_seconds`` includes compiling it.
-    """
-    with preparing(options.get("max_seconds")):
-        return compile_problem(problem).solve(rtol, **options)

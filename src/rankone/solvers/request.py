@@ -26,6 +26,7 @@ from rankone.tensors.bases.coordinates import (
     name_of,
     split,
 )
+from rankone.trajectories.fields.field_system import FieldSystem
 from rankone.trajectories.system.system import System
 
 SOLVE_ARGUMENTS = (
@@ -253,7 +254,7 @@ class Limits:
     @classmethod
     def of(
         cls,
-        system: System,
+        system: System | FieldSystem,
         effort: str | float = "normal",
         max_seconds: float | None = None,
         max_memory: str | float | None = None,
@@ -322,7 +323,7 @@ class SolveRequest:
         know; a single one has to know all of them. ``arguments`` are what the caller's ``solve``
         takes beside ``SOLVE_ARGUMENTS``.
         """
-        rtol = checked_number("rtol", rtol, _TIGHTEST_RTOL, _LOOSEST_RTOL, float)
+        rtol = checked_rtol(rtol)
         compared = Check.of(system, check, cover, unknowns)
         keywords = (*SOLVE_ARGUMENTS, *arguments)
         chosen = tuple(
@@ -348,6 +349,11 @@ class SolveRequest:
         box = tuple(intervals.get(j, interval) for j, interval in enumerate(self.domain.box))
         domain = replace(self.domain, box=box)
         return replace(self, domain=domain, limits=self.limits.scaled(factor))
+
+
+def checked_rtol(rtol: object) -> float:
+    """The option ``rtol``, or an OptionError."""
+    return float(checked_number("rtol", rtol, _TIGHTEST_RTOL, _LOOSEST_RTOL, float))
 
 
 def checked_integrator(integrator: object) -> str:

@@ -102,6 +102,7 @@ class FieldSystem:
     source: str
     mass: Matrix | None = None
     scales: tuple[str, ...] = ()
+    time: str = "t"
     namespace: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -111,6 +112,11 @@ class FieldSystem:
     def __getstate__(self) -> dict[str, object]:
         derived = ("_functions", "_union", "_mass_factors")
         return {name: value for name, value in self.__dict__.items() if name not in derived}
+
+    @property
+    def user_functions(self) -> frozenset[str]:
+        """Names of the functions of the user that the system calls."""
+        return frozenset(self.namespace)
 
     @property
     def size(self) -> int:
@@ -135,37 +141,27 @@ class FieldSystem:
 
     def initial(self, p: Array) -> Array:
         """Initial values (N,) at p (d,)."""
-        numbers = cast(Callable[[Array], Array], self._functions["initial_coefficients"])(p)
-        return np.asarray(self.initial_vectors @ numbers)
+        return np.asarray(self.initial_vectors @ self.initial_coefficients(p))
+
+    def initial_coefficients(self, p: Array) -> Array:
+        """The numbers of the initial vectors at p (d, ...): (v, ...)."""
+        return cast(Callable[[Array], Array], self._functions["initial_coefficients"])(p)
 
     def values(self, term: PointwiseTerm, t: float | Array, u: Array, p: Array) -> Array:
         """g of a term at u (N,) or (N, T), t (T,) and p (d,)."""
         return self.elementwise(term.function)(t, self._arguments(term, u), p)
 
+    def slopes(self, term: PointwiseTerm, t: float | Array, u: Array, p: Array) -> Array:
+        """The derivatives of g of a term by each of its arguments: (k, n, ...)."""
+        return self.elementwise(f"{term.function}_slopes")(t, self._arguments(term, u), p)
+
     def _arguments(self, term: PointwiseTerm, u: Array) -> list[Array]:
         vectors = term.vectors if u.ndim == 1 else term.vectors[:, :, None]
         return [*(matrix @ u for matrix in term.arguments), *vectors]
 
-    def force(self, t: float, u: Array, p: Array) -> Array:
-        """M u' at u (N,) and p (d,)."""
-        c = self.coefficients(t, p)
-        total = self._matrix(c) @ u
-        for source in self.sources:
-            total += c[source.coefficient] * source.vector
-        for term in self.pointwise:
-            total += c[term.coefficient] * (term.after @ self.values(term, t, u, p))
-        return np.asarray(total)
-
-    def jacobian(self, t: float, u: Array, p: Array) -> ss.csc_array:
-        """The derivatives (N, N) of the same by u."""
-        c = self.coefficients(t, p)
-        total = self._matrix(c)
-        for term in self.pointwise:
-            slopes = self.elementwise(f"{term.function}_slopes")(t, self._arguments(term, u), p)
-            for matrix, slope in zip(term.arguments, slopes, strict=True):
-                scaled = term.after @ (ss.diags_array(c[term.coefficient] * slope) @ matrix)
-                total = total + scaled
-        return ss.csc_array(total)
+    def at(self, p: Array) -> FieldRates:
+        """Rates and Jacobians at parameters (d,)."""
+        return FieldRates(self, p)
 
     @cached_property
     def _union(self) -> tuple[Matrix, Array]:
@@ -186,8 +182,51 @@ class FieldSystem:
             row[places.data[order].astype(np.intp) - 1] = matrix.data[own]
         return pattern, entries
 
-    def _matrix(self, c: Array) -> Matrix:
-        """The sum of all linear terms."""
+    def matrix(self, numbers: Array) -> Matrix:
+        """The sum of all linear terms, each times a number."""
         pattern, entries = self._union
-        numbers = c[[term.coefficient for term in self.linear]] @ entries
-        return ss.csr_array((numbers, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return ss.csr_array(
+            (numbers @ entries, pattern.indices, pattern.indptr), shape=pattern.shape
+        )
+
+
+class FieldRates:
+    """M u' and its derivatives at parameters (d,).
+
+    The sum of linear terms is kept as long as their numbers are the same.
+    """
+
+    def __init__(self, system: FieldSystem, p: Array) -> None:
+        self._system, self._p = system, p
+        self._linear = [term.coefficient for term in system.linear]
+        self._numbers: Array | None = None
+        self._matrix = ss.csr_array((0, 0))
+
+    def force(self, t: float, u: Array) -> Array:
+        """M u' at u (N,)."""
+        system, c = self._system, self._system.coefficients(t, self._p)
+        total = self._linear_part(c) @ u
+        for source in system.sources:
+            total += c[source.coefficient] * source.vector
+        for term in system.pointwise:
+            values = system.values(term, t, u, self._p)
+            total += c[term.coefficient] * (term.after @ values)
+        return np.asarray(total)
+
+    def jacobian(self, t: float, u: Array) -> ss.csc_array:
+        """The derivatives (N, N) of the same by u."""
+        system, c = self._system, self._system.coefficients(t, self._p)
+        total = self._linear_part(c)
+        for term in system.pointwise:
+            for matrix, slope in zip(
+                term.arguments, system.slopes(term, t, u, self._p), strict=True
+            ):
+                scaled = ss.diags_array(c[term.coefficient] * slope) @ matrix
+                total = total + term.after @ scaled
+        return ss.csc_array(total)
+
+    def _linear_part(self, c: Array) -> Matrix:
+        numbers = c[self._linear]
+        if self._numbers is None or not np.array_equal(numbers, self._numbers):
+            self._numbers, self._matrix = numbers, self._system.matrix(numbers)
+        return self._matrix

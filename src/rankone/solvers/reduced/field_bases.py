@@ -1,0 +1,81 @@
+"""Modes of fields and of elementwise functions, made of trajectories, and points to interpolate at.
+
+Modes are those of a proper orthogonal decomposition, of all trajectories so far (Sirovich, Quart.
+Appl. Math. 45 (1987), 561). Functions are interpolated in modes of their own at a few entries
+(Chaturantabut & Sorensen, SIAM J. Sci. Comput. 32 (2010), 2737), which a factorisation with column
+pivots chooses (Drmač & Gugercin, SIAM J. Sci. Comput. 38 (2016), A631), some more than there are
+modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from rankone.support.arrays import Array
+from rankone.trajectories.fields.field_trajectories import Compressed, Compression, least_count
+
+_TELLING = 128  # Times that tell how many modes are needed: those that need most
+_OVERSAMPLED = 1.5  # Entries at which a function is taken, for each of its modes
+
+
+class Snapshots:
+    """The values of one unknown, or one function, along all trajectories so far."""
+
+    def __init__(self, tolerance: float, *, relative: bool = False) -> None:
+        self._union = Compression(tolerance, relative=relative)
+
+    def add(self, trajectory: Compressed) -> None:
+        """Take a further trajectory."""
+        self._union.add(trajectory.at(slice(None)))
+
+    @property
+    def largest(self) -> float:
+        """The largest absolute value."""
+        return self._union.largest
+
+    def modes(self, left_out: float) -> Array:
+        """Modes (n, r) that leave out so much of any entry at any time at most.
+
+        They are orthonormal in the mean over the entries.
+        """
+        union = self._union.result()
+        rotation, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
+        count = len(values)
+        if left_out > 0.0:
+            telling = np.argsort(-np.abs(columns * values[:, None])[1:].sum(axis=0))[:_TELLING]
+            rotated = (union.modes @ rotation) * values
+            count = max(least_count(rotated, columns[:, telling], left_out), 1)
+        return np.asarray(np.sqrt(len(union.modes)) * (union.modes @ rotation[:, :count]))
+
+    def decay(self) -> Array:
+        """What the first 0, 1, 2, ... modes leave out at any time at most, over the largest value.
+
+        In the root mean square.
+        """
+        union = self._union.result()
+        _, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
+        parts = np.square(values[:, None] * columns)
+        tails = np.cumsum(parts[::-1], axis=0)[::-1].max(axis=1)
+        return np.asarray(np.sqrt(tails / len(union.modes)) / (self.largest or 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Interpolation:
+    """A function of many entries by its values at a few: ``modes @ weights @ values[entries]``."""
+
+    modes: Array
+    entries: NDArray[np.intp]
+    weights: Array
+
+    @classmethod
+    def of(cls, modes: Array, further: Array) -> Interpolation:
+        """The interpolation in modes (n, m), at entries that tell ``further`` ones (n, k) apart."""
+        wanted = min(int(np.ceil(_OVERSAMPLED * modes.shape[1])), further.shape[1], len(modes))
+        together = further[:, : max(wanted, modes.shape[1])]
+        _, _, pivots = scipy.linalg.qr(together.T, mode="economic", pivoting=True)
+        entries = np.sort(pivots[: together.shape[1]])
+        return cls(modes, entries, np.linalg.pinv(modes[entries]))

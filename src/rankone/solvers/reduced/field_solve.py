@@ -1,0 +1,512 @@
+"""Solves of fields by their modes: look where they are worst, and measure what came of it.
+
+Full trajectories at a few points give modes, these a small system, and its trajectories at many
+points tell, by the residual in the equations of the fields, where the next full ones belong
+(POD-greedy: Haasdonk & Ohlberger, ESAIM: M2AN 42 (2008), 277). When full trajectories at new points
+agree with the small system, the cross engine solves that, and the solution is measured against full
+trajectories at further points, which no mode has seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rankone.solvers.engines import cross_engine
+from rankone.solvers.engines.engine_options import CrossOptions
+from rankone.solvers.outcome import Outcome, SolutionMetadata
+from rankone.solvers.reduced.field_bases import Interpolation, Snapshots
+from rankone.solvers.reduced.field_modes import FieldModes
+from rankone.solvers.reduced.field_residual import FieldResidual
+from rankone.solvers.reduced.reduced_system import ReducedSystem, reduced_system
+from rankone.solvers.request import Check, Domain, Limits, SolveRequest
+from rankone.solvers.selection import solve_with
+from rankone.solvers.verification.points import Coverage
+from rankone.support.arrays import Array, corners, spread
+from rankone.support.budget import OutOfBudgetError, limited, work_done
+from rankone.support.progress import ProgressEvent, Report, quiet, timed
+from rankone.support.tasks import ExecutorLike, Pool, open_pool
+from rankone.tensors.trains.evaluator import TrainEvaluator
+from rankone.trajectories.fields.field_system import FieldSystem
+from rankone.trajectories.fields.field_trajectories import (
+    EndsEarlyError,
+    FieldIntegration,
+    FieldTrajectory,
+    field_sizes,
+    field_trajectory,
+)
+from rankone.trajectories.integrators.integrator import Tolerances
+from rankone.trajectories.integrators.integrator_choice import integrator_for
+from rankone.trajectories.system.verdict import Cause, Status, Verdict
+
+
+@dataclass(frozen=True)
+class FieldTuning:
+    """The numbers of a solve by modes; shares are of the tolerance that was asked for."""
+
+    integrated: float = 0.05
+    """Error of full trajectories."""
+    first_step: float = 0.01
+    """Tolerance of a step at first; it is lowered until the error above is met."""
+    finer: float = 0.1
+    """Factor on the tolerance of trajectories that tell errors of others."""
+    least_step: float = 1e-12
+    tolerance_times: int = 48
+    kept: float = 0.01
+    """What compressed trajectories leave out."""
+    modes: float = 0.25
+    """What the modes leave out of all trajectories so far, at first."""
+    fewest_left_out: float = 0.02
+    """The same at least."""
+    tightened: float = 0.3
+    """Factor on it where the reduced system adds much to what the modes leave out."""
+    added: float = 3.0
+    """Error of the reduced system over what its modes leave out that is much."""
+    reduced: float = 0.5
+    """Error of the reduced system at which it is solved."""
+    solved: float = 0.2
+    """Error of its solution."""
+    first_corners: int = 4
+    """Corners among the first points, beside the centre."""
+    at_once: int = 2
+    """Further points of a round."""
+    candidates: int = 64
+    """Points, and corners, at which the residual is looked at."""
+    residual_times: int = 24
+    distance: float = 0.15
+    """Least distance of new points, in widths of the box."""
+    spread_checks: int = 12
+    worst_checks: int = 8
+    most_modes: int = 150
+    """Coefficients of all unknowns together."""
+    most_trajectories: int = 100
+    rounds: int = 4
+    """Solutions that are measured at most: what disagrees becomes modes."""
+
+
+FIELDS = FieldTuning()
+
+
+@dataclass(frozen=True)
+class SlowModes(Cause):
+    """Too many modes would be needed: those of fronts that travel, and of noise, do not decay."""
+
+    unknown: str
+    count: int
+    left_out: float
+    needed: int
+    trajectories: int
+    text: ClassVar[str] = (
+        "the modes of {unknown} decay too slowly: {count} of them leave out {left_out:.1e} of "
+        "{trajectories} trajectories, and about {needed} would be needed"
+    )
+
+
+@dataclass(frozen=True)
+class FieldsEnd(Cause):
+    """A trajectory of fields that does not reach the end of the horizon."""
+
+    time: float
+    at: tuple[tuple[str, float], ...]
+
+    def sentence(self, status: Status) -> str:
+        place = ", ".join(f"{name} = {value:.6g}" for name, value in self.at)
+        return f"{status.value}, at t = {self.time:.6g}" + (f" with {place}" if place else "")
+
+
+@dataclass(frozen=True)
+class FieldError(Cause):
+    """How far the solution is from full trajectories at new points."""
+
+    error: float
+    unknown: str
+    points: int
+    trajectories: int
+    text: ClassVar[str] = (
+        "{status}: {error:.1e} of the largest value of {unknown}, against {points} trajectories "
+        "that no mode was made of, {trajectories} in all"
+    )
+
+
+@dataclass(frozen=True)
+class ReducedEnds(Cause):
+    """How the solve of the reduced system ended."""
+
+    message: str
+    modes: int
+    text: ClassVar[str] = "the system of {modes} coefficients is not solved: {message}"
+
+
+@dataclass(frozen=True)
+class FieldRequest:
+    """What is asked of a solve of fields.
+
+    ``check`` is the number of evenly spread points at which errors are measured, beside the worst
+    ones; none are with 0. ``options`` are those of the cross engine, ``executor`` takes the full
+    trajectories, of which there are ``trajectories`` at most.
+    """
+
+    rtol: float
+    domain: Domain
+    check: int = FIELDS.spread_checks
+    limits: Limits = field(default_factory=Limits)
+    options: CrossOptions = field(default_factory=CrossOptions)
+    executor: ExecutorLike | None = None
+    trajectories: int = FIELDS.most_trajectories
+
+
+@dataclass(frozen=True)
+class ReducedOutcome:
+    """What a solve of fields came to: modes, the outcome of the coefficients, and how it ended.
+
+    Without any, where it ended before.
+    """
+
+    verdict: Verdict
+    modes: FieldModes | None = None
+    outcome: Outcome | None = None
+    metadata: SolutionMetadata | None = None
+    timings: dict[str, float] = field(default_factory=dict)
+    work: float = 0.0
+    trajectories: int = 0
+
+
+def solve_fields(
+    fields: FieldSystem, request: FieldRequest, report: Report = quiet
+) -> ReducedOutcome:
+    """Solve for all points of a box at once, by modes."""
+    domain = request.domain
+    fields = replace(fields, box=domain.box, horizon=domain.horizon, scales=domain.scales)
+    limits = request.limits
+    before = work_done()
+    with limited(seconds=limits.seconds, memory=limits.memory), np.errstate(all="ignore"):
+        solve = _FieldSolve(fields, request, report)
+        try:
+            if request.executor is None:
+                solve.run(None)
+            else:
+                with open_pool(request.executor) as pool:
+                    solve.run(pool)
+        except EndsEarlyError as end:
+            at = tuple(zip(fields.parameters, end.point.tolist(), strict=True))
+            solve.ended(Status.STALLS, FieldsEnd(end.time, at))
+        except OutOfBudgetError as out:
+            solve.ended(Status.of_limit(out))
+    return replace(
+        solve.result, work=work_done() - before, timings=solve.timings, trajectories=solve.count
+    )
+
+
+class _SolvedEarlyError(Exception):
+    """The solve has ended; the result says how."""
+
+
+class _FieldSolve:
+    """The state of one solve."""
+
+    def __init__(self, fields: FieldSystem, request: FieldRequest, report: Report) -> None:
+        self.fields, self.request, self.report = fields, request, report
+        self.timings: dict[str, float] = {}
+        self.result = ReducedOutcome(Verdict(Status.TRAJECTORY_LIMIT))
+        self.coverage = Coverage.of_domain(request.domain)
+        self.generator = np.random.default_rng(20151)
+        self.states = [Snapshots(0.0) for _ in fields.unknowns]
+        self.pointwise = [Snapshots(0.0) for _ in fields.pointwise]
+        self.scales = np.zeros(len(fields.unknowns))
+        self.seen: list[Array] = []
+        self.count = 0
+        self.modes: FieldModes | None = None
+        self.left_out = FIELDS.modes
+
+    def ended(self, status: Status, cause: Cause | None = None) -> None:
+        """Keep how the solve ended."""
+        self.result = replace(self.result, verdict=Verdict(status, cause))
+
+    def run(self, pool: Pool | None) -> None:
+        try:
+            with timed(self.timings, "first trajectories"):
+                self._begin(pool)
+            with timed(self.timings, "modes"):
+                reduced, interpolations = self._train()
+            self._measured_solution(reduced, interpolations)
+        except _SolvedEarlyError:
+            pass
+
+    # --- full trajectories -----------------------------------------------------------------
+
+    def _begin(self, pool: Pool | None) -> None:
+        """Sizes, tolerances, and the trajectories at the first points."""
+        d, rtol = len(self.request.domain.box), self.request.rtol
+        centre = self.coverage.points(np.full((1, d), 0.5))
+        sizes = field_sizes(self.fields, centre[0])
+        absolute = np.array([u.absolute for u in self.fields.unknowns]) / rtol
+        self.sizes = sizes = np.maximum(sizes, absolute)
+        tolerance = self._step_tolerance(centre[0], sizes)
+        kept = FIELDS.kept * rtol
+        self.integration = FieldIntegration(self.fields, sizes, tolerance, kept, pool)
+        self.states = [Snapshots(kept * size) for size in sizes]
+        self.pointwise = [Snapshots(kept, relative=True) for _ in self.fields.pointwise]
+        self._learn(self._trajectories(centre))
+        self._reduced()  # ends where the modes of the first trajectory alone do not decay
+        if d:
+            first = self.coverage.points(corners(d, FIELDS.first_corners, self.generator))
+            self._learn(self._trajectories(first))
+
+    def _step_tolerance(self, point: Array, sizes: Array) -> float:
+        """A tolerance of steps whose trajectories are accurate enough.
+
+        Those of two tolerances are compared, and the next ones are what their difference suggests.
+        """
+        rtol, times = self.request.rtol, self._telling_times(FIELDS.tolerance_times)
+        kept, wanted = FIELDS.kept * rtol, FIELDS.integrated * rtol
+        tolerance = FIELDS.first_step * rtol
+        while True:
+            coarse, fine = (
+                field_trajectory(self.fields, point, sizes, factor * tolerance, kept, times)
+                for factor in (1.0, FIELDS.finer)
+            )
+            error = max(
+                float(np.abs(a.at(slice(None)) - b.at(slice(None))).max() / size)
+                for a, b, size in zip(coarse.states, fine.states, sizes, strict=True)
+            )
+            if error <= wanted or tolerance <= FIELDS.least_step:
+                return tolerance
+            tolerance *= min(FIELDS.finer, 0.5 * wanted / error)
+
+    def _trajectories(self, points: Array) -> list[FieldTrajectory]:
+        """Full trajectories, as far as there are some left."""
+        if self.count + len(points) > self.request.trajectories:
+            raise _SolvedEarlyError
+        answers = self.integration.trajectories(points)
+        self.count += len(points)
+        self.seen += list(points)
+        done = min(self.count / self.request.trajectories, 1.0)
+        self.report(ProgressEvent(self.fields.horizon[0], done, 0, 0, self._rank))
+        for trajectory in answers:
+            np.maximum(self.scales, trajectory.largest, out=self.scales)
+        return answers
+
+    @property
+    def _rank(self) -> int:
+        return 0 if self.modes is None else len(self.modes.names)
+
+    def _learn(self, trajectories: Iterable[FieldTrajectory]) -> None:
+        """Take trajectories into the modes."""
+        for trajectory in trajectories:
+            for snapshots, states in zip(self.states, trajectory.states, strict=True):
+                snapshots.add(states)
+            for snapshots, values in zip(self.pointwise, trajectory.pointwise, strict=True):
+                snapshots.add(values)
+
+    # --- modes -----------------------------------------------------------------------------
+
+    def _train(self) -> tuple[ReducedSystem, list[Interpolation]]:
+        """Modes that suffice at the points where residuals are worst."""
+        while True:
+            reduced, interpolations = self._reduced()
+            points = self._worst(reduced, interpolations, FIELDS.at_once)
+            trajectories = self._trajectories(points)
+            errors = [self._error_of(reduced, trajectory) for trajectory in trajectories]
+            self._tighten(trajectories, errors)
+            self._learn(trajectories)
+            if max(errors) <= FIELDS.reduced * self.request.rtol:
+                return self._reduced()
+
+    def _tighten(self, trajectories: Sequence[FieldTrajectory], errors: Sequence[float]) -> None:
+        """Let modes leave out less, where the reduced system amplifies what they leave out."""
+        for trajectory, error in zip(trajectories, errors, strict=True):
+            missed = max(self._errors(self._projected(trajectory), trajectory))
+            if error > max(FIELDS.added * missed, FIELDS.reduced * self.request.rtol):
+                self.left_out = max(FIELDS.tightened * self.left_out, FIELDS.fewest_left_out)
+                return
+
+    def _projected(self, trajectory: FieldTrajectory) -> Array:
+        """The coefficients (R, T) closest to a full trajectory."""
+        assert self.modes is not None
+        pairs = zip(self.modes.modes, trajectory.states, strict=True)
+        blocks = [m.T @ states.modes @ states.numbers / len(m) for m, states in pairs]
+        return np.concatenate(blocks)
+
+    def _reduced(self) -> tuple[ReducedSystem, list[Interpolation]]:
+        """The reduced system of all trajectories so far."""
+        left_out = self.left_out * self.request.rtol
+        scales = np.maximum(self.scales, self.sizes * (self.scales == 0.0))
+        pairs = list(zip(self.states, scales.tolist(), strict=True))
+        blocks = [snapshots.modes(left_out * scale) for snapshots, scale in pairs]
+        self.modes = FieldModes(
+            self.fields.unknowns, tuple(blocks), tuple(scales.tolist()), (), self.count
+        )
+        self._refuse_slow(left_out)
+        interpolations = [
+            Interpolation.of(s.modes(left_out * s.largest), s.modes(0.0)) for s in self.pointwise
+        ]
+        tolerance = FIELDS.solved * self.request.rtol
+        return reduced_system(self.fields, self.modes, interpolations, tolerance), interpolations
+
+    def _refuse_slow(self, left_out: float) -> None:
+        """End where the modes of an unknown do not decay."""
+        assert self.modes is not None
+        if self._rank <= FIELDS.most_modes:
+            return
+        worst = int(np.argmax(self.modes.counts))
+        decay = self.states[worst].decay()
+        shown = min(FIELDS.most_modes, len(decay) - 1)
+        rate = math.log(max(decay[shown], 1e-300) / decay[0]) / shown
+        needed = max(int(math.log(left_out) / rate), self.modes.counts[worst])
+        name = self.fields.unknowns[worst].name
+        cause = SlowModes(name, shown, float(decay[shown]), needed, self.count)
+        self.ended(Status.RANK_LIMIT, cause)
+        raise _SolvedEarlyError
+
+    def _worst(
+        self, reduced: ReducedSystem, interpolations: Sequence[Interpolation], count: int
+    ) -> Array:
+        """New points (count, d) at which the residual of the reduced system is largest."""
+        assert self.modes is not None
+        d = len(self.request.domain.box)
+        if d == 0:
+            return np.zeros((1, 0))
+        shares = np.concatenate(
+            [
+                spread(FIELDS.candidates, d, self.generator),
+                corners(d, FIELDS.candidates, self.generator),
+            ]
+        )
+        points = self.coverage.points(shares)
+        times = self._telling_times(FIELDS.residual_times)
+        states = self._reduced_states(reduced, points, times, self.request.rtol)
+        residual = FieldResidual(self.fields, self.modes, interpolations, reduced)
+        r, m, count_times = states.shape
+        flat = residual(
+            np.tile(times, m), states.reshape(r, -1), np.repeat(points.T, count_times, axis=1)
+        )
+        heights = np.nan_to_num(flat, nan=np.inf).reshape(m, -1).max(axis=1)
+        width = np.ptp(self.request.domain.bounds, axis=1)
+        order = np.argsort(-heights, kind="stable")
+        seen, chosen = list(self.seen), list[int]()
+        for far in (FIELDS.distance, 0.0):  # where all of them are near, the worst
+            for k in order:
+                distance = (np.abs(np.array(seen) - points[k]) / width).max(axis=1).min()
+                if len(chosen) < count and distance > far:
+                    chosen.append(k)
+                    seen.append(points[k])
+        return points[chosen]
+
+    def _telling_times(self, count: int) -> Array:
+        """Times after the start, ascending: half of them even, and half closer and closer to it."""
+        start, end = self.fields.horizon
+        half = count // 2
+        even = np.linspace(0.0, 1.0, half + 1)[1:]
+        return np.asarray(start + (end - start) * np.union1d(0.5 ** np.arange(2, half + 2), even))
+
+    def _reduced_states(
+        self, reduced: ReducedSystem, points: Array, times: Array, rtol: float
+    ) -> Array:
+        """Coefficients (R, m, T) of the reduced system at points (m, d); NaN beyond their end."""
+        absolute = rtol * reduced.scales[:, None]
+        integrator = integrator_for(reduced.system, "auto")
+        tolerances = Tolerances(max(rtol, 1e-12), absolute)
+        dense = integrator.run(reduced.system, points, self.fields.horizon, tolerances)
+        states = np.full((len(reduced.names), len(points), len(times)), np.nan)
+        there = times <= dense.end
+        states[:, :, there] = dense(times[there])
+        return states
+
+    def _error_of(self, reduced: ReducedSystem, trajectory: FieldTrajectory) -> float:
+        """The error of the reduced system at the point of a full trajectory."""
+        accurate = FIELDS.integrated * self.request.rtol
+        states = self._reduced_states(reduced, trajectory.point[None], trajectory.times, accurate)[
+            :, 0
+        ]
+        return max(self._errors(states, trajectory))
+
+    def _errors(self, coefficients: Array, trajectory: FieldTrajectory) -> list[float]:
+        """The largest difference of coefficients (R, T) from a full trajectory, by unknown."""
+        assert self.modes is not None
+        errors = []
+        for k, exact in enumerate(trajectory.states):
+            ours = self.modes.modes[k] @ coefficients[self.modes.coefficients_of(k)]
+            difference = np.abs(ours - exact.at(slice(None))).max()
+            errors.append(float(difference / self.scales[k]) if self.scales[k] else 0.0)
+        return [math.inf if math.isnan(error) else error for error in errors]
+
+    # --- the solution ----------------------------------------------------------------------
+
+    def _measured_solution(
+        self, reduced: ReducedSystem, interpolations: list[Interpolation]
+    ) -> None:
+        """Solve the reduced system, and measure; what disagrees becomes modes, some times."""
+        rtol = self.request.rtol
+        inner = FIELDS.solved * rtol
+        for _ in range(FIELDS.rounds):
+            with timed(self.timings, "solve"):
+                outcome, metadata = self._solved(reduced, inner)
+            if outcome.status is not Status.CONVERGED:
+                self.ended(outcome.status, ReducedEnds(outcome.message, self._rank))
+                return
+            self.result = replace(self.result, modes=self.modes, outcome=outcome, metadata=metadata)
+            if not self.request.check:
+                self.ended(Status.UNCHECKED)
+                return
+            with timed(self.timings, "check"):
+                checked = self._check_trajectories(reduced, interpolations)
+                evaluator = TrainEvaluator(outcome.slabs)
+                errors = np.array([self._solution_errors(evaluator, each) for each in checked])
+            assert self.modes is not None
+            worst = errors.max(axis=0)
+            self.modes = replace(
+                self.modes,
+                errors=tuple(worst.tolist()),
+                scales=tuple(self.scales.tolist()),
+                trajectories=self.count,
+            )
+            self.result = replace(self.result, modes=self.modes)
+            error, name = float(worst.max()), self.fields.unknowns[int(worst.argmax())].name
+            good = error <= rtol
+            cause = FieldError(error, name, len(checked), self.count)
+            self.ended(Status.CONVERGED if good else Status.TOLERANCE, cause)
+            if good:
+                return
+            of_modes = max(self._error_of(reduced, each) for each in checked)
+            if of_modes > FIELDS.reduced * rtol:
+                with timed(self.timings, "modes"):
+                    self._learn(checked)
+                    reduced, interpolations = self._train()
+            else:
+                inner *= 0.2
+
+    def _solved(self, reduced: ReducedSystem, rtol: float) -> tuple[Outcome, SolutionMetadata]:
+        """The coefficients over the box by the cross engine."""
+        request = self.request
+        limits = replace(request.limits, seconds=math.inf)  # which hold around all of it
+        asked = SolveRequest(
+            rtol, request.domain, Check(), limits, (request.options,), markers=False
+        )
+        metadata = reduced.metadata(rtol)
+        return solve_with((cross_engine.ENGINE,), reduced.system, asked, metadata)
+
+    def _check_trajectories(
+        self, reduced: ReducedSystem, interpolations: Sequence[Interpolation]
+    ) -> list[FieldTrajectory]:
+        """Full trajectories at points that no mode has seen: spread ones, and the worst."""
+        d = len(self.request.domain.box)
+        if d == 0:
+            return self._trajectories(np.zeros((1, 0)))
+        even = self.coverage.points(spread(self.request.check, d, self.generator))
+        self.seen += list(even)
+        worst = self._worst(reduced, interpolations, FIELDS.worst_checks)
+        del self.seen[-len(even) :]
+        return self._trajectories(np.concatenate([even, worst]))
+
+    def _solution_errors(
+        self, evaluator: TrainEvaluator, trajectory: FieldTrajectory
+    ) -> list[float]:
+        assert self.modes is not None
+        point = trajectory.point[:, None]
+        rows = slice(0, len(self.modes.names))
+        states = evaluator.curves(trajectory.times[:, None], point, rows)[:, :, 0]
+        return self._errors(states, trajectory)

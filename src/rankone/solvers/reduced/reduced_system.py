@@ -1,0 +1,256 @@
+"""The system of the coefficients of fields: a Galerkin projection, dense and small.
+
+With u = V a it is V'MV a' = V' f(t, V a, p). All that does not depend on coefficients, time and
+parameters is multiplied beforehand; elementwise functions are interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from rankone.solvers.outcome import Role, SolutionMetadata
+from rankone.solvers.reduced.field_bases import Interpolation
+from rankone.solvers.reduced.field_modes import FieldModes
+from rankone.support import __version__
+from rankone.support.arrays import Array
+from rankone.trajectories.fields.field_system import FieldSystem, PointwiseTerm
+from rankone.trajectories.system.features import VectorLike
+from rankone.trajectories.system.system import System, UserFunction, system_of
+
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedTerm:
+    """A pointwise term of coefficients: ``coefficient * after @ g(t, arguments @ a, vectors, p)``.
+
+    ``after`` is (R, k) and ``arguments`` (arguments, k, R), for k entries.
+    """
+
+    coefficient: int
+    after: Array
+    arguments: Array
+    vectors: Array
+    function: str
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedSystem:
+    """The rates of R coefficients; it is what a :class:`System` is loaded from, in any process.
+
+    ``linear`` (c, R, R) and ``sources`` (c, R) belong to the numbers of the ``fields``, those of
+    their coefficients that have such terms: ``linear_numbers``, ``source_numbers``. ``start``
+    (R, v) times the initial numbers are the initial values. ``absolute`` are the tolerances of the
+    coefficients by name.
+    """
+
+    names: tuple[str, ...]
+    coefficients: FieldSystem
+    linear_numbers: tuple[int, ...]
+    linear: Array
+    source_numbers: tuple[int, ...]
+    sources: Array
+    pointwise: tuple[ReducedTerm, ...]
+    start: Array
+    absolute: tuple[tuple[str, float], ...]
+    rtol: float
+
+    @property
+    def scales(self) -> Array:
+        """The sizes that errors of the coefficients are relative to (R,)."""
+        return np.array([absolute for _, absolute in self.absolute]) / self.rtol
+
+    def metadata(self, rtol: float) -> SolutionMetadata:
+        """What a solution of the coefficients says was asked."""
+        fields = self.coefficients
+        return SolutionMetadata(
+            states=self.names,
+            roles=(Role.UNKNOWN,) * len(self.names),
+            parameters=fields.parameters,
+            box=fields.box,
+            time=fields.time,
+            horizon=fields.horizon,
+            rtol=rtol,
+            method="cross",
+            version=__version__,
+            atol=self.absolute,
+        )
+
+    @property
+    def namespace(self) -> Mapping[str, UserFunction]:
+        """The functions of the user that the system calls."""
+        return {k: v for k, v in self.coefficients.namespace.items() if callable(v)}
+
+    def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
+        """``function(system, *arguments)``, in any process."""
+        return function(self.system, *arguments)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "system"}
+
+    @cached_property
+    def system(self) -> System:
+        """The system that engines solve."""
+        fields = self.coefficients
+        system = system_of(
+            {
+                "SEPARATED": False,
+                "STATES": self.names,
+                "N_DIFFERENTIAL": len(self.names),
+                "PRODUCTS": (),
+                "PARAMETERS": fields.parameters,
+                "TIME": fields.horizon,
+                "BOX": fields.box,
+                "SCALES": fields.scales,
+                "ATOL": self.absolute,
+                "time_factors": _one,
+                "parameter_factors": lambda j, p: _one(p),
+                "rhs": self.rates,
+                "jacobian": self.jacobian,
+                "with_products": lambda u: np.array(u, dtype=float),
+                "unseparated_initial": self.initial,
+            }
+        )
+        object.__setattr__(system, "specification", self)
+        return system
+
+    def initial(self, p: VectorLike) -> Array:
+        """Initial coefficients at p (d, ...): (R, ...)."""
+        points = np.asarray(p, dtype=float)
+        numbers = self.coefficients.initial_coefficients(points)
+        return np.tensordot(self.start, numbers, axes=1)
+
+    def rates(self, t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        """The derivatives of the coefficients at u (R, ...)."""
+        shape, times, states, points = _columns(t, u, p)
+        c = self.coefficients.coefficients(times, points)
+        return self._rates(c, times, states, points).reshape(-1, *shape)
+
+    def _rates(self, c: Array, t: Array, a: Array, p: Array) -> Array:
+        total = np.zeros_like(a)
+        if len(self.linear):
+            each = (self.linear.reshape(-1, len(a)) @ a).reshape(-1, *a.shape)
+            total += np.einsum("cm,crm->rm", c[list(self.linear_numbers)], each)
+        if len(self.sources):
+            total += self.sources.T @ c[list(self.source_numbers)]
+        for term in self.pointwise:
+            total += term.after @ (c[term.coefficient] * self.values(term, t, a, p))
+        return total
+
+    def values(self, term: ReducedTerm, t: Array, a: Array, p: Array) -> Array:
+        """g of a term at its entries (k, m), at times (m,), a (R, m) and p (d, m)."""
+        return self.coefficients.elementwise(term.function)(t, _arguments(term, a), p)
+
+    def jacobian(self, t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        """The derivatives (R, R, ...) of the rates by the coefficients."""
+        shape, times, states, points = _columns(t, u, p)
+        c = self.coefficients.coefficients(times, points)
+        r = len(states)
+        total = np.zeros((r * r, states.shape[1]))
+        if len(self.linear):
+            total += self.linear.reshape(-1, r * r).T @ c[list(self.linear_numbers)]
+        for term, products in zip(self.pointwise, self._products, strict=True):
+            name = f"{term.function}_slopes"
+            slopes = self.coefficients.elementwise(name)(times, _arguments(term, states), points)
+            for slope, product in zip(slopes, products, strict=True):
+                total += product @ (c[term.coefficient] * slope)
+        return total.reshape(r, r, *shape)
+
+    @cached_property
+    def _products(self) -> list[list[Array]]:
+        """For each argument of each term the matrices (R R, k) that slopes are multiplied with."""
+        return [
+            [
+                (term.after[:, None, :] * argument.T[None]).reshape(-1, term.after.shape[1])
+                for argument in term.arguments
+            ]
+            for term in self.pointwise
+        ]
+
+
+def reduced_system(
+    fields: FieldSystem,
+    modes: FieldModes,
+    interpolations: Sequence[Interpolation],
+    rtol: float,
+) -> ReducedSystem:
+    """The system of the coefficients, whose errors are relative to the sizes of the fields."""
+    spread = spread_modes(modes)
+    sizes = [unknown.size for unknown in modes.unknowns]
+    tests = spread.T / np.repeat(sizes, modes.counts)[:, None]  # of means over entries
+    mass = tests @ (spread if fields.mass is None else fields.mass @ spread)
+
+    def solved(right: Array) -> Array:
+        return np.asarray(np.linalg.solve(mass, tests @ right))
+
+    linear = [solved(term.matrix @ spread) for term in fields.linear]
+    sources = [solved(term.vector[:, None])[:, 0] for term in fields.sources]
+    pointwise = [
+        _reduced_term(term, interpolation, spread, solved)
+        for term, interpolation in zip(fields.pointwise, interpolations, strict=True)
+    ]
+    start = tests @ fields.initial_vectors  # the projection is that of the modes, not of the mass
+    scales = np.repeat(modes.scales, modes.counts)
+    r = len(modes.names)
+    return ReducedSystem(
+        names=modes.names,
+        coefficients=fields,
+        linear_numbers=tuple(term.coefficient for term in fields.linear),
+        linear=np.array(linear).reshape(-1, r, r),
+        source_numbers=tuple(term.coefficient for term in fields.sources),
+        sources=np.array(sources).reshape(-1, r),
+        pointwise=tuple(pointwise),
+        start=start,
+        absolute=tuple(zip(modes.names, (rtol * scales).tolist(), strict=True)),
+        rtol=rtol,
+    )
+
+
+def spread_modes(modes: FieldModes) -> Array:
+    """The modes of all unknowns as one matrix (N, R)."""
+    spread = np.zeros((sum(unknown.size for unknown in modes.unknowns), len(modes.names)))
+    for k, (unknown, block) in enumerate(zip(modes.unknowns, modes.modes, strict=True)):
+        spread[unknown.rows, modes.coefficients_of(k)] = block
+    return spread
+
+
+def _reduced_term(
+    term: PointwiseTerm,
+    interpolation: Interpolation,
+    spread: Array,
+    solved: Callable[[Array], Array],
+) -> ReducedTerm:
+    entries = interpolation.entries
+    return ReducedTerm(
+        coefficient=term.coefficient,
+        after=solved(term.after @ interpolation.modes) @ interpolation.weights,
+        arguments=np.array([matrix[entries] @ spread for matrix in term.arguments]),
+        vectors=term.vectors[:, entries],
+        function=term.function,
+    )
+
+
+def _arguments(term: ReducedTerm, a: Array) -> list[Array]:
+    """The arguments of a function at coefficients (R, m): (k, m) each."""
+    return [*(argument @ a for argument in term.arguments), *term.vectors[:, :, None]]
+
+
+def _columns(
+    t: float | Array, u: VectorLike, p: VectorLike
+) -> tuple[tuple[int, ...], Array, Array, Array]:
+    """The shape of t (...), u (R, ...) and p (d, ...) together, and these as columns."""
+    states, points = np.asarray(u, dtype=float), np.asarray(p, dtype=float)
+    shape = np.broadcast_shapes(np.shape(t), states.shape[1:], points.shape[1:])
+    times = np.broadcast_to(t, shape).ravel()
+    states = np.broadcast_to(states, (len(states), *shape)).reshape(len(states), -1)
+    points = np.broadcast_to(points, (len(points), *shape)).reshape(len(points), times.size)
+    return shape, times, states, points
+
+
+def _one(points: Array) -> Array:
+    return np.ones((1, len(points)))
