@@ -27,7 +27,7 @@ from rankone.solvers.request import Check, Domain, Limits, SolveRequest
 from rankone.solvers.selection import solve_with
 from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array, corners, spread
-from rankone.support.budget import OutOfBudgetError, limited, work_done
+from rankone.support.budget import OutOfBudgetError, limited
 from rankone.support.progress import ProgressEvent, Report, quiet, timed
 from rankone.support.tasks import ExecutorLike, Pool, open_pool
 from rankone.tensors.trains.evaluator import TrainEvaluator
@@ -181,10 +181,10 @@ def solve_fields(
     """Solve for all points of a box at once, by modes."""
     domain = request.domain
     fields = replace(fields, box=domain.box, horizon=domain.horizon, scales=domain.scales)
-    limits = request.limits
-    before = work_done()
-    with limited(seconds=limits.seconds, memory=limits.memory), np.errstate(all="ignore"):
-        solve = _FieldSolve(fields, request, report)
+    solve = _FieldSolve(fields, request, report)
+    held = limited(seconds=request.limits.seconds, memory=request.limits.memory)
+    with held as account, np.errstate(all="ignore"):
+        before = account.done
         try:
             if request.executor is None:
                 solve.run(None)
@@ -196,9 +196,8 @@ def solve_fields(
             solve.ended(Status.STALLS, FieldsEnd(end.time, at))
         except OutOfBudgetError as out:
             solve.ended(Status.of_limit(out))
-    return replace(
-        solve.result, work=work_done() - before, timings=solve.timings, trajectories=solve.count
-    )
+        work = account.done - before
+    return replace(solve.result, work=work, timings=solve.timings, trajectories=solve.count)
 
 
 class _SolvedEarlyError(Exception):

@@ -1,0 +1,121 @@
+"""Problems with fields, compiled and solved as others are."""
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.sparse as ss
+import sympy as sp
+
+import rankone as ro
+
+N = 70
+T, K, Q = sp.symbols("t k q")
+U = ro.field("u", N)
+X = np.linspace(0, 1, N + 2)[1:-1]
+LAPLACIAN = ss.diags_array([1.0, -2, 1], offsets=[-1, 0, 1], shape=(N, N)) * (N + 1) ** 2
+HEAT = np.exp(-((X - 0.3) ** 2) * 50)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    rate = K * ro.apply(LAPLACIAN, U) - U**3 + ro.apply(HEAT, Q)
+    return ro.Problem({U: rate}, (T, 0, 0.2), {K: (0.05, 0.2), Q: (1, 3)}, {U: 0})
+
+
+@pytest.fixture(scope="module")
+def solution(problem):
+    return ro.solve(problem, rtol=1e-3)
+
+
+def exact(times, k, q):
+    solved = scipy.integrate.solve_ivp(
+        lambda t, u: k * (LAPLACIAN @ u) - u**3 + q * HEAT,
+        (0, 0.2),
+        np.zeros(N),
+        method="Radau",
+        rtol=1e-9,
+        atol=1e-11,
+        t_eval=times,
+    )
+    return solved.y
+
+
+def test_values_are_those_of_scipy(solution):
+    assert solution.success
+    assert solution.method == "reduced"
+    times = np.linspace(0, 0.2, 9)
+    for k, q in ((0.05, 1.0), (0.2, 3.0), (0.11, 1.7)):
+        error = np.abs(solution[U](t=times, k=k, q=q) - exact(times, k, q)).max()
+        assert error < 1e-3 * solution.modes.scales[0]
+
+
+def test_the_message_says_which_error(solution):
+    assert "largest value of u" in solution.message
+    assert solution.errors["u"] == solution.error <= 1e-3
+    assert solution.timings["solve"] > 0.0
+    assert solution.work["full trajectories"] > 0.0
+
+
+def test_another_domain_needs_no_new_compile(problem):
+    compiled = ro.compile(problem)
+    smaller = compiled.solve(1e-3, parameters={K: (0.1, 0.2)}, t_final=0.1)
+    assert smaller.success
+    assert smaller.box == ((0.1, 0.2), (1.0, 3.0))
+    assert smaller.time == (0.0, 0.1)
+
+
+@pytest.mark.slow
+def test_other_methods_take_the_equations_entry_by_entry(problem, solution):
+    entries = ro.solve(problem, rtol=1e-3, method="cross")
+    assert entries.success
+    at = {"t": 0.13, "k": 0.08, "q": 2.2}
+    error = np.abs(entries(**at) - solution(**at)).max()
+    assert error < 2e-3 * solution.modes.scales[0]
+
+
+def test_few_entries_are_solved_as_they_are():
+    u = ro.field("u", 3)
+    problem = ro.Problem({u: -K * u}, (T, 0, 1), {K: (1, 2)}, {u: np.array([1.0, 2, 3])})
+    solution = ro.solve(problem, rtol=1e-6)
+    assert solution.success
+    assert solution.unknowns == ("u0", "u1", "u2")
+    assert np.allclose(solution(t=1.0, k=1.5), np.exp(-1.5) * np.array([1.0, 2, 3]), rtol=1e-5)
+
+
+def test_failures_are_returned_or_raised(problem):
+    compiled = ro.compile(problem)
+    solution = compiled.solve(1e-3, max_trajectories=3)
+    assert not solution.success
+    assert "limit of trajectories" in solution.message
+    with pytest.raises(ro.ConvergenceError, match="limit of trajectories") as failed:
+        compiled.solve(1e-3, max_trajectories=3, on_failure="raise")
+    assert not failed.value.solution.success
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rtol": 2.0}, "rtol"),
+        ({"method": "reducd"}, "reduced"),
+        ({"parameters": {"x": (0, 1)}}, "no parameter"),
+        ({"check": -1}, "check"),
+        ({"max_trajectories": 0}, "max_trajectories"),
+        ({"on_failure": "ignore"}, "on_failure"),
+        ({"effort": "huge"}, "effort"),
+        ({"max_rnk": 3}, "max_rank"),
+        ({"executor": 0}, "executor"),
+    ],
+)
+def test_wrong_options_are_named(problem, options, message):
+    with pytest.raises(ro.OptionError, match=message):
+        ro.compile(problem).solve(**options)
+
+
+def test_what_takes_no_fields_says_so(problem):
+    with pytest.raises(ro.OptionError, match="fields"):
+        ro.steady_state(problem)
+
+
+def test_a_compiled_problem_shows_its_fields(problem):
+    assert "u (70)" in repr(ro.compile(problem))
+    assert "def coefficients" in ro.compile(problem).source
