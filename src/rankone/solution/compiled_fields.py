@@ -228,9 +228,7 @@ class CompiledFields:
         modes, solved = outcome.modes, outcome.outcome
         if modes is None or solved is None:
             unknowns = self.system.unknowns
-            nothing = tuple(
-                np.zeros((unknown.size, int(not unknown.is_field))) for unknown in unknowns
-            )
+            nothing = tuple(np.zeros((unknown.size, 1)) for unknown in unknowns)
             modes = FieldModes(unknowns, nothing, (0.0,) * len(unknowns), (), outcome.trajectories)
             solved = Outcome((), outcome.verdict.status, None, ())
         work = {**solved.work, "full trajectories": outcome.work}
