@@ -83,6 +83,16 @@ def test_large_fields_are_not_written_out():
         problem.scalar()
 
 
+def test_large_mass_matrices_are_not_inverted():
+    n = 201
+    u = ro.field("u", n)
+    coupled = ss.diags_array([np.ones(n), np.full(n, 0.1)], offsets=(0, 1), shape=(n, n))
+    with pytest.raises(ro.ProblemError, match="a mass matrix couples 201 entries"):
+        ro.Problem({u: -u}, (t, 0, 1), {}, {u: 1}, mass={u: coupled}).scalar()
+    lumped = ro.Problem({u: -u}, (t, 0, 1), {}, {u: 1}, mass={u: 2 * ss.eye_array(n)})
+    assert len(lumped.scalar().unknowns) == n
+
+
 def test_saving_is_refused(tmp_path):
     u = ro.field("u", 3)
     with pytest.raises(ro.ProblemError, match="has matrices, which a TOML file does not hold"):

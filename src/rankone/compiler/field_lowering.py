@@ -64,11 +64,8 @@ def field_system(problem: CheckedFields, *, check: bool = True) -> FieldSystem:
     unknowns = _unknowns(problem)
     places = {state: unknown.rows for state, unknown in zip(problem.rates, unknowns, strict=True)}
     splitter = FieldTerms(places)
-    size = sum(unknown.size for unknown in unknowns)
     terms = merged(
-        term.mapped(_embedding(places[state], size))
-        for state, rate in problem.rates.items()
-        for term in splitter.of(rate, size_of(state))
+        term for state, rate in problem.rates.items() for term in splitter.of_rate(state, rate)
     )
     source = FieldSource(problem.time[0], tuple(problem.parameters))
     coefficients = _numbered([sp.S.One, *(term.coefficient for term in terms)])
@@ -116,13 +113,6 @@ def _unknowns(problem: CheckedFields) -> tuple[Unknown, ...]:
         unknowns.append(Unknown(name, first, size, isinstance(state, Field), absolute))
         first += size
     return tuple(unknowns)
-
-
-def _embedding(rows: slice, size: int) -> Matrix:
-    """What puts the entries of a state in their places (size, n)."""
-    n = rows.stop - rows.start
-    entries = np.ones(n), (np.arange(rows.start, rows.stop), np.arange(n))
-    return ss.csr_array(entries, shape=(size, n))
 
 
 def _numbered(expressions: Iterable[sp.Expr]) -> dict[sp.Expr, int]:

@@ -21,6 +21,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, count, quote, shown
 from rankone.tensors.bases.coordinates import name_of
 
+_MOST_COUPLED = 200  # Entries of a mass matrix whose inverse is written out
 _MOST_ENTRIES = 2000  # Of fields that are written entry by entry: seconds of SymPy
 _ORDERS = {"M": 2, "C": 1, "K": 0}
 
@@ -245,6 +246,13 @@ def _fractions(numbers: Array) -> list[sp.Expr]:
 
 def _divided(mass: Operator, column: Sequence[sp.Expr]) -> list[sp.Expr]:
     """The inverse of a mass matrix times a column."""
+    if len(column) > _MOST_COUPLED and mass.matrix.nnz > len(column):
+        raise ProblemError(
+            f"a mass matrix couples {len(column)} entries; up to {_MOST_COUPLED} are written one "
+            "by one",
+            term=mass,
+            remedy="lump the mass matrix, or use a coarser grid to check the equations",
+        )
     inverse = np.linalg.inv(mass.matrix.toarray())
     inverse[np.abs(inverse) < np.finfo(float).eps * np.abs(inverse).max()] = 0.0
     rows = [_fractions(row) for row in inverse]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -37,10 +38,6 @@ class Linear:
     coefficient: sp.Expr
     matrix: Matrix
 
-    def mapped(self, factor: Matrix) -> Linear:
-        """A matrix times the term."""
-        return replace(self, matrix=ss.csr_array(factor @ self.matrix))
-
 
 @dataclass(frozen=True, eq=False)
 class Source:
@@ -48,10 +45,6 @@ class Source:
 
     coefficient: sp.Expr
     vector: Array
-
-    def mapped(self, factor: Matrix) -> Source:
-        """A matrix times the term."""
-        return replace(self, vector=factor @ self.vector)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +54,6 @@ class Pointwise:
     coefficient: sp.Expr
     after: Matrix
     function: sp.Expr
-
-    def mapped(self, factor: Matrix) -> Pointwise:
-        """A matrix times the term."""
-        return replace(self, after=ss.csr_array(factor @ self.after))
 
 
 Term = Linear | Source | Pointwise
@@ -84,6 +73,17 @@ class FieldTerms:
         self._size = sum(rows.stop - rows.start for rows in places.values())
         self.arguments: dict[sp.Symbol, Matrix | Array] = {}
         self._symbols: dict[object, sp.Symbol] = {}
+        self._identities: dict[int, Matrix] = {}
+        self._products: dict[tuple[int, int], tuple[Matrix, Matrix, Matrix]] = {}
+        self._sums: dict[tuple[Apply, int], sp.Expr] = {}
+
+    def of_rate(self, state: sp.Expr, rate: sp.Expr) -> list[Term]:
+        """The terms of the rate of a state, with rows for all states."""
+        rows = self._places[state]
+        n = rows.stop - rows.start
+        entries = np.ones(n), (np.arange(rows.start, rows.stop), np.arange(n))
+        embedding = ss.csr_array(entries, shape=(self._size, n))
+        return [self._mapped(term, embedding) for term in self.of(rate, n)]
 
     def of(self, expression: sp.Expr, size: int) -> list[Term]:
         """The terms of an expression, which stands for that many entries."""
@@ -91,7 +91,7 @@ class FieldTerms:
         for term in sp.Add.make_args(expression):
             products = _products(term)
             split = [each for factors in products for each in self._of_product(factors, size)]
-            if len(products) > 1 and _is_one_function(split):
+            if len(products) > 1 and self._is_one_function(split, size):
                 split = self._of_product(sp.Mul.make_args(term), size)
             terms += split
         return terms
@@ -101,27 +101,63 @@ class FieldTerms:
         scalars = [f for f in factors if not f.atoms(*_STATES, Vector, Apply)]
         fixed = [f for f in factors if f not in scalars and _is_fixed(f)]
         moving = [f for f in factors if f not in scalars and f not in fixed]
-        number, coefficient = sp.Mul(*scalars).as_coeff_Mul()
-        scale = float(number) * (_numbers(sp.Mul(*fixed)) if fixed else 1.0)
-        weights = np.broadcast_to(scale, (size,))
-        diagonal = ss.csr_array(ss.diags_array(weights))
+        number, coefficient = _split_number(sp.Mul(*scalars))
+        shape = _numbers(sp.Mul(*fixed)) if fixed else np.ones(1)
         if not moving:
-            return [Source(coefficient, np.array(weights, dtype=float))]
+            return [Source(coefficient, np.broadcast_to(float(number) * shape, (size,)))]
+        diagonal = self._diagonal(shape, size)
         if len(moving) == 1 and isinstance(moving[0], Field | AppliedUndef | Apply):
-            return [
-                replace(term, coefficient=coefficient * term.coefficient).mapped(diagonal)
+            scaled = (
+                replace(term, coefficient=number * coefficient * term.coefficient)
                 for term in self._of_factor(moving[0], size)
-            ]
+            )
+            return [self._mapped(term, diagonal) for term in scaled]
         function = self._with_arguments(sp.Mul(*moving), size)
-        more, function = function.as_coeff_Mul()
-        return [Pointwise(coefficient, diagonal * float(more), function)]
+        return [Pointwise(coefficient, diagonal, number * function)]
 
     def _of_factor(self, factor: sp.Expr, size: int) -> list[Term]:
         """The terms of a state, or of a matrix times an expression."""
         if not isinstance(factor, Apply):
             return [Linear(sp.S.One, self._selection(factor, size))]
         matrix = _broadcast(factor.operator.matrix, size)
-        return [term.mapped(matrix) for term in self.of(factor.operand, matrix.shape[1])]
+        return [self._mapped(term, matrix) for term in self.of(factor.operand, matrix.shape[1])]
+
+    def _mapped(self, term: Term, factor: Matrix) -> Term:
+        """A matrix times a term."""
+        if isinstance(term, Linear):
+            return replace(term, matrix=self._product(factor, term.matrix))
+        if isinstance(term, Pointwise):
+            return replace(term, after=self._product(factor, term.after))
+        return replace(term, vector=factor @ term.vector)
+
+    def _product(self, left: Matrix, right: Matrix) -> Matrix:
+        """The product of two matrices, computed once: a stress enters many terms."""
+        if left is self._identities.get(right.shape[0]):
+            return right
+        if right is self._identities.get(left.shape[1]):
+            return left
+        key = id(left), id(right)
+        if key not in self._products:
+            self._products[key] = left, right, ss.csr_array(left @ right)
+        return self._products[key][2]
+
+    def _diagonal(self, entries: Array, size: int) -> Matrix:
+        """A diagonal matrix; one identity for each size."""
+        if size not in self._identities:
+            self._identities[size] = ss.csr_array(ss.eye_array(size))
+        if (entries == 1.0).all():
+            return self._identities[size]
+        return ss.csr_array(ss.diags_array(np.broadcast_to(entries, (size,))))
+
+    def _is_one_function(self, terms: Sequence[Term], size: int) -> bool:
+        """Whether multiplying out has separated nothing."""
+        first = terms[0].coefficient
+        return all(
+            isinstance(term, Pointwise)
+            and term.coefficient == first
+            and term.after is self._identities[size]
+            for term in terms
+        )
 
     def _selection(self, state: sp.Expr, size: int) -> Matrix:
         """The entries of a state among all, one row for each; those of a scalar are all equal."""
@@ -146,6 +182,8 @@ class FieldTerms:
 
     def _applied(self, applied: Apply, size: int) -> sp.Expr:
         """A matrix times a linear expression, as a sum of arguments of a function."""
+        if (applied, size) in self._sums:
+            return self._sums[applied, size]
         total = []
         for term in _merged_linear(self._of_factor(applied, size)):
             if isinstance(term, Pointwise):
@@ -158,7 +196,8 @@ class FieldTerms:
                 )
             array = term.matrix if isinstance(term, Linear) else term.vector
             total.append(term.coefficient * self._argument(array_digest(array), array))
-        return sp.Add(*total)
+        self._sums[applied, size] = sp.Add(*total)
+        return self._sums[applied, size]
 
     def _argument(self, key: object, array: Matrix | Array) -> sp.Symbol:
         """The symbol of a matrix or vector."""
@@ -171,30 +210,38 @@ class FieldTerms:
 def merged(terms: Iterable[Term]) -> list[Term]:
     """The terms with one of each coefficient, and functions as few as they can be.
 
-    A function that enters several fields is computed once, and functions with one coefficient that
-    are multiplied by the same matrix are added.
+    Functions with one coefficient that are multiplied by the same matrix are added. A sum of them
+    that enters several times, up to a number, is computed once.
     """
     listed = [_with_plain_coefficient(term) for term in terms]
-    functions: dict[object, list[Pointwise]] = {}
+    digests: dict[int, str] = {}
+    by_matrix: dict[object, list[Pointwise]] = {}
     for term in listed:
         if isinstance(term, Pointwise):
-            key = term.coefficient, term.function, term.after.shape[1]
-            functions.setdefault(key, []).append(term)
-    matrices: dict[object, list[Pointwise]] = {}
-    for alike in functions.values():
-        after = reduce(lambda one, other: one + other, (term.after for term in alike))
-        after = ss.csr_array(after)
-        after.eliminate_zeros()
-        if after.nnz:
-            scale = float(after.data[0])
-            after = after / scale
-            term = Pointwise(alike[0].coefficient, after, _number(scale) * alike[0].function)
-            matrices.setdefault((term.coefficient, array_digest(after)), []).append(term)
+            if id(term.after) not in digests:
+                digests[id(term.after)] = array_digest(term.after)
+            key = term.coefficient, digests[id(term.after)]
+            by_matrix.setdefault(key, []).append(term)
+    by_function: dict[object, list[Pointwise]] = {}
+    for alike in by_matrix.values():
+        number, function = _primitive(sp.Add(*(term.function for term in alike)))
+        term = Pointwise(alike[0].coefficient, alike[0].after * float(number), function)
+        if function != 0:
+            same = term.coefficient, function, term.after.shape[1]
+            by_function.setdefault(same, []).append(term)
     pointwise = [
-        replace(alike[0], function=sp.Add(*(term.function for term in alike)))
-        for alike in matrices.values()
+        replace(alike[0], after=reduce(operator.add, (term.after for term in alike)))
+        for alike in by_function.values()
     ]
     return [*_merged_linear(t for t in listed if not isinstance(t, Pointwise)), *pointwise]
+
+
+def _primitive(function: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """A number and a function whose product this is; of opposite functions they are the same."""
+    number, function = function.primitive()
+    if function.could_extract_minus_sign():
+        return -number, -function
+    return number, function
 
 
 def _merged_linear(terms: Iterable[Term]) -> list[Term]:
@@ -223,19 +270,21 @@ def _vanishes(term: Term) -> bool:
 
 def _with_plain_coefficient(term: Term) -> Term:
     """A term whose coefficient has no number before it."""
-    number, coefficient = term.coefficient.as_coeff_Mul()
+    number, coefficient = _split_number(term.coefficient)
     if number == 1:
         return term
     if isinstance(term, Linear):
         return Linear(coefficient, term.matrix * float(number))
     if isinstance(term, Source):
         return Source(coefficient, term.vector * float(number))
-    return Pointwise(coefficient, term.after * float(number), term.function)
+    return Pointwise(coefficient, term.after, number * term.function)
 
 
-def _number(scale: float) -> sp.Expr:
-    """A number as an exact fraction, as the printer needs it."""
-    return sp.Integer(int(scale)) if scale.is_integer() else sp.Rational(repr(scale))
+def _split_number(coefficient: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """The number before a coefficient, and the rest of it."""
+    factors = sp.Mul.make_args(coefficient)
+    numbers = [factor for factor in factors if factor.is_number]
+    return sp.Mul(*numbers), sp.Mul(*(factor for factor in factors if not factor.is_number))
 
 
 def _products(expression: sp.Expr) -> list[Sequence[sp.Expr]]:
@@ -259,12 +308,6 @@ def _products(expression: sp.Expr) -> list[Sequence[sp.Expr]]:
         return [sp.Mul.make_args(expression)]
     products = (sp.Mul(*itertools.chain(*each)) for each in itertools.product(*choices))
     return [sp.Mul.make_args(product) for product in products]
-
-
-def _is_one_function(terms: Sequence[Term]) -> bool:
-    """Whether multiplying out has separated nothing."""
-    first = terms[0].coefficient
-    return all(isinstance(t, Pointwise) and t.coefficient == first for t in terms)
 
 
 def _is_fixed(factor: sp.Expr) -> bool:
