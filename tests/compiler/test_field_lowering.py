@@ -177,11 +177,11 @@ def test_rates_and_jacobians(case):
     time, u, p = state_of(system)
     expected = rates(time, u, p)
     size = np.abs(expected).max()
-    assert np.abs(system.force(time, u, p) - expected).max() <= 1e-13 * size
+    assert np.abs(system.at(p).force(time, u) - expected).max() <= 1e-13 * size
     direction = np.random.default_rng(1).standard_normal(system.size)
     step = 1e-6
     change = (rates(time, u + step * direction, p) - rates(time, u - step * direction, p)) / step
-    slopes = system.jacobian(time, u, p) @ direction
+    slopes = system.at(p).jacobian(time, u) @ direction
     assert np.abs(slopes - change / 2).max() <= 1e-7 * np.abs(slopes).max()
 
 
@@ -355,6 +355,20 @@ class TestAgreement:
     def test_small_states_are_no_disagreement(self, start):
         rate = u**6 - A * u**3 + u * ro.apply(L, u)
         field_system(ro.Problem({u: rate}, (t, 0, 1), {A: (1, 2)}, {u: start}))
+
+    @pytest.mark.parametrize(
+        ("rate", "start"),
+        [
+            (sp.sqrt(u) - u, 0),
+            (sp.exp(700 / u) * A, 300.0),
+            (-sp.exp(-9000 / u) * A + ro.apply(L, u), 300.0 * place),
+            (A * u**2 - u**3 / 1e-9, 1e-9 * place),
+            (sp.log(u) * A, 1e-3),
+            (sp.erf(u) + sp.asin(u / 3) + sp.besselj(0, u) * A, place),
+        ],
+    )
+    def test_states_of_any_size(self, rate, start):
+        field_system(ro.Problem({u: rate + A}, (t, 0, 1), {A: (1, 2)}, {u: start}))
 
     def test_matrices(self):
         linear = field_system(brusselator()[0]).linear

@@ -19,7 +19,7 @@ M = ss.csr_array(ss.diags_array([ones[1:], 4 * ones, ones[1:]], offsets=(-1, 0, 
 
 def trajectory_of(system, p, time):
     def rates(at, y):
-        force = system.force(at, y, p)
+        force = system.at(p).force(at, y)
         return force if system.mass is None else ss.linalg.spsolve(system.mass.tocsc(), force)
 
     return solve_ivp(

@@ -97,6 +97,7 @@ def field_system(problem: CheckedFields, *, check: bool = True) -> FieldSystem:
         source=source.text(),
         mass=_mass(problem, unknowns),
         scales=tuple(parameter.scale for parameter in parameters),
+        time=problem.time[0].name,
     )
     if check:
         check_field_agreement(problem, system, places)
