@@ -61,9 +61,3 @@ def test_grids_that_do_not_fit_are_refused(solution):
         solution.to_xarray(**POINT, coordinates={"k": np.arange(60.0)})
     with pytest.raises(ro.OptionError, match="has the shape"):
         solution.to_xarray(**POINT, coordinates={"x": np.zeros((6, 10))})
-
-
-def test_models_of_whole_fields_are_refused(solution, tmp_path):
-    for write in (solution.export, solution.explore):
-        with pytest.raises(ro.ExportError, match=r"solution\.output"):
-            write(tmp_path / "model.c")

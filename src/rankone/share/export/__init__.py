@@ -1,6 +1,7 @@
 """Solvers and solved models as files that need neither rankone nor SymPy.
 
 - ``explorer``: the page that explores a solution: one HTML file, its data and its sentences
+- ``field_model``: exported fields: the solved model of the coefficients, and beside it their modes
 - ``mathml``: equations as people write them, typeset as MathML
 - ``model_branches``: evaluation of the solved model where the order of events changes inside the
   box
