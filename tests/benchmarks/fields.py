@@ -3,12 +3,19 @@
 ``python tests/benchmarks/fields.py [section ...]`` runs the sections that are named, or all.
 
 - ``compile``: 100,000 equations written as two fields, from the problem to the system
+- ``heat40``, ``heat100``, ``heat200``, ``block``, ``cable``, ``brusselator``, ``burgers``,
+  ``convection``: solves by modes, each in a process of its own, beside trajectories of SciPy's BDF
+  with the sparse Jacobian and modes by hand of five of them
 """
 
+import resource
+import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
+import scipy.integrate
 import scipy.sparse as ss
 import sympy as sp
 
@@ -64,9 +71,194 @@ def compile_section():
     print(f"  together {building + checked:.2f} s (bar: 2 s), text of {len(system.source)} letters")
 
 
-SECTIONS = {"compile": compile_section}
+# --- solves ------------------------------------------------------------------------------------
+
+
+def second_differences(n, spacing):
+    """Second differences on a line that ends at zero, and central first ones."""
+    second = ss.diags_array([1.0, -2.0, 1.0], offsets=(-1, 0, 1), shape=(n, n)) / spacing**2
+    first = ss.diags_array([-1.0, 1.0], offsets=(-1, 1), shape=(n, n)) / (2.0 * spacing)
+    return ss.csr_array(second), ss.csr_array(first)
+
+
+def square(side):
+    """Coordinates of the cells of a square, and operators along each of its sides."""
+    x = (np.arange(side) + 1.0) / (side + 1)
+    one = ss.eye_array(side)
+    second, first = second_differences(side, 1.0 / (side + 1))
+    along_x = [ss.csr_array(ss.kron(line, one)) for line in (second, first)]
+    along_y = [ss.csr_array(ss.kron(one, line)) for line in (second, first)]
+    return (*np.meshgrid(x, x, indexing="ij"), along_x, along_y)
+
+
+def heat(side):
+    """Two conductivities and a source."""
+    t, kx, ky, q = sp.symbols("t kx ky q")
+    x, y, (xx, _), (yy, _) = square(side)
+    u = ro.field("u", side**2)
+    source = 10.0 * np.exp(-20.0 * ((x - 0.3) ** 2 + (y - 0.4) ** 2))
+    rate = kx * ro.apply(xx, u) + ky * ro.apply(yy, u) + ro.apply(source.ravel(), q)
+    return ro.Problem({u: rate}, (t, 0, 0.1), dict.fromkeys((kx, ky, q), (0.5, 2)), {u: 0})
+
+
+def block(side):
+    """Nine blocks whose conductivities are known to a factor of two each way."""
+    t, *k = sp.symbols("t k0:9")
+    u, ends = ro.field("u", side**2), np.minimum(3 * np.arange(-1, side + 1) // side, 2).clip(0)
+    steps = ss.diags_array([1.0, -1.0], offsets=(0, -1), shape=(side + 1, side)) * (side + 1)
+    one, rate = ss.eye_array(side), ro.apply(np.ones(side**2), 1)
+    across = [ss.csr_array(ss.kron(steps, one)), ss.csr_array(ss.kron(one, steps))]
+    for i in range(3):
+        for j in range(3):
+            faces = 0.5 * ((ends[:-1] == i).astype(float) + (ends[1:] == i))
+            others = 0.5 * ((ends[:-1] == j).astype(float) + (ends[1:] == j))
+            inside, beside = ends[1:-1] == i, ends[1:-1] == j
+            weights = [np.outer(faces, beside).ravel(), np.outer(inside, others).ravel()]
+            pairs = zip(across, weights, strict=True)
+            matrix = sum(-(d.T @ ss.diags_array(w) @ d) for d, w in pairs)
+            rate += k[3 * i + j] * ro.apply(ss.csr_array(matrix), u)
+    return ro.Problem({u: rate}, (t, 0, 0.1), dict.fromkeys(k, (0.5, 2)), {u: 0})
+
+
+def cable(cells):
+    """FitzHugh and Nagumo's equations, with a current at one end (Chaturantabut & Sorensen)."""
+    t, b, g, c = sp.symbols("t b g c")
+    v, w, eps, spacing = ro.field("v", cells), ro.field("w", cells), 0.015, 1.0 / (cells - 1)
+    second = second_differences(cells, spacing)[0].tolil()
+    second[0, 1] = second[-1, -2] = 2.0 / spacing**2
+    current = np.zeros(cells)
+    current[0] = 2.0 / spacing * eps * 50_000
+    along = eps * ro.apply(ss.csr_array(second), v)
+    pulse = ro.apply(current, t**3 * sp.exp(-15 * t))
+    rates = {v: along + (v * (v - 0.1) * (1 - v) - w + c) / eps + pulse, w: b * v - g * w + c}
+    box = {b: (0.45, 0.55), g: (1.8, 2.2), c: (0.045, 0.055)}
+    return ro.Problem(rates, (t, 0, 8), box, {v: 0, w: 0})
+
+
+def reaction(side):
+    """A Brusselator that oscillates, on a torus."""
+    t, a, b = sp.symbols("t A B")
+    n = side**2
+    u, v, line = ro.field("u", n), ro.field("v", n), second_differences(side, 1.0 / side)[0].tolil()
+    line[0, -1] = line[-1, 0] = side**2
+    one = ss.eye_array(side)
+    matrix = ss.csr_array(ss.kron(line, one) + ss.kron(one, line))
+    x = np.arange(side) / side
+    x, y = np.meshgrid(x, x, indexing="ij")
+    start = 1 + 0.3 * np.sin(2 * np.pi * x) * np.cos(2 * np.pi * y)
+    rates = {
+        u: 0.002 * ro.apply(matrix, u) + a - (b + 1) * u + u**2 * v,
+        v: 0.001 * ro.apply(matrix, v) + b * u - u**2 * v,
+    }
+    initial = {u: start.ravel(), v: (2 + 0.2 * np.cos(2 * np.pi * x)).ravel()}
+    return ro.Problem(rates, (t, 0, 5), {a: (0.9, 1.1), b: (1.5, 1.8)}, initial)
+
+
+def burgers(cells):
+    """Viscosity and amplitude."""
+    t, nu, a = sp.symbols("t nu a")
+    u, spacing = ro.field("u", cells), 1.0 / (cells + 1)
+    second, first = second_differences(cells, spacing)
+    rate = nu * ro.apply(second, u) - u * ro.apply(first, u)
+    wave = np.sin(2 * np.pi * (np.arange(cells) + 1) * spacing)
+    box = {nu: (0.01, 0.04), a: (0.5, 1)}
+    return ro.Problem({u: rate}, (t, 0, 0.5), box, {u: ro.apply(wave, a)})
+
+
+def convection(side):
+    """Heat that is carried along, by a flow of variable speed and angle."""
+    t, c, angle = sp.symbols("t c theta")
+    x, y, (xx, dx), (yy, dy) = square(side)
+    u = ro.field("u", side**2)
+    rate = 0.02 * ro.apply(xx + yy, u)
+    rate += -c * sp.cos(angle) * ro.apply(dx, u) - c * sp.sin(angle) * ro.apply(dy, u)
+    start = np.exp(-60 * ((x - 0.3) ** 2 + (y - 0.5) ** 2)).ravel()
+    return ro.Problem({u: rate}, (t, 0, 0.5), {c: (0.4, 0.8), angle: (-0.4, 0.4)}, {u: start})
+
+
+CASES = {
+    "heat40": (heat, 40, 1e-3),
+    "heat100": (heat, 100, 1e-4),
+    "heat200": (heat, 200, 1e-4),
+    "block": (block, 100, 1e-3),
+    "cable": (cable, 512, 1e-4),
+    "brusselator": (reaction, 64, 1e-4),
+    "burgers": (burgers, 1000, 1e-4),
+    "convection": (convection, 100, 1e-4),
+}
+POINTS, TIMES = 4, 41
+
+
+def by_scipy(system, point, rtol, sizes, times):
+    """A trajectory of SciPy's BDF with the sparse Jacobian."""
+    own = system.at(point)
+    return scipy.integrate.solve_ivp(
+        own.force,
+        system.horizon,
+        system.initial(point),
+        method="BDF",
+        jac=own.jacobian,
+        rtol=rtol,
+        atol=rtol * sizes,
+        t_eval=times,
+    ).y
+
+
+def by_hand(system, rtol, sizes, times):
+    """Modes of five trajectories, at the centre and at corners."""
+    lower, upper = np.array(system.box).T
+    at = np.random.default_rng(0).choice(2, (4, len(lower)))
+    points = [0.5 * (lower + upper), *(lower + at * (upper - lower))]
+    columns = [by_scipy(system, point, 0.01 * rtol, sizes, times) for point in points]
+    together = np.concatenate(columns, axis=1) / sizes[:, None]
+    modes, values, _ = np.linalg.svd(together, full_matrices=False)
+    return modes[:, values > 1e-6 * values[0]]
+
+
+def solve_section(name):
+    """One solve, and its error against trajectories of SciPy at points of their own."""
+    build, size, rtol = CASES[name]
+    problem, building = seconds(lambda: build(size))
+    compiled, compiling = seconds(lambda: ro.compile(problem))
+    solution, solving = seconds(lambda: compiled.solve(rtol, method="reduced"))
+    system, bounds = compiled.system, np.array(compiled.system.box)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{system.size} entries, {len(bounds)} parameters, rtol {rtol:g}: {solution.message}")
+    print(f"  {building + compiling:.2f} s of building and compiling, {solving:.1f} s of solving")
+    modes = solution.modes
+    print(f"  {peak:.0f} MB, {modes.trajectories} full trajectories, modes {modes.counts}")
+    scales = np.where(np.array(solution.modes.scales) > 0.0, solution.modes.scales, 1.0)
+    sizes = np.repeat(scales, [unknown.size for unknown in system.unknowns])
+    times = np.linspace(*system.horizon, TIMES)
+    _, one = seconds(lambda: by_scipy(system, bounds.mean(axis=1), 0.01 * rtol, sizes, times))
+    modes, hand = seconds(lambda: by_hand(system, rtol, sizes, times))
+    print(f"  a trajectory of SciPy {one:.2f} s")
+    print(f"  modes of five by hand {hand:.1f} s, {modes.shape[1]} modes")
+    if not solution.success:
+        return
+    shares = np.random.default_rng(7).random((POINTS, len(bounds)))
+    points = bounds[:, 0] + shares * np.ptp(bounds, axis=1)
+    worst = missed = 0.0
+    for point in points:
+        exact = by_scipy(system, point, 1e-3 * rtol, sizes, times)
+        ours = solution(times, dict(zip(system.parameters, point, strict=True)))
+        worst = max(worst, float((np.abs(ours - exact) / sizes[:, None]).max()))
+        scaled = exact / sizes[:, None]
+        missed = max(missed, float(np.abs(scaled - modes @ (modes.T @ scaled)).max()))
+    print(f"  error at {POINTS} further points {worst:.1e}; modes by hand leave out {missed:.1e}")
+    point = dict(zip(system.parameters, points[0], strict=True))
+    solution(times[7], point)
+    _, each = seconds(lambda: [solution(times[7], point) for _ in range(100)])
+    print(f"  evaluation at a point {1e4 * each:.0f} us")
+
+
+SECTIONS = {"compile": compile_section, **{name: partial(solve_section, name) for name in CASES}}
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or SECTIONS:
-        print(f"== {name}")
-        SECTIONS[name]()
+    names = sys.argv[1:] or list(SECTIONS)
+    for name in names:
+        print(f"== {name}", flush=True)
+        if len(names) > 1:  # peaks are those of one section
+            subprocess.run([sys.executable, __file__, name], check=True)
+        else:
+            SECTIONS[name]()

@@ -51,6 +51,7 @@ LONG = {
         "guide/changing-orders.md",
         "guide/doses-and-restarts.md",
         "guide/events.md",
+        "guide/fields.md",
         "guide/falling-card.md",
         "guide/functions-of-unknowns.md",
         "guide/fits.md",
