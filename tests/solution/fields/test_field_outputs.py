@@ -54,8 +54,10 @@ def test_errors_of_functionals_are_those_of_the_field_times_the_weights(solution
     )
     bound = 2e-5 * 5.0 * np.abs(ROW).sum() / size
     assert output.errors["mean"] == pytest.approx(bound, rel=0.1)
+    assert "bounded by the measured errors of fields" in " ".join(repr(output).split())
     strict = solution.output({"mean": ro.apply(ROW, u)}, rtol=0.5 * bound)
     assert not strict.success
+    assert "largest for `mean`" in strict.message
 
 
 def test_quadratic_functionals(solution, values):
@@ -118,6 +120,8 @@ def test_outputs_have_all_that_plain_solutions_have(solution, tmp_path):
     assert (again(**POINT) == output(**POINT)).all()
     output.export(tmp_path / "tip.py")
     assert (tmp_path / "tip.py").exists()
+    output.explore(tmp_path / "tip.html")
+    assert "bounded by the measured errors of fields" in (tmp_path / "tip.html").read_text()
 
 
 def test_outputs_of_smaller_solutions(solution):

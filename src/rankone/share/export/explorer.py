@@ -453,6 +453,11 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
 
 def _of_errors(measured: Measured, solution: DistributionOverBox) -> list[str]:
     """Where the error was measured, and how large the parts of it are, in sentences."""
+    if not measured.points:
+        return [
+            "The error is bounded by the measured errors of fields, relative to the largest value "
+            f"of each unknown; the tolerance asked for is {solution.rtol:.3g}."
+        ]
     lines = [
         f"The error was measured on {measured.points} trajectories ({measured.method}), relative "
         f"to the largest value of each unknown; the tolerance asked for is {solution.rtol:.3g}."

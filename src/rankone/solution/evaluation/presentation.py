@@ -125,7 +125,10 @@ def _error(solution: SolutionCore) -> str:
     if measured is None:
         return f"not measured, {tolerance}"
     means = f"({measured.integrator}, {measured.method})"
-    text = f"{solution.error:.2g} measured on {measured.points} trajectories {means}, {tolerance}"
+    how = f"measured on {measured.points} trajectories {means}"
+    if not measured.points:
+        how = "bounded by the measured errors of fields"
+    text = f"{solution.error:.2g} {how}, {tolerance}"
     if measured.drift is not None:
         text += f", lifted states drift by {measured.drift:.2g}"
     if measured.constraint_drift is not None:

@@ -19,7 +19,7 @@ from rankone.support.arrays import Array
 from rankone.tensors.trains.slab import SlabTrain
 from rankone.tensors.trains.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline
-from rankone.trajectories.system.verdict import Status
+from rankone.trajectories.system.verdict import OutputError, Status
 
 _SAMPLE_COUNT = 48  # Points at which the size of a functional is measured, beside corners
 _SAMPLE_TIMES = 65  # Times of these points
@@ -60,7 +60,12 @@ def linear_outputs(
         equations=tuple(texts.get(name, name) for name in outputs),
         rtol=rtol,
     )
-    return _mapped(coefficients, listed, metadata, errors, status)
+    solution = _mapped(coefficients, listed, metadata, errors, status)
+    if solution.outcome.measured is None or solution.status not in _MEASURED:
+        return solution
+    worst = [*outputs][int(np.argmax(errors))] if not solution.success else None
+    note = OutputError(0.0, max(errors), worst)
+    return Solution(replace(solution.outcome, notes=(note,)), solution.metadata)
 
 
 def relative_errors(functionals: list[Functional], sizes: Array) -> list[float]:
@@ -110,7 +115,7 @@ def _mapped(
     """The solution of functionals, with errors of each."""
     weights = np.zeros((len(functionals), len(coefficients.states)))
     weights[:, coefficients.metadata.unknown_rows] = [each.weights for each in functionals]
-    measured = Measured(tuple(errors), (), 0, "reduced", cover="box")
+    measured = Measured(tuple(errors), (), points=0, method="solution", cover="box")
     if np.isnan(errors).any():
         status, own = Status.UNCHECKED, None
     else:
