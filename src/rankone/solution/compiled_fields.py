@@ -20,7 +20,7 @@ from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.field_solve import FieldRequest, ReducedOutcome, solve_fields
 from rankone.solvers.request import Domain, Limits, checked_rtol
-from rankone.solvers.selection import ENGINES
+from rankone.solvers.selection import ENGINES, REDUCED
 from rankone.support import __version__
 from rankone.support.arrays import MANY_STATES
 from rankone.support.errors import ConvergenceError, OptionError, did_you_mean
@@ -31,8 +31,6 @@ from rankone.trajectories.fields.field_system import FieldSystem
 
 logger = logging.getLogger("rankone")
 
-REDUCED = "reduced"
-"""The method that solves for the coefficients of modes."""
 _MOST_TRAJECTORIES = 100_000
 
 

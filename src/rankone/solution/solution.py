@@ -40,7 +40,7 @@ from rankone.solution.outputs.quantity_solutions import (
 from rankone.solution.statistics.densities import DistributionOverBox
 from rankone.solution.storage import read, write
 from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
-from rankone.solvers.selection import ENGINES
+from rankone.solvers.selection import RECORDS
 from rankone.support.arrays import Array
 from rankone.support.errors import (
     EvaluationError,
@@ -714,10 +714,6 @@ def load(path: str | PathLike[str]) -> Solution:
     """
     outcome, metadata = read(path, RECORDS)
     return loaded(path, outcome, metadata)
-
-
-RECORDS = {name: engine.record for name, engine in ENGINES.items()}
-"""The class of the records of each method."""
 
 
 def loaded(path: str | PathLike[str], outcome: Outcome, metadata: SolutionMetadata) -> Solution:

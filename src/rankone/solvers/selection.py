@@ -49,6 +49,12 @@ ENGINES: dict[str, Engine] = {
     engine.name: engine
     for engine in (train_engine.ENGINE, cross_engine.ENGINE, greedy_engine.ENGINE)
 }
+REDUCED = "reduced"
+"""The method of fields: the cross engine solves for the coefficients of their modes."""
+RECORDS = {name: engine.record for name, engine in ENGINES.items()} | {
+    REDUCED: cross_engine.ENGINE.record
+}
+"""The class of the records of each method."""
 
 
 def engines_for(

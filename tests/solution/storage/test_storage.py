@@ -22,6 +22,7 @@ import rankone as ro
 from rankone.solution.solution import Solution, load
 from rankone.solution.storage.contents import digest_of
 from rankone.solution.storage.netcdf import sealed
+from rankone.solvers.reduced.field_solve import FieldError, FieldsEnd, ReducedEnds, SlowModes
 from rankone.support.errors import StorageError
 from rankone.support.files import Tagged, write_files
 from rankone.tensors.bases import ChebyshevBasis
@@ -647,6 +648,10 @@ VERDICTS = [
     Verdict(Status.STEEP, None, (SwitchingTerm("floor(v)", "equation 2", "v", "", None),)),
     Verdict(Status.STEEP, None, (SeveralOrders("`hit` does not come at k = 1"),)),
     Verdict(Status.SWITCHES, None, (SwitchesNotHeld("an order of events cannot be continued"),)),
+    Verdict(Status.RANK_LIMIT, SlowModes("u", 100, 1e-3, 400, 9)),
+    Verdict(Status.BLOW_UP, FieldsEnd(0.5, (("k", 1.0),))),
+    Verdict(Status.CONVERGED, FieldError(1e-5, "u", 20, 29)),
+    Verdict(Status.STEEP, ReducedEnds("the solution depends steeply on k", 7)),
 ]
 
 

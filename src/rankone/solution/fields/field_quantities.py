@@ -71,7 +71,7 @@ def linear_outputs(
 def relative_errors(functionals: list[Functional], sizes: Array) -> list[float]:
     """What the errors of the fields may change functionals by, relative to their sizes."""
     return [
-        each.error * each.size / size if size else 0.0 if each.error == 0.0 else np.inf
+        float(each.error * each.size / size) if size else 0.0 if each.error == 0.0 else np.inf
         for each, size in zip(functionals, sizes, strict=True)
     ]
 

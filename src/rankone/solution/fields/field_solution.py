@@ -23,11 +23,12 @@ from rankone.solution.fields.field_statistics import FieldSobol
 from rankone.solution.fields.field_view import FieldView
 from rankone.solution.outputs.interpolation import DEFAULT_MARGIN, LARGEST_DEFAULT
 from rankone.solution.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
-from rankone.solution.solution import RECORDS, Solution, load, loaded
+from rankone.solution.solution import Solution, load, loaded
 from rankone.solution.statistics.over_box import Times
 from rankone.solution.storage import read_fields
 from rankone.solution.storage.field_contents import FieldContent, write_fields
 from rankone.solvers.reduced.functionals import Functional
+from rankone.solvers.selection import RECORDS
 from rankone.support.arrays import Array
 from rankone.support.errors import (
     ExportError,
