@@ -72,6 +72,8 @@ def test_what_cannot_be_written_is_refused(solution, tmp_path):
     for name in ("whole.fmu", "whole.html", "whole.txt"):
         with pytest.raises(ro.ExportError, match=r"solution\.output"):
             solution.export(tmp_path / name)
+    with pytest.raises(ro.ExportError, match=r"solution\.output"):
+        solution.explore(tmp_path / "whole.html")
     path = solution.export(tmp_path / "whole.c")
     path.unlink()
     with pytest.raises(ro.ExportError, match=r"whole_fields\.c` exists"):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -394,6 +394,21 @@ class FieldSolution(FieldCore):
         model = self.coefficients.export(path, rtol=rtol, overwrite=overwrite, allow_failed=True)
         write_files(files, overwrite, ExportError)
         return model
+
+    def explore(self, path: str | PathLike[str], **options: object) -> NoReturn:
+        """Refused: pages show curves, those of outputs.
+
+        Raises
+        ------
+        ExportError
+            It says how to write a page of outputs: ``solution.output({...}).explore(path)``.
+        """
+        raise ExportError(
+            f"`{path}` would show {self.size} entries, and pages show curves",
+            term=path,
+            remedy="choose outputs: "
+            'solution.output({"tip": solution[u][3], "mean": rankone.apply(row, u)}).explore(path)',
+        )
 
     # --- files -----------------------------------------------------------------------------------
 
