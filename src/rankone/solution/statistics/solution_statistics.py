@@ -345,7 +345,7 @@ class Statistics:
         """
         rows = self.rows if rows is None else list(rows)
         owner = np.searchsorted(self._starts, times, side="right")
-        table = np.empty((*of(np.zeros((len(rows), points.shape[1]))).shape, times.size))
+        columns: list[Array] = [np.empty(0)] * times.size
         products, latest = np.zeros((0, 0)), None
         for k in np.unique(owner):
             slab = self.slabs[k]
@@ -354,8 +354,11 @@ class Statistics:
                 blocks = (points[:, start : start + POINTS_AT_ONCE] for start in starts)
                 products, latest = np.hstack([slab.over_parameters(b) for b in blocks]), slab
             for i in np.flatnonzero(owner == k):
-                table[..., i] = of(slab.on_grid(times[i : i + 1], products)[rows, :, 0])
-        return table
+                columns[i] = of(slab.on_grid(times[i : i + 1], products)[rows, :, 0])
+        if not columns:
+            shape = of(np.zeros((len(rows), points.shape[1]))).shape
+            return np.empty((*shape, 0))
+        return np.stack(columns, axis=-1)
 
     def _squares(self, times: Array, matrices: Callable[[TrainMoments], Array]) -> Array:
         """``a(t) P a(t)^T`` for several matrices, (states, matrices, times)."""
