@@ -101,6 +101,10 @@ class Best:
     root: Array
 
 
+Paths = dict[tuple[int, float], tuple[Array, Array]]
+"""By parameter and direction, -1 or 1: best points (k, n) outwards, and rises of their costs."""
+
+
 @dataclass(frozen=True)
 class Profile:
     """The profile of one parameter.
@@ -135,26 +139,26 @@ class Profile:
 
 
 def profiles(
-    problem: Likelihood, best: Best, limits: Mapping[int, float], held: Sequence[int] = ()
+    problem: Likelihood,
+    best: Best,
+    limits: Mapping[int, float],
+    held: Sequence[int] = (),
+    paths: Paths | None = None,
 ) -> dict[int, Profile]:
     """The profiles of some parameters, by position, each up to a rise of the cost by its limit.
 
-    Parameters that are ``held`` stay where they are at the best point.
+    Parameters that are ``held`` stay where they are at the best point. ``paths`` are those that are
+    ready for the same best point, and take up the others: they are the same for all limits.
     """
-    if not limits:
-        return {}
-    directions = [(index, sign) for index in limits for sign in (-1.0, 1.0)]
-    places = [_places(best, index, sign) for index, sign in directions]
-    rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(places)])
-    columns = np.array([directions[k][0] for k in rows])
-    starts = _line(best, columns, np.concatenate(places), held)
-    points, costs = _along(problem, columns, starts, held)
-    branches = []
-    for k, (index, _) in enumerate(directions):
-        here = rows == k
-        path = np.vstack([best.z, points[here]])
-        rise = np.concatenate([[0.0], np.maximum(costs[here] - best.cost, 0.0)])
-        branches.append(_Branch(index, limits[index], path, rise))
+    paths = {} if paths is None else paths
+    missing = [index for index in limits if (index, -1.0) not in paths]
+    if missing:
+        paths.update(_paths(problem, best, missing, held))
+    branches = [
+        _Branch(index, limit, *paths[index, sign])
+        for index, limit in limits.items()
+        for sign in (-1.0, 1.0)
+    ]
     _refine(problem, best, branches, held)
     curves = {}
     for low, high in zip(branches[::2], branches[1::2], strict=True):
@@ -162,6 +166,22 @@ def profiles(
         rise = np.concatenate([low.rise[:0:-1], high.rise])
         curves[low.index] = Profile(low.index, path, rise, low.end(), high.end())
     return curves
+
+
+def _paths(problem: Likelihood, best: Best, indices: Sequence[int], held: Sequence[int]) -> Paths:
+    """Best points from the best of all to both bounds of each parameter."""
+    directions = [(index, sign) for index in indices for sign in (-1.0, 1.0)]
+    places = [_places(best, index, sign) for index, sign in directions]
+    rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(places)])
+    columns = np.array([directions[k][0] for k in rows])
+    starts = _line(best, columns, np.concatenate(places), held)
+    points, costs = _along(problem, columns, starts, held)
+    paths = {}
+    for k, direction in enumerate(directions):
+        here = rows == k
+        rise = np.concatenate([[0.0], np.maximum(costs[here] - best.cost, 0.0)])
+        paths[direction] = np.vstack([best.z, points[here]]), rise
+    return paths
 
 
 @dataclass

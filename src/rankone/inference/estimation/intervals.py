@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from rankone.inference.estimation.estimates import Estimates
 from rankone.inference.estimation.experiments import Seeds, Trial, trial_of
 from rankone.inference.estimation.formulas import quantity, with_shape
-from rankone.inference.estimation.identification import Profile, Stop, profiles
+from rankone.inference.estimation.identification import Paths, Profile, Stop, profiles
 from rankone.inference.estimation.likelihood import Likelihood
 from rankone.inference.estimation.noise import Noise
 from rankone.inference.estimation.observations import checked_times
@@ -258,9 +258,14 @@ class Intervals(Estimates):
         of_levels = {j: limit for j, limit in limits.items() if j in levels}
         others = {j: limit for j, limit in limits.items() if j not in levels}
         return {
-            **profiles(self._problem, self._best, of_levels),
-            **profiles(self._problem, self._centre, others, levels),
+            **profiles(self._problem, self._best, of_levels, (), self._paths),
+            **profiles(self._problem, self._centre, others, levels, self._paths),
         }
+
+    @cached_property
+    def _paths(self) -> Paths:
+        """What profiles of all levels have in common, as far as any was asked for."""
+        return {}
 
     def rise(self, parameter: object, *, level: float | None = None) -> float:
         """By how much -2 log L is larger at the ends of profile intervals; squares without sigma.
