@@ -15,6 +15,7 @@ import io
 import itertools
 import math
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -298,3 +299,22 @@ def test_the_readme_quotes_what_was_measured():
     quoted = COST.search((ROOT / "README.md").read_text())
     assert len(break_evens) >= 20
     assert [*map(int, quoted.groups())] == [min(break_evens), max(break_evens)]
+
+
+def test_the_navigation_has_every_page(monkeypatch):
+    """The build of the site fails where no section of the index and no table lists a page."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    docs = ROOT / "docs"
+    source = [(docs / "index.md").read_text(encoding="utf-8")]
+    runpy.run_path(str(docs / "conf.py"))["_read"](None, "index", source)
+    listed = {docs / entry for entry in re.findall(r"^\S+\.(?:md|rst)$", source[0], re.M)}
+    for page in docs.rglob("*.rst"):
+        table = re.search(
+            r"^\.\. toctree::\n(?:   :.*\n)*\n((?:   \S+\n)+)", page.read_text(), re.M
+        )
+        if table:
+            listed |= {page.parent / f"{entry}.rst" for entry in table[1].split()}
+    pages = {page for end in ("md", "rst") for page in docs.rglob(f"*.{end}")}
+    built = {page for page in pages if "_build" in page.parts}
+    assert pages - built - listed == {docs / "index.md"}
+    assert listed <= pages
