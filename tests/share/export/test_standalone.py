@@ -433,9 +433,8 @@ def test_the_front_is_all_a_reader_needs(method):
     assert "rankone." not in "".join(line for line in source.splitlines() if "import " in line)
 
 
-@pytest.mark.parametrize(
-    "method", ["cross", *(pytest.param(m, marks=pytest.mark.slow) for m in ("train", "greedy"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["cross", "train", "greedy"])
 def test_the_runtime_is_whole_modules_of_the_library(method):
     """Each once, after those it imports, the same statements, each name declared global."""
     tree = ast.parse(source_of(compiled("decay"), method))
@@ -651,6 +650,7 @@ def test_unknown_roots_are_refused():
         bundle(["rankone.tensors.trains.nothing"])
 
 
+@pytest.mark.slow
 def test_switches_are_held_in_exported_solvers_as_in_the_library(alone, tmp_path):
     relay = ro.Problem.from_strings(
         {"x": "-x + 2 - 2*Heaviside(x - c)"}, {"x": 0}, {"c": (0.5, 1)}, (0, 3)
