@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import bisect
 import functools
 
 import numpy as np
+import scipy.stats
 
 import rankone as ro
 from examples import doses
@@ -64,3 +66,29 @@ def drug_fit(seed):
 def covered(interval, value):
     low, high = interval
     return low <= value <= high
+
+
+STEPS = 0.2 * np.arange(1, 17)  # Half widths of intervals in normal deviations
+
+
+def reaching_squares(fits, truth):
+    """For each parameter a sum of squares over the fits, and bounds of what it may be.
+
+    An interval of some level just reaches the truth. In normal deviations that level has unit
+    variance if intervals hold as often as they say.
+    """
+    rows = []
+    for fit in fits:
+        intervals = functools.cache(fit.interval)
+        rows.append({name: _reaching(name, intervals, truth[name]) for name in fit.x})
+    squares = {name: sum(row[name] ** 2 for row in rows if name in row) for name in rows[-1]}
+    return squares, *scipy.stats.chi2.ppf([5e-4, 1.0 - 5e-4], len(rows))
+
+
+def _reaching(name, intervals, value):
+    """The half width of the interval of a parameter that just reaches a value."""
+
+    def holds(step):
+        return covered(intervals(2.0 * scipy.stats.norm.cdf(step) - 1.0)[name], value)
+
+    return 0.2 * bisect.bisect_left(STEPS, True, key=holds) + 0.1

@@ -1,6 +1,5 @@
 """Several experiments in one fit: of one solution, and of several that share parameters."""
 
-import bisect
 import functools
 
 import numpy as np
@@ -12,7 +11,7 @@ import rankone as ro
 from rankone.support.errors import OptionError
 from tests.inference.estimation import experiments
 from tests.inference.estimation.experiments import DOSES, HOURS, bateman, oral
-from tests.inference.estimation.systems import covered, decay
+from tests.inference.estimation.systems import covered, decay, reaching_squares
 
 TIMES = np.linspace(0.1, 2.0, 10)
 
@@ -197,9 +196,6 @@ def test_wrong_experiments():
         ro.fit([(solution, one) for solution in small])
 
 
-STEPS = 0.2 * np.arange(1, 17)  # Half widths of intervals in normal deviations
-
-
 def test_intervals_do_not_depend_on_those_before():
     """Profiles of all levels share what does not depend on the level, and nothing else."""
     once, again = (experiments.DESIGNS["combined noise"](1) for _ in range(2))
@@ -210,32 +206,13 @@ def test_intervals_do_not_depend_on_those_before():
     assert wide[0] < narrow[0] < once.x["ke"] < narrow[1] < wide[1]
 
 
-def short_intervals(fit):
-    """For each parameter how many of the intervals, from the shortest on, do not hold the truth."""
-
-    @functools.cache
-    def intervals(step):
-        return fit.interval(2.0 * scipy.stats.norm.cdf(step) - 1.0)
-
-    return {
-        name: bisect.bisect_left(
-            STEPS,
-            True,
-            key=lambda step, name=name: covered(intervals(step)[name], experiments.TRUE[name]),
-        )
-        for name in fit.x
-    }
-
-
 @pytest.mark.parametrize("name", experiments.DESIGNS)
 @pytest.mark.slow
 def test_coverage(name):
     """Of 36 data sets; in 400 (tests/benchmarks/intervals.py) 364 to 396 intervals hold the truth.
 
-    An interval of some level just reaches the truth. In normal deviations that level has unit
-    variance if intervals hold as often as they say, at all levels: too short and too long are seen.
+    What is too short and what is too long is seen at all levels at once.
     """
-    short = [short_intervals(experiments.DESIGNS[name](seed)) for seed in range(36)]
-    squares = {each: sum((0.2 * one[each] + 0.1) ** 2 for one in short) for each in short[0]}
-    lower, upper = scipy.stats.chi2.ppf([5e-4, 1.0 - 5e-4], len(short))
+    fits = map(experiments.DESIGNS[name], range(36))
+    squares, lower, upper = reaching_squares(fits, experiments.TRUE)
     assert all(lower < square < upper for square in squares.values()), squares
