@@ -115,7 +115,7 @@ def test_only_the_front_end_reaches_sympy():
     "name",
     [
         "rankone.compiler.codegen",
-        "rankone.compiler.codegen.loading",
+        "rankone.compiler.codegen.layout",
         "rankone.trajectories.system.features",
     ],
 )
@@ -192,7 +192,7 @@ def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):
         "sys.modules['sympy'] = None\n"
         f"package = types.ModuleType('rankone'); package.__path__ = [{str(SOURCE)!r}]\n"
         "sys.modules['rankone'] = package\n"
-        "import rankone.support.progress, rankone.tensors.trains.canonical\n"
+        "import rankone.support.budget, rankone.tensors.canonical\n"
         "from rankone.solution.solution import load\n"
         f"print(float(load({str(path)!r})(t=1.0, k=2.0)[0]))\n"
     )

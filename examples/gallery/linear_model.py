@@ -17,7 +17,7 @@ from common import Array, Figure, error_of, plt, publish, run_script, slope
 
 import rankone as ro
 from examples import decay, linear
-from rankone.tensors.trains.canonical import CanonicalForm
+from rankone.tensors.canonical import CanonicalForm
 
 TITLES = {"linear": "k (u′ + 1) = 10", "decay": "u′ + k u = 0"}
 

@@ -20,7 +20,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rankone.compiler.codegen.loading import load_module
+    from rankone.compiler.codegen.layout import load_module
     from rankone.compiler.codegen.module import generate_source
     from rankone.compiler.codegen.sums import quadratic_system
     from rankone.compiler.passes import FirstOrderSystem, WeakForm, first_order, separate, weak_form
@@ -157,7 +157,7 @@ _MODULES = {
     "inference.calibration.calibration_problem": ("CalibrationProblem", "read_petab"),
     "inference.calibration.result": ("Calibration",),
     "inference.calibration.solutions": ("CalibrationSolutions",),
-    "compiler.codegen.loading": ("load_module",),
+    "compiler.codegen.layout": ("load_module",),
     "compiler.codegen.sums": ("quadratic_system",),
     "compiler.codegen.module": ("generate_source",),
     "inference.estimation.design": ("Design",),

@@ -33,7 +33,7 @@ from rankone.solvers.engines import train_engine as engine  # noqa: E402
 from rankone.solvers.engines import train_length as nodes  # noqa: E402
 from rankone.solvers.engines import train_sweep as sweep  # noqa: E402
 from rankone.solvers.verification.reference import integrate_reference  # noqa: E402
-from rankone.tensors.trains.train import truncated_svd  # noqa: E402
+from rankone.tensors.train import truncated_svd  # noqa: E402
 from tests.benchmarks.report import machine, update  # noqa: E402
 
 AS_IT_IS = "as it is"

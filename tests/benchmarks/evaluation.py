@@ -27,9 +27,9 @@ import numpy as np
 import rankone as ro
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Outcome, SolutionMetadata
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import Status
 from tests.problems import EXAMPLES
 

@@ -365,28 +365,28 @@ SHARE = [
 ]
 CORE = [
     Fault(
-        "tensors/bases/coordinates.py",
+        "tensors/coordinates.py",
         "return np.asarray(np.exp(s))",
         "return np.asarray(np.exp(1.0001 * s))",
-        "tensors/bases/test_scales.py",
+        "tensors/test_scales.py",
     ),
     Fault(
-        "tensors/bases/coordinates.py",
+        "tensors/coordinates.py",
         "        return -1.0 / s\n",
         "        return 1.0 / s\n",
-        "tensors/bases/test_scales.py",
+        "tensors/test_scales.py",
     ),
     Fault(
-        "tensors/bases/coordinates.py",
+        "tensors/coordinates.py",
         "return np.clip(array, lower, upper)",
         "return array",
         "solution/evaluation/test_evaluation.py",
     ),
     Fault(
-        "tensors/trains/slab.py",
+        "tensors/slab.py",
         "return (2.0 * times - (self.start + self.end)) / (self.end - self.start)",
         "return (2.0 * times - (self.start + self.end)) / (self.end + self.start)",
-        "tensors/trains/test_slab.py tensors/trains/test_evaluator.py",
+        "tensors/test_slab.py tensors/test_evaluator.py",
     ),
     Fault(
         "solvers/engines/greedy_operators.py",
@@ -395,10 +395,10 @@ CORE = [
         "solvers/engines tensors",
     ),
     Fault(
-        "tensors/trains/canonical.py",
+        "tensors/canonical.py",
         "return np.asarray((products @ self.amplitudes).reshape(shape))",
         "return np.asarray((products @ self.amplitudes**2).reshape(shape))",
-        "tensors/trains/test_canonical.py",
+        "tensors/test_canonical.py",
     ),
     Fault(
         "solution/evaluation/event_times.py",
@@ -437,10 +437,10 @@ CORE = [
         "inference/estimation/test_posterior.py",
     ),
     Fault(
-        "tensors/bases/coordinates.py",
+        "tensors/coordinates.py",
         "return 0.0 < lower < upper or lower < upper < 0.0",
         "return lower < upper",
-        "tensors/bases/test_scales.py problem/test_scales.py",
+        "tensors/test_scales.py problem/test_scales.py",
     ),
     Fault(
         "support/errors.py",

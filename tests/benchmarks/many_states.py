@@ -31,7 +31,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.solvers.engines import cross_samples as trajectories
-from rankone.tensors.trains.cross import GrowingBasis
+from rankone.tensors.cross import GrowingBasis
 from rankone.trajectories.system.system import PatternJacobian
 
 FIELDS = Path(__file__).resolve().parents[2] / "examples" / "fields"

@@ -28,7 +28,7 @@ import rankone as ro  # noqa: E402
 from rankone.solvers.engines import train_operators as inverse_module  # noqa: E402
 from rankone.solvers.engines.train_operators import SchurInverse, SlabJacobian, SparseInverse  # noqa: E402
 from rankone.support.arrays import Array  # noqa: E402
-from rankone.tensors.bases import RadauCollocation  # noqa: E402
+from rankone.tensors import RadauCollocation  # noqa: E402
 from rankone.trajectories.stacks.newton import Solver, elimination_of  # noqa: E402
 from rankone.trajectories.system.system import PatternJacobian, pattern_of  # noqa: E402
 from tests.benchmarks.many_states import epidemic, heat, mass_action, truss  # noqa: E402

@@ -9,7 +9,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.compiler.agreement import check_problem
-from rankone.compiler.codegen.loading import load_module
+from rankone.compiler.codegen.layout import load_module
 from rankone.compiler.comparison import NoValueError, Program, number
 from tests.problems import MEASURED
 

@@ -38,7 +38,7 @@ from rankone.solvers import attempts, branches, branching, selection, stretches_
 from rankone.solvers.engines import cross_engine, greedy_engine, train_engine
 from rankone.solvers.verification import points, reference_set, resolution
 from rankone.solvers.verification.cuts import Cuts
-from rankone.tensors.trains import adaptive
+from rankone.tensors import adaptive
 from rankone.trajectories.events import markers
 from rankone.trajectories.integrators import defects, integrator_choice, workers
 from rankone.trajectories.stacks import stack

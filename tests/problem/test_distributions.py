@@ -9,7 +9,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.support.errors import ProblemError, RankoneError
-from rankone.tensors.bases.distributions import as_text, from_text
+from rankone.tensors.distributions import as_text, from_text
 
 t, k = sp.symbols("t k")
 u = sp.Function("u")(t)

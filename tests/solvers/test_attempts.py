@@ -14,11 +14,11 @@ from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.request import Check, Domain, SolveRequest
 from rankone.solvers.verification.reference_set import ReferenceSet
+from rankone.support.budget import Report, quiet
 from rankone.support.errors import RankoneError
 from rankone.support.options import Options, integer
-from rankone.support.progress import Report, quiet
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import Status
 from tests.problems import REFERENCE
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from rankone.solvers.march import March, SlabTrial, Span
 from rankone.solvers.outcome import SlabRecord
-from rankone.support.progress import ProgressEvent
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.support.budget import ProgressEvent
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import Status
 
 

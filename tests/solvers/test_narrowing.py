@@ -7,8 +7,8 @@ import pytest
 
 import rankone as ro
 from rankone.solvers.remedies import Resolution, narrowed_box
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.bases.coordinates import Logarithm
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.coordinates import Logarithm
 from rankone.trajectories.system.verdict import Status
 
 RTOL = 1e-3

@@ -12,9 +12,9 @@ from rankone.solvers.engines.greedy_engine import GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.selection import ENGINES, engines_for
+from rankone.support.budget import ProgressEvent
 from rankone.support.errors import OptionError
 from rankone.support.options import Options
-from rankone.support.progress import ProgressEvent
 from tests.problems import REFERENCE
 
 

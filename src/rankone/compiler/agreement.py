@@ -22,7 +22,7 @@ from rankone.problem.forms import Jump
 from rankone.problem.problem import Problem
 from rankone.support.arrays import ACCUMULATED, EPSILON, SEED, Array
 from rankone.support.errors import OptionError, ProblemError, quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.bifurcations import before_start
 from rankone.trajectories.system.system import System, pattern_of
 

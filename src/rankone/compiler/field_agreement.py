@@ -22,7 +22,7 @@ from rankone.problem.field_problem import CheckedFields
 from rankone.problem.fields import Apply, Field, Vector, size_of
 from rankone.support.arrays import NEGLIGIBLE, SEED, TINY, Array
 from rankone.support.errors import quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.fields.field_system import FieldSystem, Matrix
 
 Extended = NDArray[np.longdouble]

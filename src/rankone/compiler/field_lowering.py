@@ -28,7 +28,7 @@ from rankone.problem.field_problem import CheckedFields
 from rankone.problem.fields import Field, size_of
 from rankone.support.arrays import Array
 from rankone.support.errors import SeparationError, quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.fields.field_system import (
     FieldSystem,
     LinearTerm,

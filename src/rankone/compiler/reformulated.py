@@ -13,7 +13,7 @@ import numpy as np
 import sympy as sp
 
 from rankone.compiler.agreement import AGREED, POINTS, ComparedPoints, disagreeing_rate
-from rankone.compiler.codegen.loading import ModuleSpecification, Quantities
+from rankone.compiler.codegen.layout import ModuleSpecification, Quantities
 from rankone.compiler.codegen.module import general_source, generate_source
 from rankone.compiler.codegen.output_expressions import OutputFormulas, output_formulas
 from rankone.compiler.codegen.sums import quadratic_system
@@ -47,7 +47,7 @@ from rankone.support.errors import (
     listing,
     quote,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.bifurcations import RestingStart
 from rankone.trajectories.events.stretches import fixed_times, in_stretches
 from rankone.trajectories.integrators.diagnosis import coarse_states

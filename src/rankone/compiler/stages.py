@@ -30,8 +30,7 @@ import sympy as sp
 
 from rankone.compiler.agreement import AGREED, DisagreementError, check_problem, check_table
 from rankone.compiler.codegen.kernels import equation_texts, general_equation_texts
-from rankone.compiler.codegen.layout import with_constants
-from rankone.compiler.codegen.loading import ModuleSpecification
+from rankone.compiler.codegen.layout import ModuleSpecification, with_constants
 from rankone.compiler.codegen.module import general_source, generated_module
 from rankone.compiler.comparison import LOST_SHARE
 from rankone.compiler.passes import (
@@ -60,6 +59,7 @@ from rankone.problem.problem import Problem
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.selection import AUTO, ENGINES, engines_for
 from rankone.support import __version__
+from rankone.support.budget import timed
 from rankone.support.errors import (
     OptionError,
     RankoneError,
@@ -69,8 +69,7 @@ from rankone.support.errors import (
     number,
     quote,
 )
-from rankone.support.progress import timed
-from rankone.tensors.bases.coordinates import with_measure
+from rankone.tensors.coordinates import with_measure
 from rankone.trajectories.system.system import System
 
 _ANY_SYSTEM = (AUTO, "cross")  # Methods that need no separated terms

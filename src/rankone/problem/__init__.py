@@ -8,7 +8,6 @@ In come equations, parameters with their intervals, initial values and events; o
 - ``box``: the coordinates of a problem: the time interval, the box of the parameters, and its
   pieces
 - ``checked``: the checks of a problem's arguments, what follows from them, and how it is shown
-- ``crossings``: on which sides of its events' surfaces a trajectory is, and where it crosses them
 - ``equations``: the equations of a problem and the initial values of its states
 - ``expressions``: single SymPy expressions, whatever problem they belong to
 - ``field_conversions``: matrices as problems with one field, and problems with fields entry by
@@ -25,8 +24,8 @@ In come equations, parameters with their intervals, initial values and events; o
 - ``jumps``: jumps at known times: doses, kicks and restarts, also those written as ``DiracDelta``
   of time
 - ``models``: models from files of other tools, as problems
-- ``numeric``: the equations of a problem as functions of numbers, made from them as the user
-  wrote them
+- ``numeric``: the equations of a problem as functions of numbers, and the sides of its events'
+  surfaces
 - ``problem``: what the user wrote, validated once and immutable
 - ``shorthand``: constants and definitions that a problem names, and what is often mistaken for an
   unknown

@@ -26,7 +26,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import (
+from rankone.tensors.coordinates import (
     SCALES,
     check_scale,
     evenly_on_scale,
@@ -34,8 +34,8 @@ from rankone.tensors.bases.coordinates import (
     name_of,
     split,
 )
-from rankone.tensors.bases.distributions import as_text, from_text, interval_of
-from rankone.tensors.bases.joint_distribution import copula_of
+from rankone.tensors.distributions import as_text, from_text, interval_of
+from rankone.tensors.joint_distribution import copula_of
 
 Time = tuple[sp.Symbol, float, float]
 """The symbol of time, the start and the end."""

@@ -80,8 +80,8 @@ from rankone.support.errors import (
     shown,
     warn,
 )
-from rankone.tensors.bases.coordinates import LINEAR, name_of, with_measure, written_scale
-from rankone.tensors.bases.distributions import scale_of
+from rankone.tensors.coordinates import LINEAR, name_of, with_measure, written_scale
+from rankone.tensors.distributions import scale_of
 
 _MORE_LATEX = r"& \ldots \text{{ {} more}}"
 

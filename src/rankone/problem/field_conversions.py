@@ -19,7 +19,7 @@ from rankone.problem.field_rates import State
 from rankone.problem.fields import Apply, Field, Operator, Vector, apply, constant_of, size_of
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, count, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 _MOST_COUPLED = 200  # Entries of a mass matrix whose inverse is written out
 _MOST_ENTRIES = 2000  # Of fields that are written entry by entry: seconds of SymPy

@@ -35,7 +35,7 @@ from rankone.support.errors import (
     aligned_equations,
     count,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 class CheckedFields(CheckedProblem):

@@ -26,7 +26,7 @@ from rankone.problem.fields import (
 from rankone.problem.functions import DataFunction
 from rankone.problem.shorthand import Shorthand
 from rankone.support.errors import ProblemError, count, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 State: TypeAlias = "sp.Expr"
 """A field, or a scalar unknown ``x(t)``."""

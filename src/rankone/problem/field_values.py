@@ -26,7 +26,7 @@ from rankone.problem.fields import (
     size_of,
 )
 from rankone.support.errors import ProblemError, count, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 def initial_fields(

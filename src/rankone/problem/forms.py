@@ -31,7 +31,7 @@ from rankone.support.errors import (
     number,
     text_table,
 )
-from rankone.tensors.bases.coordinates import LINEAR
+from rankone.tensors.coordinates import LINEAR
 
 if TYPE_CHECKING:
     import sympy as sp

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from rankone.problem.crossings import Crossing, Sides, first_change
 from rankone.problem.forms import Coordinate
-from rankone.problem.numeric import NumericEquations
+from rankone.problem.numeric import Crossing, NumericEquations, Sides, first_change
 from rankone.support.arrays import COINCIDENT, EPSILON, NEGLIGIBLE, ROUNDING, Array
 from rankone.support.errors import (
     BlowUpError,
@@ -30,7 +29,7 @@ from rankone.support.errors import (
     quote,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import Coordinates, name_of
+from rankone.tensors.coordinates import Coordinates, name_of
 from rankone.trajectories.system.features import overlap
 
 LEAST_RTOL, MOST_RTOL = 1e-12, 0.1

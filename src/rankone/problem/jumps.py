@@ -17,7 +17,7 @@ from rankone.problem.forms import Jump
 from rankone.problem.functions import Table
 from rankone.support.arrays import NEGLIGIBLE
 from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown, warn
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 Resets = Mapping[float, Mapping[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""

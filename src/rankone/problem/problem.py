@@ -37,7 +37,7 @@ from rankone.problem.text import problem_arguments
 from rankone.problem.toml_layout import save_problem
 from rankone.problem.user_events import Event
 from rankone.support.errors import ProblemError, bounded_depth
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 _P = ParamSpec("_P")
 

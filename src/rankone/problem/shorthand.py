@@ -14,7 +14,7 @@ from sympy.core.function import AppliedUndef
 from rankone.problem.box import Box, check_assumptions, real_number
 from rankone.problem.expressions.notation import NamedConstant, exact, expression_of, plain_text
 from rankone.support.errors import ProblemError, quote, shown
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 Fault = tuple[str, sp.Expr, str]
 """A message, the term and the remedy."""

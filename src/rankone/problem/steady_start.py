@@ -39,7 +39,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 Arguments = Mapping[str, Any]
 """The arguments of a problem by name."""

@@ -27,7 +27,7 @@ from rankone.problem.steady_start import SteadyState
 from rankone.problem.user_events import Event
 from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown
 from rankone.support.files import as_path, write_files
-from rankone.tensors.bases.coordinates import name_of, split
+from rankone.tensors.coordinates import name_of, split
 
 TOML_LAYOUT = """\
 time = [0, 6]

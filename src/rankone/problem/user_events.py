@@ -26,7 +26,7 @@ from rankone.problem.jumps import (
     instants_of,
 )
 from rankone.support.errors import ProblemError, did_you_mean, listing, quote, shown, warn
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 _DIRECTIONS = {"both": "crosses", "rising": "rises through", "falling": "falls through"}
 _ARROWS = {"both": r"\leftrightarrows", "rising": r"\nearrow", "falling": r"\searrow"}

@@ -26,6 +26,7 @@ from rankone.solution.solution import Solution
 from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, Observation, SolveRequest
 from rankone.solvers.selection import engines_for, solve_with
 from rankone.solvers.ways import Engine
+from rankone.support.budget import Report, resolve_progress
 from rankone.support.errors import (
     ConvergenceError,
     OptionError,
@@ -36,9 +37,8 @@ from rankone.support.errors import (
     quote,
     warn,
 )
-from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import one_thread
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Status
 
@@ -161,7 +161,7 @@ class CompiledProblem(CompiledStages):
             Another end of the horizon.
         progress : bool or callable
             True shows a bar on stderr; a callable gets a
-            :class:`~rankone.support.progress.ProgressEvent` after each slab, or batch of samples.
+            :class:`~rankone.support.budget.ProgressEvent` after each slab, or batch of samples.
         check : int
             Number of check points in the interior, spread evenly (at most 100000). 0 skips the
             check; the solution then does not count as a success.

@@ -23,9 +23,9 @@ from rankone.solvers.request import Domain, Limits, checked_rtol
 from rankone.solvers.selection import ENGINES, REDUCED
 from rankone.support import __version__
 from rankone.support.arrays import MANY_STATES
+from rankone.support.budget import Report, resolve_progress
 from rankone.support.errors import ConvergenceError, OptionError, did_you_mean
 from rankone.support.options import checked_number
-from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import ExecutorLike, checked_executor, one_thread
 from rankone.trajectories.fields.field_system import FieldSystem
 

@@ -17,6 +17,7 @@ from rankone.solution.compiled import CompiledProblem, check_arguments, compile_
 from rankone.solution.solution import Solution
 from rankone.solvers.request import Domain
 from rankone.support.arrays import Labelled, Table, Variables
+from rankone.support.budget import StepReport, counting_bar
 from rankone.support.errors import (
     ConvergenceError,
     OptionError,
@@ -29,7 +30,6 @@ from rankone.support.errors import (
     warn,
 )
 from rankone.support.options import takes_options_of
-from rankone.support.progress import StepReport, counting_bar
 from rankone.support.tasks import (
     ExecutorLike,
     Parcel,
@@ -40,7 +40,7 @@ from rankone.support.tasks import (
     packed,
     unpacked,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.verdict import Status
 
 Box = Mapping[Any, Any]

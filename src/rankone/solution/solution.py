@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from rankone.compiler.codegen.loading import Quantities
+from rankone.compiler.codegen.layout import Quantities
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import (
     at_time,
@@ -42,6 +42,7 @@ from rankone.solution.storage import read, write
 from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
 from rankone.solvers.selection import RECORDS
 from rankone.support.arrays import Array
+from rankone.support.budget import Report, resolve_progress
 from rankone.support.errors import (
     EvaluationError,
     OptionError,
@@ -50,14 +51,13 @@ from rankone.support.errors import (
     optional_module,
     shown,
 )
-from rankone.support.progress import Report, resolve_progress
 from rankone.support.tasks import ExecutorLike, checked_executor, one_thread, open_pool
-from rankone.tensors.bases.distributions import from_text
-from rankone.tensors.bases.joint_distribution import copula_of
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
-from rankone.tensors.trains.canonical import CanonicalForms, canonical_form
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
+from rankone.tensors.canonical import CanonicalForms, canonical_form
+from rankone.tensors.distributions import from_text
+from rankone.tensors.joint_distribution import copula_of
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -333,7 +333,7 @@ class Solution(DistributionOverBox, EventTimes):
             or the address of a scheduler of dask. By default this process.
         progress : bool or callable
             True shows a bar on standard error. A function is called with a
-            :class:`~rankone.support.progress.ProgressEvent` at each step of an attempt over the
+            :class:`~rankone.support.budget.ProgressEvent` at each step of an attempt over the
             parameters; an exception it raises stops.
 
         Returns
@@ -486,7 +486,7 @@ class Solution(DistributionOverBox, EventTimes):
         Returns
         -------
         CanonicalForms
-            A mapping from unknowns to :class:`~rankone.tensors.trains.canonical.CanonicalForm`.
+            A mapping from unknowns to :class:`~rankone.tensors.canonical.CanonicalForm`.
             The form of a derivative that is a state is computed when it is asked for:
             ``forms[x.diff(t)]`` or ``forms["x_t"]``.
 

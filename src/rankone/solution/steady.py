@@ -24,7 +24,7 @@ from rankone.support.budget import OutOfBudgetError, limited, patience_for
 from rankone.support.errors import ConvergenceError, ProblemError, check_kind, quote
 from rankone.support.options import checked_number
 from rankone.support.tasks import one_thread
-from rankone.tensors.trains.slab import at_one_time
+from rankone.tensors.slab import at_one_time
 from rankone.trajectories.bifurcations import check_one_branch
 from rankone.trajectories.rest import SteadyStates, at_rest
 from rankone.trajectories.system.verdict import MeasuredError, Note, Status, SteadyBranch

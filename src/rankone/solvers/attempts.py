@@ -24,6 +24,7 @@ from rankone.solvers.verification.worst_points import confirmed, worst_points
 from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,
+    Report,
     budget_left,
     keeping_back,
     persisting,
@@ -33,8 +34,7 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.options import Options
-from rankone.support.progress import Report
-from rankone.tensors.bases import Basis1D
+from rankone.tensors import Basis1D
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import (
     AccurateUnknowns,

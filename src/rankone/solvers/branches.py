@@ -36,11 +36,11 @@ from rankone.solvers.verification.points import (
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
-from rankone.tensors.bases.coordinates import LINEAR, Interval
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator
-from rankone.tensors.trains.decisions import Decider
-from rankone.tensors.trains.slab import SlabTrain, restricted
-from rankone.tensors.trains.timeline_evaluator import HeightRoot, TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator
+from rankone.tensors.coordinates import LINEAR, Interval
+from rankone.tensors.decisions import Decider
+from rankone.tensors.slab import SlabTrain, restricted
+from rankone.tensors.timeline_evaluator import HeightRoot, TimelineEvaluator
 from rankone.trajectories.events.orders import Order, OrderSearch
 from rankone.trajectories.events.sides import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.events.stretches import in_stretches

@@ -19,12 +19,11 @@ from rankone.solvers.tuning import CHECK, SOLVE
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import AT_ONCE, COINCIDENT, Array
-from rankone.support.budget import COPIES, OutOfBudgetError, reserve
+from rankone.support.budget import COPIES, OutOfBudgetError, ProgressEvent, Report, reserve
 from rankone.support.costs import SparseFactors
-from rankone.support.progress import ProgressEvent, Report
-from rankone.tensors.trains.cross import Nodes, interpolate, left_points
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Integers, Train
+from rankone.tensors.cross import Nodes, interpolate, left_points
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Integers, Train
 from rankone.trajectories.system.system import PatternJacobian, System, pattern_of
 from rankone.trajectories.system.verdict import MemoryNeeded, Status
 

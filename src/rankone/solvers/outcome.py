@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from rankone.solvers.request import Observation
 from rankone.support.errors import EvaluationError, did_you_mean
-from rankone.tensors.trains.slab import SlabTrain, fixed
+from rankone.tensors.slab import SlabTrain, fixed
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Cause, Note, Status, Verdict
 

@@ -22,10 +22,10 @@ from rankone.solvers.verification.points import check_points, smooth_nodes
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
 from rankone.support.errors import ConvergenceError, quote
-from rankone.tensors.bases import Basis1D, first_scale
-from rankone.tensors.bases.coordinates import Interval, Logarithm, on_scale
-from rankone.tensors.trains.slab import SlabTrain, sharing
-from rankone.tensors.trains.train import Train
+from rankone.tensors import Basis1D, first_scale
+from rankone.tensors.coordinates import Interval, Logarithm, on_scale
+from rankone.tensors.slab import SlabTrain, sharing
+from rankone.tensors.train import Train
 from rankone.trajectories.events.orders import OrderSearch
 from rankone.trajectories.events.sides import REMEDY, OrderError, TrajectoryEndError
 from rankone.trajectories.system.verdict import (

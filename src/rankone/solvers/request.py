@@ -17,7 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
 from rankone.support.options import INTEGRATORS, Options, checked_memory, checked_number
-from rankone.tensors.bases.coordinates import (
+from rankone.tensors.coordinates import (
     LINEAR,
     SCALES,
     Scale,
@@ -66,7 +66,7 @@ class Domain:
     """A horizon in time, and an interval for each parameter.
 
     ``scales`` names the coordinate of each interval, a word of
-    :data:`~rankone.tensors.bases.coordinates.SCALES`; left out, all are linear.
+    :data:`~rankone.tensors.coordinates.SCALES`; left out, all are linear.
     """
 
     horizon: tuple[float, float]

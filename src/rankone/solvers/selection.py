@@ -23,18 +23,19 @@ from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import (
     REMEDIES,
     OutOfBudgetError,
+    Report,
     budget_left,
     limited,
     patience_for,
     patient,
+    quiet,
     seconds_left,
     unlimited,
     work_done,
     work_left,
 )
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, did_you_mean
-from rankone.support.progress import Report, quiet
-from rankone.tensors.bases.coordinates import moved_measures
+from rankone.tensors.coordinates import moved_measures
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import MeasuredError, OtherEngines, Remedy, Status
 

@@ -21,11 +21,10 @@ from rankone.solvers.stretches_by_markers import (
 )
 from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.support.budget import OutOfBudgetError, part_of_budget
+from rankone.support.budget import OutOfBudgetError, Report, part_of_budget, quiet
 from rankone.support.errors import ConvergenceError
 from rankone.support.options import Options
-from rankone.support.progress import Report, quiet
-from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.events.sides import (
     AccumulationError,
     MoreEventsError,

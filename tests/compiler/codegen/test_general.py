@@ -9,7 +9,7 @@ from scipy import special
 from scipy.interpolate import CubicSpline
 
 import rankone as ro
-from rankone.compiler.codegen.loading import load_module
+from rankone.compiler.codegen.layout import load_module
 from rankone.compiler.codegen.module import general_source
 from rankone.compiler.passes import first_order
 

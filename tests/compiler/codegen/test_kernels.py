@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.compiler.codegen.loading import load_module
+from rankone.compiler.codegen.layout import load_module
 from rankone.compiler.codegen.module import generate_source
 from rankone.compiler.codegen.sums import quadratic_system
 from rankone.problem.forms import SeparatedForm, Term

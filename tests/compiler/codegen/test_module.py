@@ -13,7 +13,7 @@ import pytest
 import sympy as sp
 
 from rankone.compiler.codegen.kernels import plain_product
-from rankone.compiler.codegen.loading import load_module
+from rankone.compiler.codegen.layout import load_module
 from rankone.compiler.codegen.module import generate_source
 from rankone.compiler.codegen.printer import factor_text
 from rankone.support.errors import OptionError

@@ -11,7 +11,7 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.compiler.codegen.loading import load_module
+from rankone.compiler.codegen.layout import load_module
 from rankone.compiler.codegen.module import generate_source
 from rankone.compiler.codegen.pointwise import PointwiseFunction, PointwiseWriter
 from rankone.compiler.codegen.rates import SeparatedWriter

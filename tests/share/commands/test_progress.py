@@ -8,8 +8,8 @@ from itertools import pairwise
 import pytest
 
 import rankone as ro
+from rankone.support.budget import ProgressEvent, resolve_progress
 from rankone.support.errors import OptionError
-from rankone.support.progress import ProgressEvent, resolve_progress
 
 EVENT = ProgressEvent(time=1.5, fraction=0.5, attempt=1, slabs=4, rank=9)
 

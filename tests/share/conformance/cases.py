@@ -16,7 +16,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.solvers.outcome import SolutionMetadata
-from rankone.tensors.trains.train import Train
+from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from tests.problems import EXAMPLES
 from tests.share.export.solutions import (

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.tensors.bases.coordinates import round_off
+from rankone.tensors.coordinates import round_off
 from tests.share.conformance.cases import solution_of
 from tests.share.conformance.test_conformance import assert_close
 from tests.share.export.browser import NoBrowserError, browser, settle

@@ -9,9 +9,9 @@ import numpy as np
 
 import rankone as ro
 from rankone.solvers.outcome import Outcome, SolutionMetadata
-from rankone.tensors.bases import Basis1D, ChebyshevBasis, LegendreBasis, Logarithm, Reciprocal
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import Basis1D, ChebyshevBasis, LegendreBasis, Logarithm, Reciprocal
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import Status
 from tests.problems import EXAMPLES
 

@@ -24,8 +24,8 @@ from rankone.share.export.standalone import bundle, needed_modules, source_text,
 from rankone.solvers import outcome as ir_metadata
 from rankone.solvers.engines.greedy_engine import ENGINE
 from rankone.support.errors import ExportError, OptionError
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.train import Train
 from tests.problems import EXAMPLES
 from tests.share.export.alone import PythonAlone, clean_environment
 from tests.share.export.solutions import compiled, points, solved
@@ -639,15 +639,15 @@ def test_files_that_would_hide_modules_are_refused(name, tmp_path):
 
 
 def test_only_what_runs_counts_as_needed():
-    modules = needed_modules(["rankone.tensors.trains.train"])
-    assert modules[-1] == "rankone.tensors.trains.train"
+    modules = needed_modules(["rankone.tensors.train"])
+    assert modules[-1] == "rankone.tensors.train"
     assert "rankone.support.arrays" in modules
     assert not [name for name in modules if name.startswith("rankone.solvers.engines")]
 
 
 def test_unknown_roots_are_refused():
     with pytest.raises(ExportError, match="not at hand"):
-        bundle(["rankone.tensors.trains.nothing"])
+        bundle(["rankone.tensors.nothing"])
 
 
 @pytest.mark.slow

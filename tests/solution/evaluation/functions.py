@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, SolutionMetadata
-from rankone.tensors.bases import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import Basis1D, ChebyshevBasis, LegendreBasis
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import Status
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import scipy.stats
 import rankone as ro
 from rankone.solution.statistics import moments as higher_moments
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.tensors.bases.distributions import Measure, gauss_rule
+from rankone.tensors.distributions import Measure, gauss_rule
 from tests.problems import EXAMPLES
 
 TIMES = np.array([0.5, 1.0, 2.0])

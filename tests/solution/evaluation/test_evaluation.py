@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rankone.solution.solution import Solution
 from rankone.support.errors import EvaluationError
-from rankone.tensors.bases.coordinates import Coordinates
-from rankone.tensors.trains.train import Train
+from rankone.tensors.coordinates import Coordinates
+from rankone.tensors.train import Train
 from tests.solution.evaluation.functions import Known, decay, oscillator, two_unknowns
 
 t, s, x0, y0, k = sp.symbols("t s x0 y0 k")

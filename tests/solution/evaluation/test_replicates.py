@@ -13,7 +13,7 @@ import rankone as ro
 from rankone.solution.statistics import composite_statistics
 from rankone.solution.statistics import lines as line_averages
 from rankone.solution.statistics.densities import density_of
-from rankone.tensors.bases.joint_distribution import (
+from rankone.tensors.joint_distribution import (
     SETS,
     even_shares,
     half_width,

@@ -12,7 +12,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.support.errors import OptionError, RankoneError
-from rankone.tensors.bases import BASES
+from rankone.tensors import BASES
 from tests.problems import EXAMPLES, GENERAL
 
 

@@ -12,7 +12,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.support.errors import EvaluationError, OptionError
-from rankone.tensors.bases.distributions import Measure
+from rankone.tensors.distributions import Measure
 from tests.problems import EXAMPLES
 
 TIMES = np.array([0.0, 0.5, 1.0, 2.0])

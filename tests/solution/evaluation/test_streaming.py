@@ -108,8 +108,8 @@ def test_solutions_with_events_are_evaluated_in_parts(with_events, monkeypatch):
         for call in calls:
             whole = call()
             with monkeypatch.context() as patch:
-                patch.setattr("rankone.tensors.trains.timeline_evaluator.AT_ONCE", 20)
-                patch.setattr("rankone.tensors.trains.branch_evaluator.AT_ONCE", 300)
+                patch.setattr("rankone.tensors.timeline_evaluator.AT_ONCE", 20)
+                patch.setattr("rankone.tensors.branch_evaluator.AT_ONCE", 300)
                 parts = call()
             np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
 
@@ -144,7 +144,7 @@ def test_grids_are_evaluated_in_parts(solution, monkeypatch):
     for t, k, a in (axes, reversed_axes, (axes[0], axes[1], np.array([1.5]))):
         whole = solution.grid(t, k=k, a=a)
         with monkeypatch.context() as patch:
-            patch.setattr("rankone.tensors.trains.evaluator.AT_ONCE", 100)
+            patch.setattr("rankone.tensors.evaluator.AT_ONCE", 100)
             parts = solution.grid(t, k=k, a=a)
         assert parts.shape == whole.shape
         assert np.abs(parts - whole).max() < 1e-14

@@ -25,8 +25,8 @@ from rankone.solution.storage.netcdf import sealed
 from rankone.solvers.reduced.field_solve import FieldError, FieldsEnd, ReducedEnds, SlowModes
 from rankone.support.errors import StorageError
 from rankone.support.files import Tagged, write_files
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.train import Train
 from rankone.trajectories.system.verdict import (
     AccurateUnknowns,
     Budget,

@@ -10,7 +10,7 @@ from scipy.stats import loguniform
 import rankone as ro
 from rankone.solution.storage import contents as header
 from rankone.support.errors import StorageError
-from rankone.tensors.bases import IDENTITY, Logarithm
+from rankone.tensors import IDENTITY, Logarithm
 
 
 @functools.cache

@@ -9,9 +9,9 @@ from rankone.solvers.request import Check, Domain, SolveRequest
 from rankone.solvers.verification.measure import measured_from
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.budget import OutOfMemoryError, OutOfWorkError, limited, work_done
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.bases.time_grid import TimeGrid
-from rankone.tensors.trains.cross import Samples
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.cross import Samples
+from rankone.tensors.time_grid import TimeGrid
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.stacks.stack import StackedIntegrator
 from tests.problems import EXAMPLES

@@ -226,7 +226,7 @@ def test_the_time_limit_holds_for_workers():
 
 
 def test_an_exported_solver_refuses_it(tmp_path):
-    from rankone.compiler.codegen.loading import load_module
+    from rankone.compiler.codegen.layout import load_module
     from rankone.solvers.engines.cross_engine import ENGINE
 
     compiled = ro.compile(EXAMPLES["coupled"].problem)

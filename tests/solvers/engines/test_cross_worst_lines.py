@@ -6,7 +6,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.engines.cross_samples import LineLimits, worst_lines
 from rankone.solvers.request import Domain
-from rankone.tensors.bases import ChebyshevBasis
+from rankone.tensors import ChebyshevBasis
 
 BOX = ((0.0, 1.0), (0.0, 1.0))
 CORNER = np.array([[1.0, 1.0]])

@@ -17,7 +17,7 @@ from rankone.solvers.engines.greedy_operators import (
     named_matrices,
     source_terms,
 )
-from rankone.tensors.bases import LagrangeElements
+from rankone.tensors import LagrangeElements
 from tests.problems import REFERENCE
 
 

@@ -13,7 +13,7 @@ from rankone.solvers.engines.train_length import Accuracy, Guess, SlabLengths, T
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import Check, Domain, SolveRequest
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.tensors.bases import RadauCollocation
+from rankone.tensors import RadauCollocation
 from rankone.trajectories.system.verdict import Status
 
 COLLOCATION = RadauCollocation.of(8)

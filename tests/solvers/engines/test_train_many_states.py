@@ -21,7 +21,7 @@ from rankone.solvers.engines.train_operators import (
     term_groups,
 )
 from rankone.support.arrays import Array
-from rankone.tensors.bases import RadauCollocation
+from rankone.tensors import RadauCollocation
 from rankone.trajectories.system.system import Kernels
 
 

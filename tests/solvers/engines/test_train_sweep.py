@@ -12,8 +12,8 @@ from rankone.solvers.engines.train_operators import (
     term_groups,
 )
 from rankone.solvers.engines.train_sweep import Sweeper
-from rankone.tensors.bases import ChebyshevBasis, LegendreBasis, RadauCollocation
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis, LegendreBasis, RadauCollocation
+from rankone.tensors.train import Train
 
 t, p, q, r = sp.symbols("t p q r")
 x, y = sp.Function("x")(t), sp.Function("y")(t)

@@ -12,7 +12,7 @@ from rankone.solvers.reduced.field_residual import FieldResidual
 from rankone.solvers.reduced.field_solve import FieldRequest, solve_fields
 from rankone.solvers.reduced.reduced_system import reduced_system
 from rankone.solvers.request import Domain
-from rankone.tensors.trains.evaluator import TrainEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
 from rankone.trajectories.fields.field_trajectories import field_trajectory
 from rankone.trajectories.system.verdict import Status
 from tests.trajectories.fields.test_field_trajectories import reference, system

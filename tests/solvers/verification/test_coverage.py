@@ -7,8 +7,8 @@ import rankone as ro
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.points import Coverage, active_points, check_points
 from rankone.support.arrays import spread
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.bases.coordinates import Logarithm
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.coordinates import Logarithm
 
 WIDE = np.array([[1e-6, 1.0], [1e-2, 1e2]])
 

@@ -7,9 +7,9 @@ import numpy as np
 import rankone as ro
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.points import active_points, candidate_points
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 
 def system(rate: str, box: dict[str, tuple[float, float]]):

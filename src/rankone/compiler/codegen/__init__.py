@@ -5,9 +5,8 @@
   side
 - ``law_code``: rates of many states with laws of a few forms, as array code, constraints, and
   starts at rest
-- ``layout``: layout of generated Python text, as ``ruff format`` would write it, and its
-  identifiers
-- ``loading``: how generated source becomes a system, and the functions of arrays made of outputs
+- ``layout``: layout of generated text, as ``ruff format`` would write it, and how it becomes a
+  system
 - ``module``: the generated module: its sections in the order a person reads them
 - ``output_expressions``: SymPy expressions of a solution's unknowns, as functions of arrays
 - ``output_translation``: outputs in terms of a solution's states: derivatives, integrals,

@@ -30,7 +30,7 @@ from rankone.problem.expressions.conditions import unknown_of
 from rankone.problem.expressions.notation import plain_text
 from rankone.problem.forms import Coordinate, Group, Jump, QuadraticSystem, State, Term
 from rankone.support.errors import number
-from rankone.tensors.bases.coordinates import LINEAR
+from rankone.tensors.coordinates import LINEAR
 
 # Above this many unknowns, the first line gives their number in place of their names
 _MAX_NAMED_STATES = 10

@@ -13,6 +13,7 @@ from rankone.compiler.codegen.law_code import FormWriter, constraint_blocks, res
 from rankone.compiler.codegen.layout import (
     WIDTH,
     Formula,
+    ModuleSpecification,
     constants_table,
     described_table,
     docstring,
@@ -21,7 +22,6 @@ from rankone.compiler.codegen.layout import (
     quoted,
     table,
 )
-from rankone.compiler.codegen.loading import ModuleSpecification
 from rankone.compiler.codegen.pointwise import PointwiseWriter
 from rankone.compiler.codegen.printer import numpy_text
 from rankone.compiler.codegen.rates import ArrayWriter, GeneralWriter, SeparatedWriter, long_tables
@@ -44,9 +44,9 @@ from rankone.problem.forms import (
 )
 from rankone.problem.functions import known_applied
 from rankone.support.arrays import MANY_STATES
+from rankone.support.budget import timed
 from rankone.support.errors import check_kind, number
-from rankone.support.progress import timed
-from rankone.tensors.bases.coordinates import LINEAR
+from rankone.tensors.coordinates import LINEAR
 
 Block = Sequence[str]
 """Source lines that stand together."""
@@ -80,7 +80,7 @@ def generate_source(
     Returns
     -------
     str
-        A module that :func:`rankone.compiler.codegen.loading.load_module` makes a
+        A module that :func:`rankone.compiler.codegen.layout.load_module` makes a
         :class:`rankone.trajectories.system.system.System` of; it imports NumPy alone, or SciPy as
         well where functions need it. The same form gives the same text, byte for byte.
 

@@ -12,7 +12,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.compiler.agreement import check_outputs
-from rankone.compiler.codegen.loading import Quantities, Source, WrittenFunction
+from rankone.compiler.codegen.layout import Quantities, Source, WrittenFunction
 from rankone.compiler.codegen.output_translation import KINDS, OutputTranslator
 from rankone.compiler.codegen.printer import numpy_text
 from rankone.compiler.codegen.sums import Sums, long_sums

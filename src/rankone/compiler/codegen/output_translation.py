@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.codegen.loading import Border, Kind, Reduction, Source
+from rankone.compiler.codegen.layout import Border, Kind, Reduction, Source
 from rankone.problem.expressions.admissible import closed
 from rankone.problem.expressions.notation import plain_text
 from rankone.problem.functions import (
@@ -20,7 +20,7 @@ from rankone.problem.functions import (
 )
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.support.errors import OptionError, RankoneError, did_you_mean, listing, quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.timeline import Timeline
 
 KINDS = {

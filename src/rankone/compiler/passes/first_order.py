@@ -26,7 +26,7 @@ from rankone.problem.user_events import Event, event_latex, event_texts, known_t
 from rankone.solvers.outcome import Role
 from rankone.support.arrays import Deferred
 from rankone.support.errors import abridged, aligned_equations, check_kind, count, number, quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.features import BOTH, FALLING, RISING
 
 _DIRECTIONS = {"rising": RISING, "falling": FALLING, "both": BOTH}

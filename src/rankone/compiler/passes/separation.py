@@ -27,8 +27,8 @@ from rankone.problem.expressions.notation import NamedConstant, exact
 from rankone.problem.forms import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.problem.problem import Problem
 from rankone.support.arrays import Deferred
+from rankone.support.budget import timed
 from rankone.support.errors import ProblemError, check_kind, listing, quote
-from rankone.support.progress import timed
 
 _LARGEST = 1e100  # Coefficients up to this, and down to its reciprocal, need no closer look
 _Key = tuple[int, int, tuple[int, ...]]

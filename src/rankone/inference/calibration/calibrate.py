@@ -35,7 +35,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.options import of_keywords, takes_options_of
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.joint_distribution import by_name
 
 MOST_END_PARAMETERS = 6
 """Most parameters of the box around the optimum."""

@@ -34,7 +34,7 @@ from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.support import errors
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.errors import listing, quote
-from rankone.tensors.bases.coordinates import Coordinates
+from rankone.tensors.coordinates import Coordinates
 from rankone.trajectories.integrators.integrator import Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.rest import SteadyStates, from_states

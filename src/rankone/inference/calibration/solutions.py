@@ -42,7 +42,7 @@ from rankone.support.errors import (
     text_table,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -45,7 +45,7 @@ from rankone.support.errors import (
     with_remedy,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 @dataclass(frozen=True)

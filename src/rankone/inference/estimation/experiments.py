@@ -23,7 +23,7 @@ from rankone.inference.estimation.observations import (
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.joint_distribution import by_name
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.intervals import Intervals
 from rankone.support.arrays import COINCIDENT, Array, Table, Variables
 from rankone.support.errors import count, listing, quote, with_remedy
-from rankone.tensors.bases.distributions import Distribution
-from rankone.tensors.bases.joint_distribution import Known
+from rankone.tensors.distributions import Distribution
+from rankone.tensors.joint_distribution import Known
 
 
 @dataclass(frozen=True, repr=False)

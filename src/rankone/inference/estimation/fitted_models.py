@@ -30,10 +30,10 @@ from rankone.support.arrays import AT_ONCE, COINCIDENT, DIFFERENCE, Array
 from rankone.support.budget import OutOfBudgetError, charge, limited
 from rankone.support.costs import function_cost
 from rankone.support.errors import OptionError
-from rankone.tensors.bases.time_grid import RadauCollocation, insets
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, Tiling
-from rankone.tensors.trains.slab import SlabTrain, slab_positions
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator, Tiling
+from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.time_grid import RadauCollocation, insets
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.integrators.integrator import Path, Spans, Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.system.system import System

@@ -19,7 +19,7 @@ from scipy import special
 
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ import numpy as np
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import LOG, name_of
-from rankone.tensors.bases.distributions import scale_of
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.coordinates import LOG, name_of
+from rankone.tensors.distributions import scale_of
+from rankone.tensors.joint_distribution import by_name
 
 ParameterValues = Mapping[Any, float] | None
 """Values by parameter, a name or a symbol."""

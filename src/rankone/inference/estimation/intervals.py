@@ -22,7 +22,7 @@ from rankone.inference.estimation.observations import checked_times
 from rankone.support.arrays import TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 
 class Curve(NamedTuple):

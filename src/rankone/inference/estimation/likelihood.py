@@ -18,7 +18,7 @@ from rankone.inference.estimation.noise import Terms, log_likelihood, terms
 from rankone.inference.estimation.observations import MISSPELT, check_levels
 from rankone.support.arrays import NEGLIGIBLE, TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote
-from rankone.tensors.bases.distributions import Measure
+from rankone.tensors.distributions import Measure
 
 # Rounds of linear parameters and levels of noise in turn, where states are known
 # Step of second differences of a prior, in widths of the interval: truncation near rounding

@@ -22,7 +22,7 @@ from rankone.support.errors import (
     quote,
     shown,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 Measurements = ArrayLike | Mapping[Any, ArrayLike]
 """Numbers for all observables, or for each by name or symbol."""

@@ -36,8 +36,8 @@ from rankone.support.arrays import (
 from rankone.support.errors import OptionError, listing, quote, shown, with_remedy
 from rankone.support.options import checked_count, checked_number, takes_options_of
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
-from rankone.tensors.bases.distributions import Distribution, Measure, from_text
-from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
+from rankone.tensors.distributions import Distribution, Measure, from_text
+from rankone.tensors.joint_distribution import Distributions, by_name, measures_of
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from rankone.support.arrays import NEGLIGIBLE, Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
 from rankone.support.options import checked_number, of_keywords, takes_options_of
-from rankone.tensors.bases.joint_distribution import Distributions, by_name, measures_of
+from rankone.tensors.joint_distribution import Distributions, by_name, measures_of
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
 _MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort

@@ -20,8 +20,8 @@ from rankone.inference.estimation.observations import observables
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.coordinates import name_of
+from rankone.tensors.joint_distribution import by_name
 
 GROUPS = ("condition", "subject")
 """Columns that tell experiments apart."""

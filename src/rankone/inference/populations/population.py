@@ -41,7 +41,7 @@ from rankone.support.errors import (
     shown,
     with_remedy,
 )
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.joint_distribution import by_name
 
 _MOST_NAMED = 4  # Subjects that a message names
 # Standard deviations of the random effects that a box should hold to either side

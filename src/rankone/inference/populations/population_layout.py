@@ -16,7 +16,7 @@ from rankone.inference.estimation.tables import label_of, numbers_of
 from rankone.inference.populations.subjects import SUBJECT, Subjects
 from rankone.support.arrays import NEGLIGIBLE, TINY, Array
 from rankone.support.errors import OptionError, count, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.joint_distribution import by_name
+from rankone.tensors.joint_distribution import by_name
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator
-from rankone.tensors.trains.slab import SlabTrain, slab_positions
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator
+from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline
 
 _POINTS_AT_ONCE = 4096  # Points that are evaluated together, to bound memory

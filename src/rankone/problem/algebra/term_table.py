@@ -22,7 +22,7 @@ from rankone.problem.expressions.conditions import KEPT, rate_of
 from rankone.problem.expressions.notation import exact
 from rankone.support.arrays import MANY_STATES, Deferred, Item
 from rankone.support.errors import ProblemError
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 Product = tuple[int, tuple[int, ...]]
 """Number of a function of time and parameters, and the symbols multiplied, ascending."""

@@ -16,7 +16,7 @@ from rankone.problem.models.model_events import StartingPoint, events_of
 from rankone.problem.problem import Problem
 from rankone.support.errors import ProblemError, count, did_you_mean, listing, quote, shown
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 
 _LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond the nominal value
 _FACTOR_REMEDY = "give an interval: parameters={name: (lower, upper)}"

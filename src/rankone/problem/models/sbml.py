@@ -16,14 +16,16 @@ import sympy as sp
 from rankone.problem.models.elements import (
     Elements,
     Happening,
+    Quantity,
+    Species,
     elements_of,
     ordered,
     rate_of,
+    unused,
     with_free_starts,
 )
 from rankone.problem.models.model import Model
 from rankone.problem.models.sbml_formulas import members, open_document, sbml_library
-from rankone.problem.models.species import Quantity, Species, unused
 from rankone.support.errors import ProblemError, bounded_depth, listing, quote
 
 if TYPE_CHECKING:

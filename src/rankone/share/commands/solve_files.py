@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rankone.problem.problem import Problem
     from rankone.solution.compiled import CompiledProblem
     from rankone.solution.solution import Solution
-    from rankone.tensors.bases.distributions import Distribution
+    from rankone.tensors.distributions import Distribution
 
 
 T = TypeVar("T")
@@ -146,7 +146,7 @@ def _observe(texts: Sequence[str] | None) -> dict[str, str] | None:
 
 def _priors(texts: Sequence[str] | None) -> dict[str, Distribution]:
     """Distributions by parameter: ``k=norm(loc=1, scale=0.1)``."""
-    from rankone.tensors.bases.distributions import from_text
+    from rankone.tensors.distributions import from_text
 
     priors = {}
     for text in texts or ():

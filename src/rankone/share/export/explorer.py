@@ -31,10 +31,10 @@ from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError, RankoneWarning, is_text, listing, shown
 from rankone.support.files import as_path, free_target, write_files
-from rankone.tensors.bases.coordinates import LINEAR, with_measure
-from rankone.tensors.bases.distributions import Measure, from_text, scale_of
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator
+from rankone.tensors.coordinates import LINEAR, with_measure
+from rankone.tensors.distributions import Measure, from_text, scale_of
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
 if TYPE_CHECKING:
     from rankone.solution.statistics.densities import DistributionOverBox

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rankone.share.export.model_program import _CHUNK, Model
 from rankone.share.export.model_stretches import EventModel
 from rankone.support.arrays import Array
-from rankone.tensors.trains.decisions import Decider, Decision, clearance
+from rankone.tensors.decisions import Decider, Decision, clearance
 
 
 class Fork(NamedTuple):

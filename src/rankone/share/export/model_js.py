@@ -32,8 +32,8 @@ from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
-from rankone.tensors.bases import Scale
-from rankone.tensors.bases.coordinates import round_off
+from rankone.tensors import Scale
+from rankone.tensors.coordinates import round_off
 from rankone.trajectories.system.timeline import Fork, Grazing
 
 

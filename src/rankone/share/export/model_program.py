@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.tensors.bases.coordinates import round_off
+from rankone.tensors.coordinates import round_off
 
 _CHUNK = 1024  # Points evaluated at once: their products stay in the cache
 

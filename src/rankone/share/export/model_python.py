@@ -27,7 +27,7 @@ from rankone.share.export.packing import PackedChoice, PackedModel
 from rankone.share.export.standalone import TERMS, banner, source_text
 from rankone.support import __version__
 from rankone.support.files import Content, npz
-from rankone.tensors.bases.coordinates import round_off
+from rankone.tensors.coordinates import round_off
 
 _LONGEST_DATA = 200_000  # Characters of coefficients in the file: editors open it at once
 
@@ -66,7 +66,7 @@ def _program(model: PackedModel) -> list[str]:
     if model.events is not None:
         modules.append(f"{_EXPORT}stretches")
     if model.choice is not None:
-        modules += ["rankone.tensors.trains.decisions", f"{_EXPORT}branches"]
+        modules += ["rankone.tensors.decisions", f"{_EXPORT}branches"]
     return modules
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rankone.share.export.model_program import _CHUNK, Model, _train
 from rankone.support.arrays import Array
-from rankone.tensors.bases.coordinates import round_off
+from rankone.tensors.coordinates import round_off
 
 
 class EventModel(Model):

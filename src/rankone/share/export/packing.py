@@ -19,11 +19,11 @@ from rankone.solvers.outcome import with_unit
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
-from rankone.tensors.bases import IDENTITY, Scale
-from rankone.tensors.bases.coordinates import with_measure
-from rankone.tensors.trains.decisions import looks
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain, sharing, slab_positions
+from rankone.tensors import IDENTITY, Scale
+from rankone.tensors.coordinates import with_measure
+from rankone.tensors.decisions import looks
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain, sharing, slab_positions
 from rankone.trajectories.system.timeline import (
     CLOCK_STATES,
     BranchedTimeline,

@@ -21,9 +21,9 @@ from rankone.solvers.branches import evaluator_of_branches
 from rankone.solvers.verification.measure import undecided_share
 from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import Array
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain, sharing
+from rankone.tensors.branch_evaluator import BranchEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain, sharing
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 
 RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six

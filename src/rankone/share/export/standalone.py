@@ -38,7 +38,7 @@ from rankone.solvers.selection import engines_for
 from rankone.solvers.ways import Engine
 from rankone.support import __version__, errors
 from rankone.support.errors import ExportError
-from rankone.tensors.bases import Logarithm, Reciprocal, Scale
+from rankone.tensors import Logarithm, Reciprocal, Scale
 
 BLOCK = 8  # Rows of a core contracted together; the same in the templates
 LINE = 96  # Characters in a line of a file that is not in Python
@@ -290,7 +290,7 @@ def _wrapped(text: str) -> str:
 # -----------------------------------------------------------------------------
 # The bundler: whole modules of the library inside one readable file.
 #
-# A bundled module is a function without arguments: ``tensors__trains__train`` holds the text of
+# A bundled module is a function without arguments: ``tensors__train`` holds the text of
 # ``tensors.train``. It begins by declaring every name of the module global. :func:`module` runs it
 # once, with the namespace of a new module as its globals. So each module keeps its own namespace,
 # and classes and functions keep the plain names that dataclasses and pickle look up. Nothing is
@@ -308,7 +308,7 @@ _INTERNAL = re.compile(rf"^(\s*)from {_PACKAGE}\.", re.MULTILINE)
 
 
 def module(body: Callable[[], None]) -> types.ModuleType:
-    """Run the body of a bundled module: ``tensors__trains__train`` becomes ``tensors.train``."""
+    """Run the body of a bundled module: ``tensors__train`` becomes ``tensors.train``."""
     name = f"{__name__}.{body.__name__.replace('__', '.')}"
     namespace = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, None))
     vars(namespace).update(__file__=__file__, __doc__=body.__doc__, __builtins__=__builtins__)

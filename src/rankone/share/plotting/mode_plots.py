@@ -38,9 +38,9 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.options import checked_number
-from rankone.tensors.bases import Logarithm
-from rankone.tensors.bases.coordinates import evenly_on_scale, name_of
-from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.tensors import Logarithm
+from rankone.tensors.coordinates import evenly_on_scale, name_of
+from rankone.tensors.joint_distribution import Correlations, Under
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

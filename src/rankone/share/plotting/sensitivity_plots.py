@@ -13,7 +13,7 @@ from rankone.share.plotting.style import check_solution, one_time, sometimes_of,
 from rankone.solution.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, quote, shown
-from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.tensors.joint_distribution import Correlations, Under
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

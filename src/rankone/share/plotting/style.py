@@ -27,7 +27,7 @@ from rankone.support.errors import (
     quote,
     shown,
 )
-from rankone.tensors.bases.coordinates import LOG
+from rankone.tensors.coordinates import LOG
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

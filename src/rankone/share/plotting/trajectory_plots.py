@@ -23,8 +23,8 @@ from rankone.solution.statistics.over_box import CENTRAL
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, shown
 from rankone.support.options import checked_number
-from rankone.tensors.bases.coordinates import round_off
-from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.tensors.coordinates import round_off
+from rankone.tensors.joint_distribution import Correlations, Under
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

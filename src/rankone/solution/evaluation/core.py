@@ -23,11 +23,11 @@ from rankone.solvers.outcome import Outcome, SafeInterval, SolutionMetadata
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError, listing, quote
 from rankone.support.options import checked_memory, in_words, physical_memory
-from rankone.tensors.bases.coordinates import Coordinates, name_of
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
-from rankone.tensors.trains.evaluator import Rows, TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
+from rankone.tensors.coordinates import Coordinates, name_of
+from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Status, SwitchesNotHeld, SwitchingTerm
 

@@ -15,7 +15,8 @@ from rankone.solvers.outcome import Measured, Outcome, Piece, SolutionMetadata
 from rankone.solvers.verification.measure import MOST_UNDECIDED, undecided_share
 from rankone.solvers.verification.points import Coverage
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import (
+from rankone.tensors.branch_evaluator import Tiling
+from rankone.tensors.coordinates import (
     LINEAR,
     SCALES,
     measure_text,
@@ -23,9 +24,8 @@ from rankone.tensors.bases.coordinates import (
     round_off,
     written_scale,
 )
-from rankone.tensors.trains.branch_evaluator import Tiling
-from rankone.tensors.trains.slab import SlabTrain, at_one_time, differentiated, restricted
-from rankone.tensors.trains.train import Train
+from rankone.tensors.slab import SlabTrain, at_one_time, differentiated, restricted
+from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import (
     DerivativeOf,

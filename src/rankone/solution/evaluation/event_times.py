@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, did_you_mean, listing
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
+from rankone.tensors.coordinates import name_of
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 
 

@@ -20,7 +20,7 @@ from rankone.solvers.outcome import Outcome, with_unit
 from rankone.support.arrays import Array
 from rankone.support.errors import count, listing, optional_module, shortened
 from rankone.support.options import in_words
-from rankone.tensors.bases.coordinates import name_of, with_measure
+from rankone.tensors.coordinates import name_of, with_measure
 
 if TYPE_CHECKING:
     import xarray

@@ -23,7 +23,7 @@ from rankone.support.errors import (
     listing,
     quote,
 )
-from rankone.tensors.bases.coordinates import name_of
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.verdict import Status
 
 

@@ -16,8 +16,8 @@ from rankone.solvers.outcome import Measured, Outcome, Piece, Role, SolutionMeta
 from rankone.solvers.reduced.functionals import Functional
 from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import OutputError, Status
 

@@ -39,7 +39,7 @@ from rankone.support.errors import (
 )
 from rankone.support.files import free_target, write_files
 from rankone.support.options import checked_number
-from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.tensors.joint_distribution import Correlations, Under
 from rankone.trajectories.fields.field_system import Unknown
 from rankone.trajectories.system.verdict import Status
 

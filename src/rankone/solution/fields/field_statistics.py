@@ -24,7 +24,7 @@ from rankone.solution.statistics.solution_statistics import changed_shares, quan
 from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_count
-from rankone.tensors.bases.joint_distribution import Correlations, Under
+from rankone.tensors.joint_distribution import Correlations, Under
 
 _MOST_COVARIANCES = 10**8  # Numbers of a matrix of covariances, 0.8 GB
 _NUMBERS_AT_ONCE = 2**23  # Values of entries at points that are held at once, 64 MB

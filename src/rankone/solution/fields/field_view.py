@@ -23,8 +23,8 @@ from rankone.solution.solution import Solution
 from rankone.solution.statistics.over_box import Quantiles, Times
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, shown
-from rankone.tensors.bases.joint_distribution import Correlations, Under
-from rankone.tensors.trains.evaluator import Rows
+from rankone.tensors.evaluator import Rows
+from rankone.tensors.joint_distribution import Correlations, Under
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.loading import Quantities, Source
+from rankone.compiler.codegen.layout import Quantities, Source
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.outputs.interpolation import Asked, OutputInterpolation
 from rankone.solution.outputs.output_check import spread_over
@@ -23,11 +23,11 @@ from rankone.solvers.request import Domain
 from rankone.solvers.verification.measure import MOST_UNDECIDED, undecided_share
 from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array
+from rankone.support.budget import Report, quiet
 from rankone.support.errors import EvaluationError, OptionError, listing, quote
-from rankone.support.progress import Report, quiet
 from rankone.support.tasks import Pool
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, ContinuedBranch
-from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.branch_evaluator import BranchEvaluator, ContinuedBranch
+from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import OutputError, Remedy, Status, UndecidedShare
 

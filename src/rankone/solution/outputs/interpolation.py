@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.loading import Quantities
+from rankone.compiler.codegen.layout import Quantities
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solution.outputs.output_check import (
     Check,
@@ -32,25 +32,27 @@ from rankone.support.arrays import COINCIDENT, TINY, Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
+    ProgressEvent,
+    Report,
     budget_left,
     limited,
+    quiet,
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.support.progress import ProgressEvent, Report, quiet
 from rankone.support.tasks import Pool
-from rankone.tensors.bases import BASES
-from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
-from rankone.tensors.trains.adaptive import (
+from rankone.tensors import BASES
+from rankone.tensors.adaptive import (
     TUNING,
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
     Tightening,
 )
-from rankone.tensors.trains.cross import GrowingBasis
-from rankone.tensors.trains.slab import SlabTrain, slab_trains
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.cross import GrowingBasis
+from rankone.tensors.slab import SlabTrain, slab_trains
+from rankone.tensors.time_grid import TimeGrid, resolving_breaks
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import Timeline
 from rankone.trajectories.system.verdict import (
     Note,

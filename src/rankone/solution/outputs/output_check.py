@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.compiler.codegen.loading import Quantities
+from rankone.compiler.codegen.layout import Quantities
 from rankone.solution.outputs.sampling import Sampler
 from rankone.solvers.request import USUAL_POINTS, Domain
 from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import ACCUMULATED, Array, bisected, corners, spread
-from rankone.tensors.bases.time_grid import TimeGrid
-from rankone.tensors.trains.slab import SlabTrain, slab_positions
+from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.time_grid import TimeGrid
 
 _MAX_CORNERS = 32  # Corners where an error is measured: all of five parameters
 _SCOUTS = 512  # Points where a search begins

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.compiler.codegen.loading import Kind, Quantities, Reduction, Source
+from rankone.compiler.codegen.layout import Kind, Quantities, Reduction, Source
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import position
 from rankone.solution.outputs.branch_outputs import OfBranch, over_branches, require_states
@@ -17,7 +17,7 @@ from rankone.solution.outputs.output_check import CheckPoints
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.verification.points import check_points
 from rankone.support.arrays import Array
-from rankone.support.budget import operations_for
+from rankone.support.budget import Report, operations_for, quiet
 from rankone.support.errors import (
     ConvergenceError,
     EvaluationError,
@@ -27,10 +27,9 @@ from rankone.support.errors import (
     quote,
 )
 from rankone.support.options import checked_number
-from rankone.support.progress import Report, quiet
 from rankone.support.tasks import Pool
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.coordinates import name_of
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import DerivativeOf, EarlyEnd, Status
 

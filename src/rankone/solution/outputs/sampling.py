@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.compiler.codegen.loading import Kind, Quantities, Reduction
+from rankone.compiler.codegen.layout import Kind, Quantities, Reduction
 from rankone.support.arrays import AT_ONCE, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError, RankoneError
 from rankone.support.tasks import Pool, Shared
-from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
-from rankone.tensors.trains.slab import SlabTrain, slab_positions
+from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.time_grid import Polynomials, TimeGrid
 
 _MAX_MIDDLES = 4  # Narrow features looked at on each trajectory
 # Operations of evaluating functions of the sources, for each number of a function of time

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.compiler.codegen.loading import Border, Kind, Quantities, Reduction
+from rankone.compiler.codegen.layout import Border, Kind, Quantities, Reduction
 from rankone.solution.outputs.sampling import Sampler
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
-from rankone.tensors.bases.time_grid import Polynomials, TimeGrid
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import differentiated
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import differentiated
+from rankone.tensors.time_grid import Polynomials, TimeGrid
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import CLOCK_STATES
 
 _PLACE_COST, _SOURCE_COST = 160.0, 40.0  # Operations of a place on a stretch, and of a source there

@@ -26,22 +26,21 @@ from rankone.solution.statistics.solution_statistics import (
     when,
 )
 from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array
-from rankone.support.budget import check_time
+from rankone.support.budget import StepReport, check_time
 from rankone.support.errors import EvaluationError
-from rankone.support.progress import StepReport
-from rankone.tensors.bases import Basis1D
-from rankone.tensors.bases.coordinates import round_off
-from rankone.tensors.bases.distributions import Measure
-from rankone.tensors.bases.joint_distribution import (
+from rankone.tensors import Basis1D
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
+from rankone.tensors.coordinates import round_off
+from rankone.tensors.distributions import Measure
+from rankone.tensors.joint_distribution import (
     SEED,
     SETS,
     JointDistribution,
     even_shares,
     half_width,
 )
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.trains.slab import SlabTrain, sharing, slab_positions
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.slab import SlabTrain, sharing, slab_positions
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
 _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 # Evaluations that parts of the variance take, about 5 s, and those that begin a point at no time

@@ -25,7 +25,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.options import checked_count
-from rankone.tensors.bases.joint_distribution import SETS, Correlations, Under, half_width, share_of
+from rankone.tensors.joint_distribution import SETS, Correlations, Under, half_width, share_of
 
 _VALUES = 512  # Values at which a density is evaluated
 _BINS = 4096  # Bins of the histogram that is smoothed

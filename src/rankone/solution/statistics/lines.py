@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from rankone.solution.statistics.solution_statistics import POINTS_AT_ONCE, quiet
 from rankone.support.arrays import Array
-from rankone.support.budget import check_time
+from rankone.support.budget import StepReport, check_time
 from rankone.support.errors import warn
-from rankone.support.progress import StepReport
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
 Labels = Callable[[NDArray[np.intp], Array], NDArray[np.intp]]
 """Labels (M,) of the smooth pieces in which shares (M,) of segments (M,) lie."""

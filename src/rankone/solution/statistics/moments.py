@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
-from rankone.tensors.bases.joint_distribution import Copula, JointDistribution
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors.joint_distribution import Copula, JointDistribution
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 # Relative change from one quadrature to the next that is accepted. For smooth functions the error
 # of the finer one is far below it, with kinks it is about as large.

@@ -24,12 +24,14 @@ from rankone.solution.statistics.solution_statistics import (
     warn_of_ends,
 )
 from rankone.support.arrays import ACCUMULATED, Array
+from rankone.support.budget import StepReport, counting_bar
 from rankone.support.errors import EvaluationError, OptionError, shown, warn
 from rankone.support.options import checked_count, checked_number
-from rankone.support.progress import StepReport, counting_bar
-from rankone.tensors.bases.coordinates import IDENTITY, SCALES, Scale, evenly_on_scale
-from rankone.tensors.bases.distributions import Distribution, from_text, scale_of
-from rankone.tensors.bases.joint_distribution import (
+from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
+from rankone.tensors.coordinates import IDENTITY, SCALES, Scale, evenly_on_scale
+from rankone.tensors.distributions import Distribution, from_text, scale_of
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.joint_distribution import (
     SETS,
     Correlations,
     Fitted,
@@ -39,9 +41,7 @@ from rankone.tensors.bases.joint_distribution import (
     fitted_distribution,
     measures_of,
 )
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator, PieceEvaluator
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""

@@ -11,10 +11,10 @@ import numpy as np
 
 from rankone.solution.statistics.moments import ConditionalMoments, HigherMoments, TrainMoments
 from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
+from rankone.support.budget import StepReport
 from rankone.support.errors import quote, warn
-from rankone.support.progress import StepReport
-from rankone.tensors.bases.joint_distribution import SETS, JointDistribution, share_of
-from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.joint_distribution import SETS, JointDistribution, share_of
+from rankone.tensors.slab import SlabTrain
 
 _Moments = TypeVar("_Moments")
 

@@ -2,7 +2,7 @@
 
 The array ``header`` is a JSON text: the :class:`~rankone.solvers.outcome.SolutionMetadata`, the
 bases of every slab and the :class:`~rankone.solvers.outcome.Outcome`; ``core_<slab>_<dimension>``
-are the cores of each :class:`~rankone.tensors.trains.slab.SlabTrain`. Readers refuse newer
+are the cores of each :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse newer
 versions and ignore entries they do not know; the version grows when an old reader could
 misunderstand a file.
 """
@@ -28,10 +28,10 @@ from rankone.solvers.outcome import Outcome, Piece, SlabRecord, SolutionMetadata
 from rankone.support.arrays import NEGLIGIBLE
 from rankone.support.errors import StorageError, is_line, name_defect, quote
 from rankone.support.files import as_path, plain, rebuilt
-from rankone.tensors.bases import BASES, SCALES, Basis1D, Scale
-from rankone.tensors.trains.branch_evaluator import Tiling
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import BASES, SCALES, Basis1D, Scale
+from rankone.tensors.branch_evaluator import Tiling
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import CLOCK_STATES, BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import NarrowBox, Status
 

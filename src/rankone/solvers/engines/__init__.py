@@ -21,7 +21,7 @@ The cross engine interpolates trajectories at chosen parameter points: a functio
 whose values are trajectories (compare ALS-Cross: Dolgov & Scheichl, SIAM/ASA J. Uncertainty
 Quantification 7 (2019), 260; DMRG-cross: Savostyanov & Oseledets, 2011). It needs the pointwise
 right-hand side alone, and the flow amplifies no error: each trajectory starts from its own exact
-initial value. Nodes, left points and ranks are chosen by :mod:`rankone.tensors.trains.adaptive`,
+initial value. Nodes, left points and ranks are chosen by :mod:`rankone.tensors.adaptive`,
 which outputs use too. The train engine solves the preconditioned Volterra form by sweeps. The
 greedy engine is the classic proper generalized decomposition of the slides.
 """

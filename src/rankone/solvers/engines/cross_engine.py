@@ -36,21 +36,28 @@ from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
 from rankone.support.arrays import ACCUMULATED, Array
-from rankone.support.budget import OutOfBudgetError, OutOfWorkError, unlimited, work_done, work_left
-from rankone.support.progress import ProgressEvent, Report
-from rankone.tensors.bases import BASES, Basis1D
-from rankone.tensors.bases.basis import nodes_for
-from rankone.tensors.bases.time_grid import TimeGrid, resolving_breaks
-from rankone.tensors.trains.adaptive import TUNING as INTERPOLATION
-from rankone.tensors.trains.adaptive import (
+from rankone.support.budget import (
+    OutOfBudgetError,
+    OutOfWorkError,
+    ProgressEvent,
+    Report,
+    unlimited,
+    work_done,
+    work_left,
+)
+from rankone.tensors import BASES, Basis1D
+from rankone.tensors.adaptive import TUNING as INTERPOLATION
+from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
     LinePoints,
     Lines,
 )
-from rankone.tensors.trains.slab import LineColumns, slab_trains
-from rankone.tensors.trains.train import Train
+from rankone.tensors.basis import nodes_for
+from rankone.tensors.slab import LineColumns, slab_trains
+from rankone.tensors.time_grid import TimeGrid, resolving_breaks
+from rankone.tensors.train import Train
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import (

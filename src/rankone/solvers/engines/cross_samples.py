@@ -23,10 +23,10 @@ from rankone.support.budget import (
     work_done,
     work_left,
 )
-from rankone.tensors.bases import Basis1D
-from rankone.tensors.bases.time_grid import TimeGrid
-from rankone.tensors.trains.adaptive import LinePoints, needed
-from rankone.tensors.trains.cross import GrowingBasis
+from rankone.tensors import Basis1D
+from rankone.tensors.adaptive import LinePoints, needed
+from rankone.tensors.cross import GrowingBasis
+from rankone.tensors.time_grid import TimeGrid
 from rankone.trajectories.integrators.diagnosis import first_to_end
 from rankone.trajectories.integrators.integrator import Integrator, Tolerances
 from rankone.trajectories.integrators.integrator_choice import following, integrator_for

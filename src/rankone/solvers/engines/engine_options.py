@@ -13,9 +13,9 @@ from rankone.support.costs import CALL, Cost
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, choice, integer, integers, number
 from rankone.support.tasks import ExecutorLike, checked_executor
-from rankone.tensors.bases import BASES
-from rankone.tensors.bases.basis import LagrangeElements, nodes_for
-from rankone.tensors.trains.adaptive import Tightening
+from rankone.tensors import BASES
+from rankone.tensors.adaptive import Tightening
+from rankone.tensors.basis import LagrangeElements, nodes_for
 
 
 @dataclass(frozen=True)

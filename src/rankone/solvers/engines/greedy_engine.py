@@ -46,10 +46,9 @@ from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
 from rankone.support.arrays import ACCUMULATED, AT_ONCE, NEGLIGIBLE, TINY, Array
-from rankone.support.budget import COPIES, memory_left, reserve
-from rankone.support.progress import Report
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Integers, Train
+from rankone.support.budget import COPIES, Report, memory_left, reserve
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Integers, Train
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import Cause, Status, UnsettledTerms

@@ -24,10 +24,10 @@ from rankone.solvers.request import Domain
 from rankone.support.arrays import ACCUMULATED, AT_ONCE, EPSILON, Array
 from rankone.support.budget import COPIES, charge, reserve
 from rankone.support.costs import product, qr
-from rankone.tensors.bases import LegendreBasis
-from rankone.tensors.bases.basis import LagrangeElements, nodes_for
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Integers, Train
+from rankone.tensors import LegendreBasis
+from rankone.tensors.basis import LagrangeElements, nodes_for
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Integers, Train
 from rankone.trajectories.system.system import System
 
 # Largest rank whose norm in three dimensions or more is found by orthogonalisation, in cubic time

@@ -30,11 +30,10 @@ from rankone.solvers.verification.points import candidate_points
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfMemoryError, reserve
-from rankone.support.progress import Report
-from rankone.tensors.bases import RadauCollocation
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.support.budget import OutOfMemoryError, Report, reserve
+from rankone.tensors import RadauCollocation
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.system.verdict import MemoryNeeded, Status
 

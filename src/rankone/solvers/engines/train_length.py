@@ -25,9 +25,9 @@ from rankone.solvers.march import (
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, TINY, Array
-from rankone.tensors.bases import BASES, Basis1D, RadauCollocation
-from rankone.tensors.bases.time_grid import times_within
-from rankone.tensors.trains.train import Integers, Train
+from rankone.tensors import BASES, Basis1D, RadauCollocation
+from rankone.tensors.time_grid import times_within
+from rankone.tensors.train import Integers, Train
 from rankone.trajectories.system.system import System
 from rankone.trajectories.system.verdict import Status
 

@@ -19,7 +19,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import COPIES, reserve
 from rankone.support.costs import SparseFactors, product
 from rankone.support.errors import OptionError
-from rankone.tensors.bases import Basis1D, RadauCollocation
+from rankone.tensors import Basis1D, RadauCollocation
 from rankone.trajectories.system.features import OfStates
 from rankone.trajectories.system.system import Kernel, System, pattern_of
 

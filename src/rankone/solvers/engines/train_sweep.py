@@ -32,7 +32,7 @@ from rankone.solvers.engines.train_operators import (
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, memory_left, reserve
 from rankone.support.costs import CALL, product
-from rankone.tensors.trains.train import Train, independent, truncated_svd
+from rankone.tensors.train import Train, independent, truncated_svd
 
 _COPIES = 1.5  # Numbers of a contraction while it is made, over those of its products
 

@@ -27,10 +27,9 @@ from rankone.solvers.request import Check, Domain, Limits, SolveRequest
 from rankone.solvers.selection import solve_with
 from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import Array, corners, spread
-from rankone.support.budget import OutOfBudgetError, limited
-from rankone.support.progress import ProgressEvent, Report, quiet, timed
+from rankone.support.budget import OutOfBudgetError, ProgressEvent, Report, limited, quiet, timed
 from rankone.support.tasks import ExecutorLike, Pool, open_pool
-from rankone.tensors.trains.evaluator import TrainEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
 from rankone.trajectories.fields.field_system import FieldSystem
 from rankone.trajectories.fields.field_trajectories import (
     EndsEarlyError,

@@ -23,7 +23,7 @@ from rankone.support.arrays import NEGLIGIBLE, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost
 from rankone.support.errors import OptionError
-from rankone.tensors.bases import IDENTITY, ChebyshevBasis, Scale
+from rankone.tensors import IDENTITY, ChebyshevBasis, Scale
 from rankone.trajectories.system.system import System
 
 # Shares of a piece that are sampled too, since small pieces contain no fine sample

@@ -18,11 +18,11 @@ from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import AT_ONCE, Array, spread
 from rankone.support.budget import charge, unlimited
 from rankone.support.costs import Cost
-from rankone.tensors.bases.time_grid import times_within
-from rankone.tensors.trains.branch_evaluator import BranchEvaluator
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain, modes_in_time
-from rankone.tensors.trains.timeline_evaluator import TimelineEvaluator
+from rankone.tensors.branch_evaluator import BranchEvaluator
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain, modes_in_time
+from rankone.tensors.time_grid import times_within
+from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.events.event_trajectory import EventTrajectory
 from rankone.trajectories.events.orders import Order
 from rankone.trajectories.events.stretch_integrator import StretchTrajectories

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.tuning import CHECK
 from rankone.support.arrays import Array, bisected, corners, spread
-from rankone.tensors.bases import Basis1D
-from rankone.tensors.bases.coordinates import IDENTITY, Interval, Logarithm, Scale, on_scale
-from rankone.tensors.trains.slab import SlabTrain, sharing
+from rankone.tensors import Basis1D
+from rankone.tensors.coordinates import IDENTITY, Interval, Logarithm, Scale, on_scale
+from rankone.tensors.slab import SlabTrain, sharing
 from rankone.trajectories.system.system import System
 
 _LOGARITHM = Logarithm()

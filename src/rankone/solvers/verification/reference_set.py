@@ -35,7 +35,7 @@ from rankone.solvers.verification.resolution import NEGLIGIBLE
 from rankone.support.arrays import COINCIDENT, Array
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
-from rankone.tensors.bases.time_grid import times_within
+from rankone.tensors.time_grid import times_within
 from rankone.trajectories.events.sides import OrderError
 from rankone.trajectories.integrators.integrator import SampledTrajectories, Tolerances
 from rankone.trajectories.integrators.integrator_choice import (

@@ -37,7 +37,7 @@ from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
-from rankone.tensors.trains.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.events.sides import OrderError
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.timeline import CLOCK_STATES

@@ -1,10 +1,9 @@
 """Events along trajectories, and the system over stretches from event to event.
 
 - ``event_crossings``: where paths cross the roots of functions: all of a stack at once
-- ``event_integration``: roots of functions along trajectories, which end them or reset their
-  states
+- ``event_integration``: roots of functions along trajectories, events that end or reset them, and
+  flows between
 - ``event_trajectory``: a trajectory with its events, and what events do at an instant
-- ``flows``: states along stretches, forwards and backwards, and the roots and turns on them
 - ``forced``: trajectories that follow an order of events, whether it holds or not
 - ``markers``: levels of states at which stretches end, on oscillators that get out of phase and
   on fronts that many trajectories meet after the horizon

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.errors import quote
-from rankone.trajectories.events.flows import (
+from rankone.trajectories.events.event_integration import (
     LOOKING,
     Flow,
     Move,

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import NEGLIGIBLE, Array, spread
-from rankone.trajectories.events.flows import guard_heights
+from rankone.trajectories.events.event_integration import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 from rankone.trajectories.system.features import FALLING, Beginning, ForcedOrder, Guard, Turn
 

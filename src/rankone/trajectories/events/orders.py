@@ -16,9 +16,8 @@ from scipy.spatial.distance import cdist
 from rankone.support.arrays import Array
 from rankone.support.errors import quote
 from rankone.trajectories.events import sides as event_order
-from rankone.trajectories.events.event_integration import integrate_to_events
+from rankone.trajectories.events.event_integration import guard_heights, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory
-from rankone.trajectories.events.flows import guard_heights
 from rankone.trajectories.events.forced import (
     ContinuationError,
     ForcedTrajectories,

@@ -21,7 +21,7 @@ import scipy.sparse as ss
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
-from rankone.tensors.bases.coordinates import LINEAR
+from rankone.tensors.coordinates import LINEAR
 
 Matrix: TypeAlias = "ss.csr_array"
 Coefficients: TypeAlias = Callable[["float | Array", Array], Array]
@@ -88,7 +88,7 @@ class FieldSystem:
     The ``source`` is a module that defines ``coefficients(t, p)``, the functions of the pointwise
     terms, and ``initial_coefficients(p)``: the initial values are ``initial_vectors`` (N, v) times
     these numbers (v, ...). ``namespace`` has functions of the user that it calls. ``scales`` are
-    those of the parameters, words of :data:`~rankone.tensors.bases.coordinates.SCALES`.
+    those of the parameters, words of :data:`~rankone.tensors.coordinates.SCALES`.
     """
 
     unknowns: tuple[Unknown, ...]

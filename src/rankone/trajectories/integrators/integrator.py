@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import Cost, function_cost
-from rankone.tensors.bases.time_grid import insets
+from rankone.tensors.time_grid import insets
 from rankone.trajectories.system.features import Constraints, Jumps, OfParameters, VectorLike
 from rankone.trajectories.system.system import System
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import COINCIDENT, ROUNDING, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import Cost, inverse
-from rankone.tensors.bases.time_grid import inset
+from rankone.tensors.time_grid import inset
 from rankone.trajectories.integrators import lsoda
 from rankone.trajectories.integrators.defects import SHORTENING, DefectControl, Interpolant
 from rankone.trajectories.integrators.diagnosis import switching_state

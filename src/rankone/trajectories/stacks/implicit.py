@@ -18,7 +18,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.tensors.bases.time_grid import RadauCollocation
+from rankone.tensors.time_grid import RadauCollocation
 from rankone.trajectories.integrators.defects import DefectControl, Interpolant
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.stacks import explicit

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
 from rankone.support.costs import Cost, function_cost
-from rankone.tensors.bases.time_grid import inset
+from rankone.tensors.time_grid import inset
 from rankone.trajectories.integrators.defects import DefectControl
 from rankone.trajectories.integrators.diagnosis import decays_faster, switching_state
 from rankone.trajectories.integrators.integrator import (

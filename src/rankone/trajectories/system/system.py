@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, listing
-from rankone.tensors.bases.coordinates import LINEAR
+from rankone.tensors.coordinates import LINEAR
 from rankone.trajectories.system.features import (
     BOTH,
     CROSSINGS,
@@ -182,7 +182,7 @@ class System:
     the derivative of ``s_a s_b - w``.
 
     ``scales`` are those of the parameters, words of
-    :data:`~rankone.tensors.bases.coordinates.SCALES`. ``features`` say where the system is not
+    :data:`~rankone.tensors.coordinates.SCALES`. ``features`` say where the system is not
     smooth, ``jumps`` where its states are reset, ``gaps`` where piecewise functions in its rates
     have no branch. ``specification`` is what it is loaded from, if rankone compiled it. ``events``
     reset its trajectories or end them; a system in stretches between them has the ``clock`` that

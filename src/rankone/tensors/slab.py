@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from rankone.support.arrays import AT_ONCE, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
-from rankone.tensors.bases import (
+from rankone.tensors import (
     IDENTITY,
     Basis1D,
     Logarithm,
@@ -26,8 +26,8 @@ from rankone.tensors.bases import (
     legendre_derivative,
     legendre_values,
 )
-from rankone.tensors.bases.time_grid import TimeGrid
-from rankone.tensors.trains.train import Train
+from rankone.tensors.time_grid import TimeGrid
+from rankone.tensors.train import Train
 
 # Operations of multiplying a core: once, and for each of its entries at a point
 _CORE_COST = Cost(10.0 * CALL, 0.1)
@@ -61,7 +61,7 @@ class SlabTrain:
         """Evaluate at paired times (M,) and parameter points (d, M): shape (states, M).
 
         The plain way, without any preparation;
-        :class:`~rankone.tensors.trains.evaluator.TrainEvaluator` serves many calls.
+        :class:`~rankone.tensors.evaluator.TrainEvaluator` serves many calls.
         """
         modes = self.time_modes(times)
         products = np.multiply(modes.T[:, None], self.over_parameters(points))

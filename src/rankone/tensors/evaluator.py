@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import AT_ONCE, Array
-from rankone.tensors.bases import IDENTITY, Basis1D, LegendreBasis
-from rankone.tensors.trains.slab import SlabTrain, sharing
+from rankone.tensors import IDENTITY, Basis1D, LegendreBasis
+from rankone.tensors.slab import SlabTrain, sharing
 
 Rows = slice | NDArray[np.intp]
 

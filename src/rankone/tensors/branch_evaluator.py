@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import AT_ONCE, COINCIDENT, Array
 from rankone.support.errors import OptionError, quote, warn
-from rankone.tensors.trains.decisions import LOOKS, Decider, Decision, GrazedEvent, clearance, looks
-from rankone.tensors.trains.evaluator import Rows, TrainEvaluator
-from rankone.tensors.trains.timeline_evaluator import ClockEvaluator, TimelineEvaluator
+from rankone.tensors.decisions import LOOKS, Decider, Decision, GrazedEvent, clearance, looks
+from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.timeline_evaluator import ClockEvaluator, TimelineEvaluator
 
 
 class BranchEvaluator(ClockEvaluator):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.tensors.trains import evaluator as module
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import Basis1D, ChebyshevBasis, LegendreBasis
+from rankone.tensors import evaluator as module
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 BASES = {
     "equal": (ChebyshevBasis(-2.0, 3.0, 6, 3), LegendreBasis(0.1, 0.7, 5)),

@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.support.arrays import EPSILON, NEGLIGIBLE, SEED, TINY, Array
-from rankone.tensors.bases import Basis1D, Scale, first_scale
-from rankone.tensors.bases.basis import nodes_for
-from rankone.tensors.trains.cross import (
+from rankone.tensors import Basis1D, Scale, first_scale
+from rankone.tensors.basis import nodes_for
+from rankone.tensors.cross import (
     FULL_GRID_NODES,
     Columns,
     Samples,
@@ -28,8 +28,8 @@ from rankone.tensors.trains.cross import (
     with_last_joined,
     with_points,
 )
-from rankone.tensors.trains.slab import TAIL_RATIO, LineColumns, basis_values, best_coordinates
-from rankone.tensors.trains.train import Integers, Train
+from rankone.tensors.slab import TAIL_RATIO, LineColumns, basis_values, best_coordinates
+from rankone.tensors.train import Integers, Train
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rankone.support.errors import OptionError, RankoneWarning
-from rankone.tensors.bases import ChebyshevBasis, LegendreBasis
-from rankone.tensors.trains.canonical import CanonicalForm, canonical_form
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis, LegendreBasis
+from rankone.tensors.canonical import CanonicalForm, canonical_form
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from tests.solution.evaluation.functions import (
     TIME_MODES,
     Array,

@@ -29,10 +29,10 @@ from numpy.polynomial.legendre import leggauss
 from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, Array
 from rankone.support.errors import EvaluationError, listing, warn
 from rankone.support.options import checked_number
-from rankone.tensors.bases import IDENTITY, Basis1D, Scale, legendre_values
-from rankone.tensors.bases.coordinates import Coordinates, name_of, round_off
-from rankone.tensors.trains.slab import SlabTrain
-from rankone.tensors.trains.train import Train, block_diagonal
+from rankone.tensors import IDENTITY, Basis1D, Scale, legendre_values
+from rankone.tensors.coordinates import Coordinates, name_of, round_off
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train, block_diagonal
 
 _ROUNDING_SHARE = 0.1  # Share of the tolerance spent on rounding the train of the horizon
 _MAX_SWEEPS = 400  # Most sweeps of least squares: slower convergence is not worth the time

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import LagrangeElements
-from rankone.tensors.bases.basis import lobatto_points
+from rankone.tensors import LagrangeElements
+from rankone.tensors.basis import lobatto_points
 
 SHAPES = [(1, 1), (7, 1), (5, 2), (3, 4), (1, 12)]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import (
+from rankone.tensors import (
     BASES,
     IDENTITY,
     SCALES,

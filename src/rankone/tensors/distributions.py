@@ -20,8 +20,8 @@ from scipy.special import ndtri
 
 from rankone.support.arrays import ACCUMULATED, EPSILON, HALVINGS, NEGLIGIBLE, ROUNDING, TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, quote, warn
-from rankone.tensors.bases import Basis1D, Scale
-from rankone.tensors.bases.coordinates import LINEAR, LOG, written_scale
+from rankone.tensors import Basis1D, Scale
+from rankone.tensors.coordinates import LINEAR, LOG, written_scale
 
 _EXAMPLE = "give one of scipy.stats, for example scipy.stats.norm(1, 0.1)"
 _LOGARITHMIC = ("loguniform", "reciprocal", "lognorm")  # Families whose logarithm is natural
@@ -106,7 +106,7 @@ def scale_of(text: str, lower: float) -> str:
     """The scale in which a distribution, as text, is natural from ``lower`` on.
 
     The logarithm for those of a logarithm that is uniform or normal,
-    :data:`rankone.tensors.bases.coordinates`.
+    :data:`rankone.tensors.coordinates`.
     """
     distribution: Any = from_text(text)
     arguments, family = distribution.args, distribution.dist

@@ -22,8 +22,8 @@ from scipy.special import ndtr, ndtri
 
 from rankone.support.arrays import EPSILON, NEGLIGIBLE, TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
-from rankone.tensors.bases.coordinates import name_of
-from rankone.tensors.bases.distributions import Distribution, Measure, PointMeasure
+from rankone.tensors.coordinates import name_of
+from rankone.tensors.distributions import Distribution, Measure, PointMeasure
 
 Entry = TypeVar("Entry")
 Distributions = Mapping[Any, Distribution] | None

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rankone.tensors.bases.time_grid import Polynomials, TimeGrid, resolving_breaks
+from rankone.tensors.time_grid import Polynomials, TimeGrid, resolving_breaks
 
 
 def test_slabs_are_halved_where_functions_are_steep():

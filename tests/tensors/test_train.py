@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rankone.tensors.trains.train import Train
+from rankone.tensors.train import Train
 
 
 def dense(train):

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.support.arrays import AT_ONCE, Array
-from rankone.tensors.bases.coordinates import round_off
-from rankone.tensors.trains.evaluator import AtTimes, Rows, TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain, slab_positions
+from rankone.tensors.coordinates import round_off
+from rankone.tensors.evaluator import AtTimes, Rows, TrainEvaluator
+from rankone.tensors.slab import SlabTrain, slab_positions
 
 Part = tuple[slice, slice, slice]
 """Some of the values (rows, T, N)."""

@@ -21,8 +21,8 @@ from scipy.linalg.lapack import dpstrf
 from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array, sequence
 from rankone.support.budget import COPIES, charge, reserve
 from rankone.support.costs import CALL, COPY, product, qr
-from rankone.tensors.bases import Basis1D
-from rankone.tensors.trains.train import Integers, Skeleton, Train, skeleton_of
+from rankone.tensors import Basis1D
+from rankone.tensors.train import Integers, Skeleton, Train, skeleton_of
 
 # Grids up to this many nodes are sampled completely: adapting would save nothing
 FULL_GRID_NODES = 1600

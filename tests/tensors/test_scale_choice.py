@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import IDENTITY, ChebyshevBasis, Logarithm, Reciprocal
-from rankone.tensors.trains.adaptive import (
+from rankone.tensors import IDENTITY, ChebyshevBasis, Logarithm, Reciprocal
+from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
     Tightening,
     needed,
 )
-from rankone.tensors.trains.slab import LineColumns, best_coordinates, candidates
+from rankone.tensors.slab import LineColumns, best_coordinates, candidates
 
 TOLERANCE = 1e-6
 

@@ -20,7 +20,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.support.arrays import COINCIDENT, TINY, Array
-from rankone.tensors.bases.coordinates import IDENTITY, Scale
+from rankone.tensors.coordinates import IDENTITY, Scale
 
 _NODES_OF_DIGIT = 1.4
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import BASES, ChebyshevBasis, LegendreBasis
+from rankone.tensors import BASES, ChebyshevBasis, LegendreBasis
 
 KINDS = list(BASES.values())
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains.evaluator import TrainEvaluator
-from rankone.tensors.trains.slab import SlabTrain, sharing
-from rankone.tensors.trains.train import Train
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain, sharing
+from rankone.tensors.train import Train
 
 
 def test_on_a_grid_as_at_pairs():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import RadauCollocation, legendre_values
+from rankone.tensors import RadauCollocation, legendre_values
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9, 16])

@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, TINY, Array, bisected
-from rankone.tensors.bases.basis import legendre_derivative, legendre_values
+from rankone.tensors.basis import legendre_derivative, legendre_values
 
 _SHORTEST_OF_HORIZON = 1e-18
 """Shortest slab, relative to the horizon: a layer at t = 0 may be that thin."""

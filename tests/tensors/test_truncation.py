@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rankone.tensors.trains.train import truncated_svd
+from rankone.tensors.train import truncated_svd
 
 
 @cache

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.trains.train import skeleton_of
-from tests.tensors.trains.test_truncation import decaying, singular_values
+from rankone.tensors.train import skeleton_of
+from tests.tensors.test_truncation import decaying, singular_values
 
 
 def remainder(matrix, skeleton):

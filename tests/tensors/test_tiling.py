@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rankone.support.errors import OptionError
-from rankone.tensors.trains.branch_evaluator import Tiling
+from rankone.tensors.branch_evaluator import Tiling
 
 # five rectangles around a square: no cut goes through the whole box
 PINWHEEL = [

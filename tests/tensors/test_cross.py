@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.bases import ChebyshevBasis
-from rankone.tensors.trains import train as skeleton
-from rankone.tensors.trains.adaptive import (
+from rankone.tensors import ChebyshevBasis
+from rankone.tensors import train as skeleton
+from rankone.tensors.adaptive import (
     AdaptiveInterpolation,
     InterpolationLimits,
     KnownElements,
     Tightening,
     needed,
 )
-from rankone.tensors.trains.cross import GrowingBasis, batched, interpolate, left_points
+from rankone.tensors.cross import GrowingBasis, batched, interpolate, left_points
 
 
 class Separable:
