@@ -417,7 +417,9 @@ class House:
             for path in files:
                 self._redefault(path, constant.name, new)
             if constant.owner.endswith("Tuning"):
-                object.__setattr__(self.modules[constant.path].TUNING, constant.name, new)  # type: ignore[attr-defined]
+                tuned = vars(self.modules[constant.path]).values()
+                kept = next(each for each in tuned if type(each).__name__ == constant.owner)
+                object.__setattr__(kept, constant.name, new)
             elif constant.owner:
                 setattr(constant.holder, constant.name, new)
         for path, name, value, names in self.derived:
