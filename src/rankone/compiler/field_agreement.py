@@ -57,11 +57,12 @@ def check_field_agreement(
         numbers = dict(zip(problem.parameters, p.tolist(), strict=True))
         numbers[problem.time[0]] = t
         tree = _Tree(numbers, places, start)
+        sizes = _sizes(system, start)
         for state, value in problem.initial.items():
             own = rows[state]
             gap = start[own + places[state].start] - tree.value(value, own)
-            _compare(gap, tree.magnitude(value, own), NEGLIGIBLE, "initial value", state)
-        sizes = _sizes(system, start)
+            size = np.maximum(tree.magnitude(value, own), sizes[places[state]][own])
+            _compare(gap, size, NEGLIGIBLE, "initial value", state)
         u = start * (1.0 + _PERTURBATION * rng.standard_normal(system.size))
         if away:
             u = sizes * (0.5 + rng.random(system.size))

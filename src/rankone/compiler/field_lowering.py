@@ -7,7 +7,7 @@ to the entries of the matrices.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import scipy.sparse as ss
@@ -15,6 +15,7 @@ import sympy as sp
 
 from rankone.compiler.codegen.field_source import FieldSource
 from rankone.compiler.field_agreement import check_field_agreement
+from rankone.compiler.passes.field_shapes import shape_terms
 from rankone.compiler.passes.field_terms import (
     FieldTerms,
     Linear,
@@ -159,27 +160,34 @@ def _initial_vectors(
     splitter = FieldTerms(places)
     columns: dict[sp.Expr, Array] = {sp.S.One: np.zeros(size)}
     for state, start in problem.initial.items():
-        for term in _sources(splitter.of(start, size_of(state)), state, start):
-            column = columns.setdefault(term.coefficient, np.zeros(size))
-            column[places[state]] += term.vector
+        for term in splitter.of(start, size_of(state)):
+            for coefficient, vector in _products(term, splitter, problem, state):
+                column = columns.setdefault(coefficient, np.zeros(size))
+                column[places[state]] += vector
     if not np.any(columns[sp.S.One]) and len(columns) > 1:
         del columns[sp.S.One]
     source.add_initial_coefficients(list(columns))
     return np.stack([*columns.values()], axis=1)
 
 
-def _sources(terms: Iterable[Term], state: sp.Expr, start: sp.Expr) -> Iterable[Source]:
-    """The terms of an initial value, which are vectors times functions of parameters."""
-    for term in terms:
-        if not isinstance(term, Source):
-            raise SeparationError(
-                f"the initial value of {quote(state)}, {quote(start)}, is no sum of arrays times "
-                "functions of parameters",
-                term=start,
-                remedy="write it as such a sum; where a parameter moves or widens a shape, expand "
-                "the shape in a few arrays, or let a short time with a source form it",
-            )
-        yield term
+def _products(
+    term: Term, splitter: FieldTerms, problem: CheckedFields, state: sp.Expr
+) -> Sequence[tuple[sp.Expr, Array]]:
+    """An initial value as functions of parameters and the vectors that they multiply."""
+    if isinstance(term, Source):
+        return [(term.coefficient, term.vector)]
+    if isinstance(term, Pointwise):
+        present = term.function.free_symbols
+        vectors = {s: np.asarray(a) for s, a in splitter.arguments.items() if s in present}
+        shapes = shape_terms(term.function, vectors, problem.coordinates[1:])
+        if shapes is not None:
+            return [(term.coefficient * f, term.after @ vector) for f, vector in shapes]
+    raise SeparationError(
+        f"the initial value of {quote(state)} is no sum of arrays times functions of parameters",
+        term=problem.initial[state],
+        remedy="a parameter moves or sharpens it too much: narrow the interval of that parameter, "
+        "or make the shape wider",
+    )
 
 
 def _mass(problem: CheckedFields, unknowns: Iterable[Unknown]) -> Matrix | None:

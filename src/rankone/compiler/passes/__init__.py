@@ -2,6 +2,7 @@
 
 - ``feature_pass``: the features of a system: all that is not smooth, or so narrow that samples
   may miss it
+- ``field_shapes``: shapes that move or widen with parameters, as sums of vectors times functions
 - ``field_terms``: rates of fields as sums of linear terms, sources and elementwise functions
 - ``first_order``: reduction to first order, the weak form, and parameters whose effects add up
 - ``lifting``: functions of the unknowns become unknowns themselves, with equations of their own
