@@ -71,13 +71,17 @@ class FieldTuning:
     """Error of its solution."""
     first_corners: int = 4
     """Corners among the first points, beside the centre."""
-    at_once: int = 2
+    at_once: int = 3
     """Further points of a round."""
     candidates: int = 64
     """Points, and corners, at which the residual is looked at."""
     residual_times: int = 24
     distance: float = 0.15
     """Least distance of new points, in widths of the box."""
+    effort: float = 4.0
+    """Budget of the solve for coefficients, over that of a system without fields."""
+    inner_checks: int = 16
+    """Points of its check against trajectories of its own: the fields are measured as well."""
     spread_checks: int = 12
     worst_checks: int = 8
     most_modes: int = 150
@@ -480,10 +484,9 @@ class _FieldSolve:
     def _solved(self, reduced: ReducedSystem, rtol: float) -> tuple[Outcome, SolutionMetadata]:
         """The coefficients over the box by the cross engine."""
         request = self.request
-        limits = replace(request.limits, seconds=math.inf)  # which hold around all of it
-        asked = SolveRequest(
-            rtol, request.domain, Check(), limits, (request.options,), markers=False
-        )
+        limits = Limits(FIELDS.effort * request.limits.operations, memory=request.limits.memory)
+        check, options = Check(FIELDS.inner_checks), (request.options,)
+        asked = SolveRequest(rtol, request.domain, check, limits, options, markers=False)
         metadata = reduced.metadata(rtol)
         return solve_with((cross_engine.ENGINE,), reduced.system, asked, metadata)
 
