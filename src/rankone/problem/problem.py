@@ -683,9 +683,7 @@ class FieldProblem(CheckedFields, Problem):
     initial : mapping of Expr to Expr
         By state.
     fields : tuple of Field
-        The fields among the states.
-    size : int
-        The number of entries of all states.
+        The fields among the states; ``problem.size`` counts the entries of all states.
 
     Raises
     ------
