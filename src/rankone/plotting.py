@@ -9,3 +9,4 @@ those with several panels an array of them.
 """
 
 from rankone.share.plotting import *  # noqa: F403
+from rankone.share.plotting import __all__ as __all__
