@@ -70,8 +70,8 @@ def field_equations(equations: object, time: sp.Symbol) -> tuple[sp.Eq, ...]:
             raise ProblemError(
                 f"the rate of {quote(unknown)} is {shown(rate)}, not an expression",
                 term=rate,
-                remedy="give an expression of fields, parameters and time; "
-                "Problem.from_strings takes text",
+                remedy="give an expression of fields, parameters and time; arrays enter by "
+                "rankone.apply(array, 1), or rankone.apply(array, u) for a product",
             )
         written.append(sp.Eq(left, expression, evaluate=False))
     return tuple(written)

@@ -22,7 +22,13 @@ import rankone as ro
 from rankone.solution.solution import Solution, load
 from rankone.solution.storage.contents import digest_of
 from rankone.solution.storage.netcdf import sealed
-from rankone.solvers.reduced.field_solve import FieldError, FieldsEnd, ReducedEnds, SlowModes
+from rankone.solvers.reduced.field_solve import (
+    FieldError,
+    FieldsEnd,
+    ReducedEnds,
+    SlowModes,
+    TooFewTrajectories,
+)
 from rankone.support.errors import StorageError
 from rankone.support.files import Tagged, write_files
 from rankone.tensors import ChebyshevBasis
@@ -649,6 +655,7 @@ VERDICTS = [
     Verdict(Status.STEEP, None, (SeveralOrders("`hit` does not come at k = 1"),)),
     Verdict(Status.SWITCHES, None, (SwitchesNotHeld("an order of events cannot be continued"),)),
     Verdict(Status.RANK_LIMIT, SlowModes("u", 100, 1e-3, 400, 9)),
+    Verdict(Status.TRAJECTORY_LIMIT, TooFewTrajectories(12, 30, 2e-3)),
     Verdict(Status.BLOW_UP, FieldsEnd(0.5, (("k", 1.0),))),
     Verdict(Status.CONVERGED, FieldError(1e-5, "u", 20, 29)),
     Verdict(Status.STEEP, ReducedEnds("the solution depends steeply on k", 7)),

@@ -362,7 +362,8 @@ def check_solution(function: str, solution: object) -> None:
         raise OptionError(
             f"{function} needs a Solution, not {type(solution).__name__}",
             term=solution,
-            remedy="give what rankone.solve(problem) returns",
+            remedy="give what rankone.solve(problem) returns; of a solution of fields an output: "
+            'solution.output({"name": solution[u][3]})',
         )
 
 

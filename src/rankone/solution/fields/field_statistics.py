@@ -65,14 +65,20 @@ class FieldSobol(Labelled):
     total_half_width: Array
 
     def over_entries(self) -> tuple[Array, Array]:
-        """Shares of the sum of the variances of all entries, (parameters, times) each."""
+        """Shares of the sum of the variances of all entries, (parameters, times) each.
+
+        They are NaN where entries whose own shares are not known have half of the sum or more.
+        """
         weights = np.nan_to_num(self.variance).reshape(self.positions.size, 1, -1)
         shape = self.first.shape[self.positions.ndim :]
 
         def mean(shares: Array) -> Array:
-            flat = np.nan_to_num(shares).reshape(len(weights), len(self.parameters), -1)
+            flat = shares.reshape(len(weights), len(self.parameters), -1)
+            counted = np.where(np.isnan(flat), 0.0, weights)
             with np.errstate(invalid="ignore"):
-                return np.asarray((flat * weights).sum(axis=0) / weights.sum(axis=0)).reshape(shape)
+                means = (np.nan_to_num(flat) * counted).sum(axis=0) / weights.sum(axis=0)
+            unknown = counted.sum(axis=0) <= 0.5 * weights.sum(axis=0)
+            return np.where(unknown, np.nan, means).reshape(shape)
 
         return mean(self.first), mean(self.total)
 
@@ -87,7 +93,9 @@ class FieldSobol(Labelled):
             [name, *(f"{share[j, k]:.3f}" for k in chosen for share in both)]
             for j, name in enumerate(self.parameters)
         ]
-        title = f"Sobol indices of {self.name}, shares of the variance of all its entries"
+        count = self.positions.size
+        which = "all its entries" if count > 1 else f"entry {self.positions.ravel()[0]}"
+        title = f"Sobol indices of {self.name}, shares of the variance of {which}"
         return Table(title, header, rows)
 
     def _variables(self) -> Variables:

@@ -116,7 +116,25 @@ class FieldsEnd(Cause):
 
     def sentence(self, status: Status) -> str:
         place = ", ".join(f"{name} = {value:.6g}" for name, value in self.at)
-        return f"{status.value}, at t = {self.time:.6g}" + (f" with {place}" if place else "")
+        place = f" with {place}" if place else ""
+        remedy = "end the horizon before, or take a box without it"
+        return f"{status.value}, at t = {self.time:.6g}{place}; {remedy}"
+
+
+@dataclass(frozen=True)
+class TooFewTrajectories(Cause):
+    """The full trajectories that were allowed did not suffice."""
+
+    most: int
+    modes: int
+    error: float | None
+
+    def sentence(self, status: Status) -> str:
+        text = f"{status.value}: at most {self.most} were to be integrated"
+        if self.error is not None:
+            missed = f"{self.error:.1e} of the largest value"
+            text += f"; {self.modes} modes missed the last ones by {missed}"
+        return f"{text}; raise max_trajectories or rtol, or take a smaller box"
 
 
 @dataclass(frozen=True)
@@ -221,6 +239,7 @@ class _FieldSolve:
         self.count = 0
         self.modes: FieldModes | None = None
         self.left_out = FIELDS.modes
+        self.worst: float | None = None
 
     def ended(self, status: Status, cause: Cause | None = None) -> None:
         """Keep how the solve ended."""
@@ -279,7 +298,10 @@ class _FieldSolve:
 
     def _trajectories(self, points: Array) -> list[FieldTrajectory]:
         """Full trajectories, as far as there are some left."""
-        if self.count + len(points) > self.request.trajectories:
+        most = self.request.trajectories
+        if self.count + len(points) > most:
+            cause = TooFewTrajectories(most, self._rank, self.worst)
+            self.ended(Status.TRAJECTORY_LIMIT, cause)
             raise _SolvedEarlyError
         answers = self.integration.trajectories(points)
         self.count += len(points)
@@ -311,6 +333,7 @@ class _FieldSolve:
             points = self._worst(reduced, interpolations, FIELDS.at_once)
             trajectories = self._trajectories(points)
             errors = [self._error_of(reduced, trajectory) for trajectory in trajectories]
+            self.worst = max(errors)
             self._tighten(trajectories, errors)
             self._learn(trajectories)
             if max(errors) <= FIELDS.reduced * self.request.rtol:
