@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.linalg
 import scipy.sparse as ss
 import sympy as sp
 
@@ -119,3 +120,33 @@ def test_what_takes_no_fields_says_so(problem):
 def test_a_compiled_problem_shows_its_fields(problem):
     assert "u (70)" in repr(ro.compile(problem))
     assert "def coefficients" in ro.compile(problem).source
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "narrow", [sp.exp(-(((T - 0.1) / 2e-4) ** 2)), sp.exp(-(((K - 0.1237) / 3e-4) ** 2))]
+)
+def test_narrow_coefficients_are_not_passed_over(narrow):
+    rate = K * ro.apply(LAPLACIAN, U) + 100 * ro.apply(HEAT, narrow)
+    problem = ro.Problem({U: rate}, (T, 0, 0.2), {K: (0.05, 0.2)}, {U: 0})
+    solution = ro.solve(problem, rtol=1e-2, max_trajectories=45)
+    if solution.success:
+        assert np.abs(solution[U](t=0.15, k=0.1237)).max() > 1e-3
+
+
+def test_a_field_that_stays_zero():
+    problem = ro.Problem({U: K * ro.apply(LAPLACIAN, U)}, (T, 0, 0.2), {K: (1, 2)}, {U: 0})
+    solution = ro.solve(problem, rtol=1e-3)
+    assert solution.success
+    assert (solution(t=0.1, k=1.5) == 0.0).all()
+
+
+def test_no_parameters_at_all():
+    problem = ro.Problem(
+        {U: 0.1 * ro.apply(LAPLACIAN, U) + ro.apply(HEAT, 1)}, (T, 0, 0.2), {}, {U: 0}
+    )
+    solution = ro.solve(problem, rtol=1e-3)
+    assert solution.success
+    start = np.linalg.solve(0.1 * LAPLACIAN.toarray(), HEAT)
+    exact = scipy.linalg.expm(0.02 * LAPLACIAN.toarray()) @ start - start
+    assert np.abs(solution(t=0.2) - exact).max() < 1e-3 * solution.modes.scales[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rankone.share.plotting import style
-from rankone.share.plotting.style import apart
+from rankone.share.plotting.line_ends import apart
 
 ENDS = [[0.0, 0.0, 0.0], [1.0, 1.0, 0.99], [0.0, 0.5, 1.0, 0.51], [3e-3, 2e-3, 1e-3, 0, 0, 0.02]]
 

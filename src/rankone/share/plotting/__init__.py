@@ -4,11 +4,11 @@ Their public names are those of :mod:`rankone.plotting`.
 
 - ``estimate_plots``: what data say about parameters and populations
 - ``fit_plots``: measurements, fitted curves and residuals, of fits and of calibrations
+- ``line_ends``: names at the ends of lines, which are moved apart whenever a figure is drawn
 - ``mode_plots``: densities, base functions, surfaces, and what happened in the loops of a solve
 - ``sensitivity_plots``: what the parameters do to an unknown: `plot_sobol` and
   `plot_main_effects`
-- ``style``: what all plots share: arguments, figures, axes, legends, labels, names at ends of
-  lines
+- ``style``: what all plots share: checked arguments, figures and axes, legends and labels
 - ``trajectory_plots``: unknowns over time, for given parameters or over the box:
   `plot_trajectories`, `plot_bands`
 """

@@ -43,6 +43,8 @@ class Snapshots:
         They are orthonormal in the mean over the entries.
         """
         union = self._union.result()
+        if not union.modes.shape[1]:  # it is zero: any mode will do
+            return np.ones((len(union.modes), 1))
         rotation, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
         count = len(values)
         if left_out > 0.0:

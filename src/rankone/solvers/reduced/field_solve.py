@@ -26,7 +26,7 @@ from rankone.solvers.reduced.reduced_system import ReducedSystem, reduced_system
 from rankone.solvers.request import Check, Domain, Limits, SolveRequest
 from rankone.solvers.selection import solve_with
 from rankone.solvers.verification.points import Coverage
-from rankone.support.arrays import Array, corners, spread
+from rankone.support.arrays import TINY, Array, corners, spread
 from rankone.support.budget import OutOfBudgetError, ProgressEvent, Report, limited, quiet, timed
 from rankone.support.tasks import ExecutorLike, Pool, open_pool
 from rankone.tensors.evaluator import TrainEvaluator
@@ -85,6 +85,14 @@ class FieldTuning:
     most_modes: int = 150
     """Coefficients of all unknowns together."""
     most_trajectories: int = 100
+    line_places: int = 1025
+    """Places on a line through the box, and times, at which coefficients are looked at."""
+    narrow: float = 0.1
+    """Part of a line on which a coefficient is far from its median that is narrow."""
+    slow: float = 0.02
+    """Change of a coefficient from one time to the next, over all of it, that needs no care."""
+    jump: float = 0.5
+    """The same that is too much to be followed."""
     rounds: int = 4
     """Solutions that are measured at most: what disagrees becomes modes."""
 
@@ -239,6 +247,7 @@ class _FieldSolve:
         self.count = 0
         self.modes: FieldModes | None = None
         self.left_out = FIELDS.modes
+        self.beside = np.zeros((0, len(request.domain.box)))
         self.worst: float | None = None
 
     def ended(self, status: Status, cause: Cause | None = None) -> None:
@@ -261,6 +270,8 @@ class _FieldSolve:
         """Sizes, tolerances, and the trajectories at the first points."""
         d, rtol = len(self.request.domain.box), self.request.rtol
         centre = self.coverage.points(np.full((1, d), 0.5))
+        self._limit_steps(centre)
+        narrow, self.beside = self._narrow_points(centre[0])
         sizes = field_sizes(self.fields, centre[0])
         absolute = np.array([u.absolute for u in self.fields.unknowns]) / rtol
         self.sizes = sizes = np.maximum(sizes, absolute)
@@ -273,7 +284,47 @@ class _FieldSolve:
         self._reduced()  # ends where the modes of the first trajectory alone do not decay
         if d:
             first = self.coverage.points(corners(d, FIELDS.first_corners, self.generator))
-            self._learn(self._trajectories(first))
+            self._learn(self._trajectories(np.concatenate([first, narrow])))
+
+    def _limit_steps(self, centre: Array) -> None:
+        """Keep steps from passing over pulses of the coefficients; end where they are too short."""
+        d = len(self.request.domain.box)
+        points = np.concatenate([centre, self.coverage.points(spread(8, d, self.generator))])
+        times = np.linspace(*self.fields.horizon, 4 * FIELDS.line_places)
+        c = self.fields.coefficients(times[:, None], points.T[:, None, :])
+        c = np.broadcast_to(c, (len(c), times.size, len(points)))
+        change = np.abs(np.diff(c, axis=1)).max(axis=1)
+        shares = change / np.maximum(np.ptp(c, axis=1), TINY)
+        share = float(np.nan_to_num(shares).max(initial=0.0))
+        if share > FIELDS.jump:
+            self.ended(Status.NARROW)
+            raise _SolvedEarlyError
+        if share > FIELDS.slow:
+            longest = 2.0 * float(times[1] - times[0]) / share
+            self.fields = replace(self.fields, longest_step=longest)
+
+    def _narrow_points(self, centre: Array) -> tuple[Array, Array]:
+        """Points at which coefficients are far from usual in a narrow part of the box, and beside.
+
+        Along each parameter, through the centre.
+        """
+        d, (start, end) = len(self.request.domain.box), self.fields.horizon
+        peaks, beside = list[Array](), list[Array]()
+        times = np.linspace(start, end, 33)[:, None]
+        for j in range(d):
+            line = self.coverage.line(j, FIELDS.line_places)
+            points = np.tile(centre[:, None], (1, line.size))
+            points[j] = line
+            c = self.fields.coefficients(times, points[:, None, :])
+            c = np.broadcast_to(c, (len(c), len(times), line.size))
+            off = np.abs(c - np.median(c, axis=2, keepdims=True)).max(axis=1)
+            for profile in off:
+                inside = np.flatnonzero(profile > 0.5 * profile.max())
+                if 0 < inside.size <= FIELDS.narrow * line.size:
+                    peaks.append(points[:, int(np.argmax(profile))])
+                    beside += [points[:, inside[0]], points[:, inside[-1]]]
+        at_peaks, at_sides = (np.reshape(some, (len(some), d)) for some in (peaks, beside))
+        return np.unique(at_peaks, axis=0), np.unique(at_sides, axis=0)
 
     def _step_tolerance(self, point: Array, sizes: Array) -> float:
         """A tolerance of steps whose trajectories are accurate enough.
@@ -432,7 +483,7 @@ class _FieldSolve:
         """Coefficients (R, m, T) of the reduced system at points (m, d); NaN beyond their end."""
         absolute = rtol * reduced.scales[:, None]
         integrator = integrator_for(reduced.system, "auto", stiff=True)
-        tolerances = Tolerances(max(rtol, 1e-12), absolute)
+        tolerances = Tolerances(max(rtol, 1e-12), absolute, self.fields.longest_step)
         dense = integrator.run(reduced.system, points, self.fields.horizon, tolerances)
         states = np.full((len(reduced.names), len(points), len(times)), np.nan)
         there = times <= dense.end
@@ -522,7 +573,7 @@ class _FieldSolve:
         self.seen += list(even)
         worst = self._worst(reduced, interpolations, FIELDS.worst_checks)
         del self.seen[-len(even) :]
-        return self._trajectories(np.concatenate([even, worst]))
+        return self._trajectories(np.concatenate([even, worst, self.beside]))
 
     def _solution_errors(
         self, evaluator: TrainEvaluator, trajectory: FieldTrajectory

@@ -11,6 +11,7 @@ that are taken elementwise. Nothing here needs SymPy: coefficients and functions
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -85,6 +86,8 @@ class PointwiseTerm:
 class FieldSystem:
     """Vectors of unknowns and their rates.
 
+    No step is longer than ``longest_step``.
+
     The ``source`` is a module that defines ``coefficients(t, p)``, the functions of the pointwise
     terms, and ``initial_coefficients(p)``: the initial values are ``initial_vectors`` (N, v) times
     these numbers (v, ...). ``namespace`` has functions of the user that it calls. ``scales`` are
@@ -103,6 +106,7 @@ class FieldSystem:
     mass: Matrix | None = None
     scales: tuple[str, ...] = ()
     time: str = "t"
+    longest_step: float = math.inf
     namespace: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

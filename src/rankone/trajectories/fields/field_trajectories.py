@@ -286,6 +286,7 @@ def _backward_differences(
         rtol=max(tolerance, 100.0 * EPSILON),
         atol=absolute,
         jac=own.jacobian,
+        max_step=system.longest_step,
     )
     solver.lu = factors.of
     if mass is not None:
