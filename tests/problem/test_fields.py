@@ -74,6 +74,29 @@ class TestExpressions:
         assert ro.apply(np.arange(N), k * u) == k * u * weights
         assert ro.apply(list(range(N)), 1) == weights
 
+    def test_a_matrix_before_a_field_is_applied(self):
+        for matrix in (L.toarray(), L, ss.csr_matrix(L)):
+            assert matrix @ u == ro.apply(L, u)
+            assert matrix @ (L @ u) == ro.apply(L, ro.apply(L, u))
+        assert np.ones(N) @ u == ro.apply(np.ones((1, N)), u)
+
+    def test_arrays_are_combined_entry_by_entry(self):
+        numbers = np.arange(1.0, N + 1)
+        vector = ro.apply(numbers, 1)
+        assert numbers * u == u * numbers == ro.apply(numbers, u)
+        assert numbers + u == u + numbers == u + vector
+        assert numbers - u == -(u - numbers) == vector - u
+        assert numbers / u == vector / u
+        assert u / numbers == u / vector
+        assert np.float64(2.0) * u == 2.0 * u
+        assert numbers * (L @ u) == ro.apply(numbers, ro.apply(L, u))
+
+    def test_a_field_is_a_function_of_time_already(self):
+        assert u(t) is u
+        assert not isinstance(np.array([u, u])[0], list)
+        with pytest.raises(TypeError, match="not iterable"):
+            list(u)
+
     def test_sizes(self):
         assert size_of(u * k + sp.exp(v)) == N
         assert size_of(ro.apply(np.ones((1, N)), u)) == 1
@@ -112,6 +135,11 @@ class TestExpressions:
             (lambda: ro.apply("L", u), "the matrix of `apply` is 'L'"),
             (lambda: ro.apply(np.zeros((0, N)), u), "the matrix of `apply` is"),
             (lambda: ro.apply(L, "u"), "which is not an expression"),
+            (lambda: L * u, "an array of 6 x 6 is combined entry by entry with `u`"),
+            (lambda: np.ones(3) * u, "an array of 3 is combined entry by entry with `u`"),
+            (lambda: np.eye(4) @ u, "a matrix of 4 columns"),
+            (lambda: u[3], r"`u[3]`: expressions of fields are not divided"),
+            (lambda: u(0), r"`u(0)` is no expression"),
             (lambda: ro.apply(L, u + ro.field("w", 3)), "`w` has 3 entries, and `u` beside it"),
         ],
     )

@@ -5,9 +5,11 @@ In come equations, parameters with their intervals, initial values and events; o
 
 - ``algebra``: equations that are not rates: algebraic ones, mass matrices, and what they
   determine
+- ``array_operators``: arithmetic with arrays of expressions that stand for many numbers
 - ``box``: the coordinates of a problem: the time interval, the box of the parameters, and its
   pieces
 - ``checked``: the checks of a problem's arguments, what follows from them, and how it is shown
+- ``constant_arrays``: what users write for constant matrices and vectors, as checked numbers
 - ``equations``: the equations of a problem and the initial values of its states
 - ``expressions``: single SymPy expressions, whatever problem they belong to
 - ``field_conversions``: matrices as problems with one field, and problems with fields entry by

@@ -244,12 +244,25 @@ def _check_smooth(rate: sp.Expr, symbols: Symbols, equation: int) -> None:
     moving = {symbols.time[0], *(s for s in symbols.states if isinstance(s, Field))}
     for node in sorted(rate.atoms(*_NOT_SMOOTH), key=sp.default_sort_key):
         if node.free_symbols & moving or node.atoms(AppliedUndef, Vector):
+            time = symbols.time[0]
+            of_time = node.atoms(sp.Symbol) <= {time, *symbols.parameters}
+            step = f"1/(1 + exp(-({time if of_time else 'x'} - 1)/0.01))"
+            transition = f"write a smooth transition, such as {step} for a step"
+            if of_time:
+                remedy = (
+                    f"{transition} at {time} = 1, with the width that it really has; or end the "
+                    "horizon at that time, and begin a second problem there"
+                )
+            else:
+                remedy = (
+                    f"{transition} at x = 1; where it depends on place alone, give its values as "
+                    "an array"
+                )
             raise ProblemError(
                 f"{quote(node)} is not smooth, and the rates of fields are smooth",
                 equation=equation,
                 term=node,
-                remedy="write a smooth transition, such as 1/(1 + exp(-(x - 1)/0.01)) for a step "
-                "at x = 1; where it depends on place alone, give its values as an array",
+                remedy=remedy,
             )
     for applied in sorted(rate.atoms(DataFunction), key=sp.default_sort_key):
         raise ProblemError(

@@ -7,23 +7,20 @@ entry to another.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import NoReturn
 
 import numpy as np
 import scipy.sparse
 import sympy as sp
-from numpy.typing import ArrayLike, NDArray
 
+from rankone.problem.array_operators import ArrayOperators
+from rankone.problem.constant_arrays import SparseLike, array_digest, checked_array
 from rankone.problem.expressions.notation import expression_of
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError, is_line, quote, shown
+from rankone.support.errors import ProblemError, count, is_line, quote, shown
 
-SparseLike: TypeAlias = "ArrayLike | scipy.sparse.spmatrix | scipy.sparse.sparray"
-"""What users write for a constant matrix or vector."""
 _SUPERSCRIPTS = {1: "", 2: "²", 3: "³", 4: "⁴"}
-_MATRIX_REMEDY = "give an array of one or two dimensions, or a sparse matrix of SciPy"
 
 
 def field(name: str, size: int) -> Field:
@@ -119,55 +116,45 @@ def constant_of(
     array: object, subject: str = "the matrix of `apply`", label: str | None = None
 ) -> Operator | Vector:
     """A matrix or vector of numbers as a symbol; a ProblemError if it is none."""
-    is_sparse = isinstance(array, scipy.sparse.sparray | scipy.sparse.spmatrix)
-    numbers: Any = array if is_sparse else _dense(array)
-    if numbers.dtype.kind == "c":
-        message = f"{subject} has complex entries"
-        raise ProblemError(message, term=subject, remedy="write real and imaginary parts apart")
-    if numbers.dtype.kind not in "biuf" or numbers.ndim not in (1, 2) or 0 in numbers.shape:
-        raise ProblemError(f"{subject} is {shown(array)}", term=array, remedy=_MATRIX_REMEDY)
-    if numbers.ndim == 1:
-        vector = numbers.toarray() if is_sparse else numbers
-        return Vector(_finite(vector.astype(float), subject), label)
-    rows = scipy.sparse.csr_array(numbers, dtype=float, copy=True)
-    _finite(rows.data, subject)
-    rows.sum_duplicates()
-    rows.eliminate_zeros()
-    return Operator(rows, label)
+    numbers = checked_array(array, subject)
+    return Vector(numbers, label) if isinstance(numbers, np.ndarray) else Operator(numbers, label)
 
 
-def _dense(array: object) -> NDArray[np.generic]:
-    """An array of whatever type."""
-    try:
-        return np.asarray(array)
-    except ValueError:  # rows of several lengths
-        return np.empty((), dtype=object)
+class _Entries(ArrayOperators):
+    """What has many entries: arrays act on it."""
+
+    __slots__ = ()
+    __iter__ = None  # an index alone would make it a sequence
+
+    def _beside(self, array: object) -> sp.Expr:
+        constant = constant_of(array, "the array")
+        if isinstance(constant, Vector) and size_of(self) in (1, constant.size):
+            return constant
+        shape = constant.shape if isinstance(constant, Operator) else (constant.size,)
+        raise ProblemError(
+            f"an array of {' x '.join(map(str, shape))} is combined entry by entry with "
+            f"{quote(self)}, which has {count(size_of(self), 'entry', 'entries')}",
+            term=self,
+            remedy=f"write rankone.apply(matrix, {self}) for the product with a matrix, and give "
+            "an array with one number for each entry otherwise",
+        )
+
+    def _under(self, matrix: object) -> sp.Expr:
+        constant = constant_of(matrix, "the matrix")
+        if isinstance(constant, Vector):  # as in NumPy
+            constant = constant_of(constant.array[None])
+        return apply(constant, self)
+
+    def __getitem__(self, index: object) -> NoReturn:
+        raise ProblemError(
+            f"`{self}[{shown(index)}]`: expressions of fields are not divided into entries",
+            term=self,
+            remedy=f"write rankone.apply(row, {self}) with a matrix of one row that has a one at "
+            "this entry; of a solution, solution[u][3] is the entry",
+        )
 
 
-def _finite(entries: Array, subject: str) -> Array:
-    if not np.isfinite(entries).all():
-        message = f"{subject} has entries that are not finite"
-        raise ProblemError(message, term=subject, remedy="check the array")
-    return entries
-
-
-def array_digest(array: Array | scipy.sparse.csr_array) -> str:
-    """What two equal arrays, or sparse matrices, have in common."""
-    if isinstance(array, np.ndarray):
-        return _digest(array)
-    array.sum_duplicates()
-    shape = np.array(array.shape, dtype=np.int64)
-    return _digest(shape, array.data, *(a.astype(np.int64) for a in (array.indices, array.indptr)))
-
-
-def _digest(*arrays: NDArray[Any]) -> str:
-    total = hashlib.blake2b(digest_size=16)
-    for array in arrays:
-        total.update(np.ascontiguousarray(array).data)
-    return total.hexdigest()
-
-
-class Field(sp.Symbol):  # type: ignore[misc]
+class Field(_Entries, sp.Symbol):  # type: ignore[misc]
     """A vector of unknowns; see :func:`field`."""
 
     __slots__ = ("size",)
@@ -194,6 +181,17 @@ class Field(sp.Symbol):  # type: ignore[misc]
     def __reduce__(self) -> tuple[object, ...]:
         return Field, (self.name, self.size)
 
+    def __call__(self, *arguments: object) -> Field:
+        """The field itself for ``u(t)``; a ProblemError for all else."""
+        if len(arguments) == 1 and isinstance(arguments[0], sp.Symbol):
+            return self
+        raise ProblemError(
+            f"`{self}({', '.join(map(shown, arguments))})` is no expression",
+            term=self,
+            remedy=f"write {self}: a field is a function of time already; initial values are "
+            f"initial={{{self}: ...}}, values of a solution solution[{self}](t=0.5, ...)",
+        )
+
     def _hashable_content(self) -> tuple[object, ...]:
         return (*super()._hashable_content(), self.size)
 
@@ -211,7 +209,7 @@ class Field(sp.Symbol):  # type: ignore[misc]
         return FieldDerivative(self, time, sp.Integer(order)) if order else self
 
 
-class FieldDerivative(sp.Expr):  # type: ignore[misc]
+class FieldDerivative(_Entries, sp.Expr):  # type: ignore[misc]
     """A derivative of a field in time."""
 
     is_commutative = True
@@ -265,7 +263,7 @@ class FieldDerivative(sp.Expr):  # type: ignore[misc]
         return rf"\frac{{d{power} {sp.latex(self.expr)}}}{{{below}}}"
 
 
-class Vector(sp.Symbol):  # type: ignore[misc]
+class Vector(_Entries, sp.Symbol):  # type: ignore[misc]
     """Constant numbers, one for each entry of a field."""
 
     __slots__ = ("array", "digest")
@@ -276,7 +274,7 @@ class Vector(sp.Symbol):  # type: ignore[misc]
         symbol: Vector = sp.Symbol.__xnew__(cls, label or f"<{array.size}>", real=True)
         symbol.array = np.array(array, dtype=float)
         symbol.array.setflags(write=False)
-        symbol.digest = _digest(symbol.array)
+        symbol.digest = array_digest(symbol.array)
         return symbol
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -334,7 +332,7 @@ class Operator(sp.Symbol):  # type: ignore[misc]
         return int(rows), int(columns)
 
 
-class Apply(sp.Expr):  # type: ignore[misc]
+class Apply(_Entries, sp.Expr):  # type: ignore[misc]
     """A matrix times an expression; see :func:`apply`."""
 
     is_commutative = True

@@ -19,8 +19,9 @@ import scipy.sparse as ss
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.problem.constant_arrays import array_digest
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
-from rankone.problem.fields import Apply, Field, Vector, array_digest
+from rankone.problem.fields import Apply, Field, Vector
 from rankone.support.arrays import Array
 from rankone.support.errors import SeparationError, quote
 
