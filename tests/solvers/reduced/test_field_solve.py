@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as ss
 
+from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.reduced.field_bases import Interpolation, Snapshots
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.field_residual import FieldResidual
@@ -100,8 +101,16 @@ def test_what_was_not_checked_is_no_success():
 def test_blow_up_is_told():
     fields = system(growth=8.0)
     solved = solve_fields(fields, request(fields, 1e-3))
-    assert solved.verdict.status is Status.STALLS
-    assert "t = " in str(solved.verdict)
+    assert solved.verdict.status is Status.BLOW_UP
+    assert "leaves all bounds inside the horizon, at t = " in str(solved.verdict)
+
+
+def test_a_limit_that_the_coefficients_reach_is_named():
+    fields = system()
+    asked = replace(request(fields, 1e-5), options=CrossOptions(max_rank=1))
+    solved = solve_fields(fields, asked)
+    assert solved.verdict.status is not Status.CONVERGED
+    assert "max_rank=1" in str(solved.verdict)
 
 
 def learnt(fields, points):

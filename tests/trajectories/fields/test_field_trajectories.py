@@ -110,6 +110,7 @@ def test_a_blow_up_is_told_with_its_time():
     with pytest.raises(EndsEarlyError) as ended:
         field_trajectory(fields, np.array([0.1]), np.ones(1), 1e-6, 1e-6)
     assert 0.05 < ended.value.time < 0.5
+    assert ended.value.grows
 
 
 def test_jacobians_are_the_derivatives_of_rates():

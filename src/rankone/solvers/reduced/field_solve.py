@@ -126,7 +126,10 @@ class FieldsEnd(Cause):
         place = ", ".join(f"{name} = {value:.6g}" for name, value in self.at)
         place = f" with {place}" if place else ""
         remedy = "end the horizon before, or take a box without it"
-        return f"{status.value}, at t = {self.time:.6g}{place}; {remedy}"
+        text = status.value
+        if status is Status.BLOW_UP:
+            text = "a trajectory leaves all bounds inside the horizon"
+        return f"{text}, at t = {self.time:.6g}{place}; {remedy}"
 
 
 @dataclass(frozen=True)
@@ -147,16 +150,26 @@ class TooFewTrajectories(Cause):
 
 @dataclass(frozen=True)
 class FieldError(Cause):
-    """How far the solution is from full trajectories at new points."""
+    """How far the solution is from full trajectories at new points.
+
+    ``limit`` is the option that its coefficients have reached, if one is too small.
+    """
 
     error: float
     unknown: str
     points: int
     trajectories: int
+    limit: str = ""
     text: ClassVar[str] = (
         "{status}: {error:.1e} of the largest value of {unknown}, against {points} trajectories "
         "that no mode was made of, {trajectories} in all"
     )
+
+    def sentence(self, status: Status) -> str:
+        text = super().sentence(status)
+        if status is Status.CONVERGED or not self.limit:
+            return text
+        return f"{text}; the coefficients have reached {self.limit}, raise it"
 
 
 @dataclass(frozen=True)
@@ -220,7 +233,7 @@ def solve_fields(
                     solve.run(pool)
         except EndsEarlyError as end:
             at = tuple(zip(fields.parameters, end.point.tolist(), strict=True))
-            solve.ended(Status.STALLS, FieldsEnd(end.time, at))
+            solve.ended(Status.BLOW_UP if end.grows else Status.STALLS, FieldsEnd(end.time, at))
         except OutOfBudgetError as out:
             solve.ended(Status.of_limit(out))
         work = account.done - before
@@ -541,7 +554,8 @@ class _FieldSolve:
             self.result = replace(self.result, modes=self.modes)
             error, name = float(worst.max()), self.fields.unknowns[int(worst.argmax())].name
             good = error <= rtol
-            cause = FieldError(error, name, len(checked), self.count)
+            limit = _reached(outcome, self.request.options)
+            cause = FieldError(error, name, len(checked), self.count, limit)
             self.ended(Status.CONVERGED if good else Status.TOLERANCE, cause)
             if good:
                 return
@@ -583,3 +597,12 @@ class _FieldSolve:
         rows = slice(0, len(self.modes.names))
         states = evaluator.curves(trajectory.times[:, None], point, rows)[:, :, 0]
         return self._errors(states, trajectory)
+
+
+def _reached(outcome: Outcome, options: CrossOptions) -> str:
+    """The limit that a solution of coefficients has reached; nothing if it has reached none."""
+    rank = max((max(slab.ranks, default=1) for slab in outcome.slabs), default=0)
+    nodes = max((basis.size for slab in outcome.slabs for basis in slab.bases), default=0)
+    if rank >= options.max_rank:
+        return f"max_rank={options.max_rank}"
+    return f"max_nodes={options.max_nodes}" if nodes >= options.max_nodes else ""

@@ -11,7 +11,7 @@ further modes, as in an incremental singular value decomposition (Brand, Linear 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,16 +27,20 @@ from rankone.trajectories.fields.field_system import FieldSystem
 
 _AT_ONCE = 32  # Steps that are compressed together
 _COARSE = 1e-3  # Relative tolerance of the trajectory that tells the sizes of the fields
+_GROWTH = 1e3  # Of the largest value, at which it leaves all bounds
 _PIVOT = 0.01  # A diagonal entry of this share of the largest of its column is the pivot
 _LINEAR_ENTRY, _FACTOR_ENTRY = 2.0, 4.0  # Operations for each entry of a matrix, and of factors
 
 
 class EndsEarlyError(Exception):
-    """A trajectory of fields does not reach the end: ``time`` is as far as it came."""
+    """A trajectory of fields does not reach the end: ``time`` is as far as it came.
 
-    def __init__(self, time: float, point: Array) -> None:
-        super().__init__(time, point)
-        self.time, self.point = time, point
+    It ``grows`` beyond all bounds there, or its steps shrink without such a reason.
+    """
+
+    def __init__(self, time: float, point: Array, grows: bool) -> None:
+        super().__init__(time, point, grows)
+        self.time, self.point, self.grows = time, point, grows
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,11 +249,13 @@ def _steps(
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of rates that are not finite: told below
         solver = _backward_differences(system, point, state, tolerance, absolute)
+        passed = [(start, float(np.abs(state).max()))]
         while solver.status == "running":
             before = solver.t
             solver.step()
+            passed.append((float(solver.t), float(np.abs(solver.y).max())))
             if solver.status == "failed" or not np.isfinite(solver.y).all():
-                raise EndsEarlyError(float(solver.t), point)
+                raise EndsEarlyError(float(solver.t), point, _grows(passed))
             charge(_LINEAR_ENTRY * 4.0 * absolute.size)
             if times is None:
                 yield float(solver.t), solver.y.copy()
@@ -257,6 +263,13 @@ def _steps(
             within = times[(times <= solver.t) & ((times > before) | (before == start))]
             if within.size:
                 yield from zip(within.tolist(), solver.dense_output()(within).T, strict=True)
+
+
+def _grows(passed: Sequence[tuple[float, float]]) -> bool:
+    """Whether the largest value is far above that of the first half of the time, at the end."""
+    half = 0.5 * (passed[0][0] + passed[-1][0])
+    usual = max(size for time, size in passed if time <= half)
+    return not passed[-1][1] <= _GROWTH * max(usual, TINY)
 
 
 def _backward_differences(
