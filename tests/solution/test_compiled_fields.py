@@ -150,3 +150,11 @@ def test_no_parameters_at_all():
     start = np.linalg.solve(0.1 * LAPLACIAN.toarray(), HEAT)
     exact = scipy.linalg.expm(0.02 * LAPLACIAN.toarray()) @ start - start
     assert np.abs(solution(t=0.2) - exact).max() < 1e-3 * solution.modes.scales[0]
+
+
+def test_nothing_is_saved_where_nothing_was_solved(problem, tmp_path):
+    empty = ro.solve(problem, rtol=1e-4, max_trajectories=1)
+    with pytest.raises(ro.StorageError, match="nothing to save: the limit of trajectories"):
+        empty.save(tmp_path / "empty.npz")
+    with pytest.raises(ro.EvaluationError, match="at most 1 were to be integrated"):
+        empty(t=0.1, k=0.1, q=1.0)

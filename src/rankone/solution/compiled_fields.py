@@ -228,7 +228,8 @@ class CompiledFields:
             unknowns = self.system.unknowns
             nothing = tuple(np.zeros((unknown.size, 1)) for unknown in unknowns)
             modes = FieldModes(unknowns, nothing, (0.0,) * len(unknowns), (), outcome.trajectories)
-            solved = Outcome((), outcome.verdict.status, None, ())
+            verdict = outcome.verdict
+            solved = Outcome((), verdict.status, None, (), cause=verdict.cause)
         work = {**solved.work, "full trajectories": outcome.work}
         timings = {**self.timings, **outcome.timings, "solve": seconds}
         coefficients = Solution(

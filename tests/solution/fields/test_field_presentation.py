@@ -54,10 +54,21 @@ def test_fields_of_several_sizes():
     assert data["w"].dims == ("w_entry",)
 
 
+@pytest.mark.parametrize("pairs", [False, True])
+def test_entries_of_a_mesh_have_places(solution, pairs):
+    x, y = np.random.default_rng(1).random((2, 60))
+    written = {"x": ("entry", x), "y": ("entry", y)} if pairs else {"x": x, "y": y}
+    data = solution.to_xarray(**POINT, coordinates=written)
+    assert data["u"].dims[0] == data["x"].dims[0] == data["y"].dims[0] == "entry"
+    assert (data["y"] == y).all()
+
+
 def test_grids_that_do_not_fit_are_refused(solution):
+    with pytest.raises(ro.OptionError, match="along `entry` has the shape"):
+        solution.to_xarray(**POINT, coordinates={"x": ("entry", np.zeros(6))})
     with pytest.raises(ro.OptionError, match="has 6 points, and the fields have 60"):
         solution.to_xarray(**POINT, coordinates={"x": np.arange(6.0)})
-    with pytest.raises(ro.OptionError, match="`k` of the grid is a name"):
+    with pytest.raises(ro.OptionError, match="`k` is a name"):
         solution.to_xarray(**POINT, coordinates={"k": np.arange(60.0)})
     with pytest.raises(ro.OptionError, match="has the shape"):
         solution.to_xarray(**POINT, coordinates={"x": np.zeros((6, 10))})

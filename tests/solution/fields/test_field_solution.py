@@ -163,3 +163,18 @@ def test_errors_say_what_was_given(solution):
 def test_it_can_be_pickled(solution):
     copy = pickle.loads(pickle.dumps(solution))
     assert (copy(t=0.4, **POINT) == solution(t=0.4, **POINT)).all()
+
+
+@pytest.mark.parametrize("name", ["fit", "posterior", "minimize", "design"])
+def test_applications_ask_what_is_read(solution, name):
+    with pytest.raises(ro.OptionError, match=f"{name} of fields does not say what is read"):
+        getattr(solution, name)([0.1], [1.0])
+
+
+@pytest.mark.parametrize("name", ["probability", "plot", "density"])
+def test_members_of_outputs_are_named(solution, name):
+    for owner in (solution, solution["u"][3]):
+        with pytest.raises(AttributeError, match=rf"solution\.output\(\{{.*\}}\)\.{name}"):
+            getattr(owner, name)
+        with pytest.raises(AttributeError, match="have no `cdf`"):
+            owner.cdf  # noqa: B018

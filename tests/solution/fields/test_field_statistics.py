@@ -78,6 +78,14 @@ def test_sobol_indices_are_those_of_the_entries(solution, entries):
     assert solution.at(0.3)["u"].sobol().first == pytest.approx(every["u"].first[..., 0], rel=1e-6)
 
 
+def test_sobol_indices_by_symbols(solution):
+    indices = solution.sobol(0.3)
+    assert indices[ro.field("u", 60)] is indices["u"]
+    for unknown in ("v", ro.field("v", 60)):
+        with pytest.raises(ro.EvaluationError, match="no unknown `v`"):
+            indices[unknown]
+
+
 def test_sobol_indices_below_the_error_are_nan(solution):
     assert np.isnan(solution["w"].sobol(0.0).first).all()
 

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from rankone.solution.fields.field_presentation import field_summary_html, field_summary_text
-from rankone.solution.fields.field_view import FieldView
+from rankone.solution.fields.field_view import FieldView, missing_member
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import SlabRecord, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
@@ -131,6 +131,11 @@ class FieldCore:
                 term=unknown,
             )
         return self.unknowns.index(name)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise missing_member(name, "solutions of fields", "solution[u]")
 
     def __iter__(self) -> NoReturn:
         raise TypeError("a FieldSolution is not iterable; its unknowns are in `.unknowns`")

@@ -77,7 +77,7 @@ def field_dataset(
     coefficients: Solution,
     modes: FieldModes,
     at: Mapping[Any, ArrayLike],
-    coordinates: Mapping[str, ArrayLike],
+    coordinates: Mapping[str, ArrayLike | tuple[str, ArrayLike]],
     verdict: Mapping[str, Any],
 ) -> xarray.Dataset:
     """All unknowns on the grid of all combinations of ``at``, entries first, with labels.
@@ -88,8 +88,10 @@ def field_dataset(
     axes = {
         name: np.asarray(points[name], dtype=float) for name in coefficients.metadata.coordinates
     }
-    grid = {str(name): np.asarray(axis) for name, axis in coordinates.items()}
-    _check_grid(grid, modes, (*axes, *(unknown.name for unknown in modes.unknowns)))
+    grid, along = _grid_and_places(coordinates, modes)
+    taken = (*axes, *(unknown.name for unknown in modes.unknowns))
+    _check_names({**grid, **along}, taken)
+    _check_grid(grid, modes)
     shape = tuple(axis.size for axis in grid.values())
     several = len({unknown.size for unknown in modes.unknowns if unknown.is_field}) > 1
     values = coefficients.grid(points)
@@ -103,6 +105,9 @@ def field_dataset(
         elif grid and unknown.size == math.prod(shape):
             own, dimensions = own.reshape((*shape, *own.shape[1:])), tuple(grid)
             used = {name: (name, axis) for name, axis in grid.items()}
+        else:
+            places = {n: (*dimensions, a) for n, a in along.items() if a.size == unknown.size}
+            used.update(places)
         about = {"long_name": unknown.name, "error": errors[k], "scale": modes.scales[k]}
         variables[unknown.name] = ((*dimensions, *axes), own, about)
     labelled: xarray.Dataset = module.Dataset(
@@ -113,18 +118,50 @@ def field_dataset(
     return labelled.squeeze([name for name, axis in axes.items() if axis.ndim == 0])
 
 
-def _check_grid(grid: Mapping[str, Array], modes: FieldModes, taken: Sequence[str]) -> None:
-    """Raise an OptionError unless coordinates of a grid are those of a field."""
-    for name, axis in grid.items():
+def _grid_and_places(
+    coordinates: Mapping[str, Any], modes: FieldModes
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The axes of a grid, and coordinates that have a number for each entry.
+
+    The latter are pairs ``("entry", numbers)``, or arrays that make no grid of entries.
+    """
+    sizes = {unknown.size for unknown in modes.unknowns if unknown.is_field}
+    axes, places = dict[str, Array](), dict[str, Array]()
+    for name, written in coordinates.items():
+        if isinstance(written, tuple) and written and isinstance(written[0], str):
+            places[str(name)] = np.asarray(written[-1], dtype=float)
+        else:
+            axes[str(name)] = np.asarray(written)
+    by_entry = axes and all(axis.ndim == 1 and axis.size in sizes for axis in axes.values())
+    if by_entry and math.prod(axis.size for axis in axes.values()) not in sizes:
+        axes, places = {}, {**places, **axes}
+    for name, array in places.items():
+        if array.ndim != 1 or array.size not in sizes:
+            raise OptionError(
+                f"the coordinate {quote(name)} along `entry` has the shape {array.shape}, and the "
+                f"fields have {' and '.join(map(str, sorted(sizes)))} entries",
+                term=name,
+                remedy="give one number for each entry",
+            )
+    return axes, places
+
+
+def _check_names(coordinates: Mapping[str, Array], taken: Sequence[str]) -> None:
+    """Raise an OptionError unless coordinates have one dimension, and names of their own."""
+    for name, axis in coordinates.items():
         if axis.ndim != 1 or name in taken:
             problem = (
                 "is a name of the solution" if name in taken else f"has the shape {axis.shape}"
             )
             raise OptionError(
-                f"the coordinate {quote(name)} of the grid {problem}",
+                f"the coordinate {quote(name)} {problem}",
                 term=name,
                 remedy="give names of their own, and one-dimensional arrays",
             )
+
+
+def _check_grid(grid: Mapping[str, Array], modes: FieldModes) -> None:
+    """Raise an OptionError unless a grid has as many points as a field has entries."""
     points = math.prod(axis.size for axis in grid.values())
     sizes = [unknown.size for unknown in modes.unknowns if unknown.is_field]
     if grid and points not in sizes:
@@ -132,5 +169,6 @@ def _check_grid(grid: Mapping[str, Array], modes: FieldModes, taken: Sequence[st
             f"the grid of {listing(grid)} has {points} points, and the fields have "
             f"{' and '.join(map(str, sizes))} entries",
             term=[*grid],
-            remedy="give as many coordinates along each axis as the grid has points there",
+            remedy="give as many coordinates along each axis as the grid has points there; on "
+            "another mesh, arrays with a number for each entry",
         )

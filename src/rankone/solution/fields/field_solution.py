@@ -19,7 +19,7 @@ from rankone.solution.fields.field_quantities import (
     largest_values,
     linear_outputs,
 )
-from rankone.solution.fields.field_statistics import FieldSobol
+from rankone.solution.fields.field_statistics import SobolByUnknown
 from rankone.solution.fields.field_view import FieldView
 from rankone.solution.outputs.interpolation import DEFAULT_MARGIN, LARGEST_DEFAULT
 from rankone.solution.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
@@ -33,6 +33,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import (
     ExportError,
     OptionError,
+    StorageError,
     optional_module,
     quote,
     shown,
@@ -50,6 +51,10 @@ if TYPE_CHECKING:
     from rankone.inference.estimation.fit import Fit
     from rankone.inference.estimation.minimize import Optimum
     from rankone.inference.estimation.posterior import Posterior
+
+
+Observed = Mapping[str, Any] | None
+"""Outputs by names, as for :meth:`FieldSolution.output`."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -106,12 +111,12 @@ class FieldSolution(FieldCore):
 
     def sobol(
         self, t: Times = None, *, under: Under = None, correlation: Correlations = None
-    ) -> dict[str, FieldSobol]:
-        """First-order and total Sobol indices of all entries, for each unknown by its name."""
-        return {
-            name: self[name].sobol(t, under=under, correlation=correlation)
+    ) -> SobolByUnknown:
+        """First-order and total Sobol indices of all entries, by unknowns or their names."""
+        return SobolByUnknown(
+            (name, self[name].sobol(t, under=under, correlation=correlation))
             for name in self.unknowns
-        }
+        )
 
     def quantile(
         self,
@@ -236,7 +241,7 @@ class FieldSolution(FieldCore):
         return float(min(default, max(LARGEST_DEFAULT, self.rtol)))
 
     def fit(
-        self, times: object, data: Any = None, *, observe: Mapping[str, Any], **options: Any
+        self, times: object, data: Any = None, *, observe: Observed = None, **options: Any
     ) -> Fit:
         """Parameters from data of sensors: ``observe={"s1": solution[u][3]}``.
 
@@ -247,28 +252,43 @@ class FieldSolution(FieldCore):
         observe : mapping
             What the sensors measure, as for :meth:`output`.
         """
-        return self.output(observe).fit(times, data, observe=[*observe], **options)
+        sensors = self._sensors("fit", observe)
+        return sensors.fit(times, data, observe=[*sensors.unknowns], **options)
 
     def posterior(
-        self, times: object, data: Any = None, *, observe: Mapping[str, Any], **options: Any
+        self, times: object, data: Any = None, *, observe: Observed = None, **options: Any
     ) -> Posterior:
         """The distribution of the parameters given data of sensors; see :meth:`fit`."""
-        return self.output(observe).posterior(times, data, observe=[*observe], **options)
+        sensors = self._sensors("posterior", observe)
+        return sensors.posterior(times, data, observe=[*sensors.unknowns], **options)
 
     def minimize(
-        self, objective: object, t: Any = None, *, observe: Mapping[str, Any], **options: Any
+        self, objective: object, t: Any = None, *, observe: Observed = None, **options: Any
     ) -> Optimum:
         """The parameters for which a quantity is least: an expression of those in ``observe``.
 
         Other arguments are those of :meth:`rankone.Solution.minimize`.
         """
-        return self.output(observe).minimize(objective, t, **options)
+        return self._sensors("minimize", observe).minimize(objective, t, **options)
 
     def design(
-        self, times: int, candidates: Any = None, *, observe: Mapping[str, Any], **options: Any
+        self, times: int, candidates: Any = None, *, observe: Observed = None, **options: Any
     ) -> Design:
         """When to read sensors, to learn the most; see :meth:`rankone.Solution.design`."""
-        return self.output(observe).design(times, candidates, observe=[*observe], **options)
+        sensors = self._sensors("design", observe)
+        return sensors.design(times, candidates, observe=[*sensors.unknowns], **options)
+
+    def _sensors(self, use: str, observe: Observed) -> Solution:
+        """The outputs that a use of a solution reads."""
+        if observe is None:
+            name = self.unknowns[0]
+            raise OptionError(
+                f"{use} of fields does not say what is read",
+                term=use,
+                remedy='give observe={"a": solution["' + name + '"][3], ...}, entries or '
+                "expressions such as rankone.apply(row, u)",
+            )
+        return self.output(observe)
 
     # --- smaller solutions and derivatives -------------------------------------------------------
 
@@ -303,7 +323,7 @@ class FieldSolution(FieldCore):
         values: Mapping[Any, Any] | None = None,
         /,
         *,
-        coordinates: Mapping[str, ArrayLike] | None = None,
+        coordinates: Mapping[str, ArrayLike | tuple[str, ArrayLike]] | None = None,
         **named: object,
     ) -> xr.Dataset:
         """All unknowns on the grid of all combinations of values, with labels.
@@ -315,6 +335,8 @@ class FieldSolution(FieldCore):
         coordinates : mapping, optional
             Names and values along each axis of the grid that the entries are on, the last axis
             running first: ``{"x": x, "y": y}`` where entry ``i*len(y) + j`` is at ``x[i], y[j]``.
+            On another mesh arrays with a number for each entry, ``{"x": x_of_entries}``, or the
+            same as ``{"x": ("entry", x_of_entries)}``.
 
         Returns
         -------
@@ -434,14 +456,19 @@ class FieldSolution(FieldCore):
         Raises
         ------
         StorageError
-            If the name has another suffix, the file exists and must not be replaced, or it cannot
-            be written. The file is complete or absent, even after an interrupt.
+            If nothing was solved, the name has another suffix, the file exists and must not be
+            replaced, or it cannot be written. The file is complete or absent, even after an
+            interrupt.
         OptionError
             If the modes are to be other numbers.
         """
         if modes not in ("float64", "float32"):
             raise OptionError(
                 f"modes={shown(modes)} is neither", term=modes, remedy='give "float64" or "float32"'
+            )
+        if not self.coefficients.outcome.is_solved:
+            raise StorageError(
+                f"nothing was solved, so there is nothing to save: {self.message}", term=path
             )
         saved = self if modes == "float64" else self._in_single_precision()
         solved = saved.coefficients

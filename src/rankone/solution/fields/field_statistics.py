@@ -22,8 +22,9 @@ from rankone.solution.statistics.over_box import (
 )
 from rankone.solution.statistics.solution_statistics import changed_shares, quantiles_of
 from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
-from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
 from rankone.support.options import checked_count
+from rankone.tensors.coordinates import name_of
 from rankone.tensors.joint_distribution import Correlations, Under
 
 _MOST_COVARIANCES = 10**8  # Numbers of a matrix of covariances, 0.8 GB
@@ -114,6 +115,20 @@ class FieldSobol(Labelled):
             "total_half_width": (axes, flat(self.total_half_width)),
         }
         return Variables(arrays, {**labels, **clock})
+
+
+class SobolByUnknown(dict[str, FieldSobol]):
+    """Sobol indices for each unknown, by its name or its symbol."""
+
+    def __missing__(self, unknown: object) -> FieldSobol:
+        name = name_of(unknown)
+        if isinstance(unknown, str) or name not in self:
+            raise EvaluationError(
+                f"no unknown {quote(name)}{did_you_mean(name, self)}; there are indices of "
+                f"{listing(self)}",
+                term=unknown,
+            )
+        return self[name]
 
 
 def variances(weights: Array, covariance: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,15 @@ from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, shown
 from rankone.tensors.evaluator import Rows
 from rankone.tensors.joint_distribution import Correlations, Under
+
+
+def missing_member(name: str, owner: str, view: str) -> AttributeError:
+    """What to do where a member of a plain solution is asked of fields."""
+    if name.startswith("_") or not hasattr(Solution, name):
+        return AttributeError(f"{owner} have no `{name}`")
+    return AttributeError(
+        f'{owner} have no `{name}`, which outputs have: solution.output({{"a": {view}[3]}}).{name}'
+    )
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -244,6 +253,11 @@ class FieldView:
     def _statistics(self) -> EntryStatistics:
         """What takes more than means and covariances."""
         return EntryStatistics(self.coefficients, self.own, self._flat, self.error * self.scale)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise missing_member(name, "entries of fields", "solution[u]")
 
     def __repr__(self) -> str:
         entries = f"{self.size} entries of " if self.shape else ""
