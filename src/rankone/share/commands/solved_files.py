@@ -489,7 +489,7 @@ def _write_model(arguments: argparse.Namespace) -> int:
 
 def _explore(arguments: argparse.Namespace) -> int:
     from rankone.share.export import check_options
-    from rankone.share.export.explorer import page_target
+    from rankone.share.export.pages import page_target
 
     target = arguments.output or Path(f"{arguments.file.stem}.html")
     # before the solve, not after it

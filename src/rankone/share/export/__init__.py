@@ -14,6 +14,7 @@
 - ``model_stretches``: evaluation of the solved model with events: its slabs are over the
   stretches between them
 - ``packing``: a solution as plain tables, which the solved models evaluate
+- ``pages``: what all pages share: files and titles, scripts as one, numbers and sentences in HTML
 - ``program``: solving, loading and the command line of every standalone solver
 - ``rounding``: smaller slabs of a model that may differ from its solution, also in branches
 - ``standalone``: the standalone solver, and templates of exported files in other languages

@@ -1,16 +1,9 @@
-"""The page that explores a solution: one HTML file, its data and its sentences.
-
-uPlot draws the curves; it is in ``export/vendor`` with its licence. The scripts are modules that
-import each other. A page from a disk cannot import, so the modules are joined here: the model as
-one object, the rest one after the other.
-"""
+"""The page that explores a solution: one HTML file, its data and its sentences."""
 
 from __future__ import annotations
 
 import html
-import json
 import math
-import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -21,52 +14,38 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.share.export.mathml import Notation, with_exponents
-from rankone.share.export.model_js import javascript_model
+from rankone.share.export.mathml import Notation
 from rankone.share.export.packing import PackedBranch, PackedModel, PackedTimeline, pack
-from rankone.share.export.standalone import filled
+from rankone.share.export.pages import (
+    asked_for,
+    equation_fields,
+    error_fields,
+    heading,
+    named,
+    page_target,
+    page_text,
+    paragraphs,
+    parameter_entries,
+    unbroken,
+)
 from rankone.solution.statistics.over_box import CENTRAL
 from rankone.solvers.outcome import Measured, Role
-from rankone.support import __version__
 from rankone.support.arrays import Array
-from rankone.support.errors import ExportError, OptionError, RankoneWarning, is_text, listing, shown
-from rankone.support.files import as_path, free_target, write_files
+from rankone.support.errors import ExportError, RankoneWarning, listing
+from rankone.support.files import write_files
 from rankone.tensors.branch_evaluator import BranchEvaluator
-from rankone.tensors.coordinates import LINEAR, with_measure
-from rankone.tensors.distributions import Measure, from_text, scale_of
 from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
 if TYPE_CHECKING:
     from rankone.solution.statistics.densities import DistributionOverBox
 
 
-__all__ = ["export_page", "page_target"]
+__all__ = ["export_page"]
 
-_FOLDER = Path(__file__).parent / "explorer"
-_MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
-_VENDOR = _FOLDER.parent / "vendor"
-# In an order in which each one needs only those before it
 _SCRIPTS = (
     *("values", "measurements", "fitting", "looks", "events", "curves", "phase", "shares"),
-    *("controls", "legend", "state", "drawing", "actions", "main"),
+    *("controls", "legend", "state", "frames", "trajectory", "drawing", "moves", "actions", "main"),
 )
-_IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
-_EXPORT = re.compile(r"^export (?=(?:async )?(?:const|let|function|class) )", re.M)
-_EXPORTED = re.compile(r"^export (?:const|function|class) (\w+)", re.M)
-
-
-def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
-    """The path of a file that a page can be written to, or an ExportError."""
-    target = as_path(path, ExportError)
-    if target.suffix != ".html":
-        bare = target.name in ("", ".html")
-        proposal = target.parent / "page.html" if bare else target.with_suffix(".html")
-        raise ExportError(
-            f"`{target}`: a page has the suffix .html, not {target.suffix!r}",
-            term=target,
-            remedy=f"name it {proposal}",
-        )
-    return free_target(target, overwrite, ExportError)
 
 
 def export_page(
@@ -80,8 +59,7 @@ def export_page(
 ) -> Path:
     """What :meth:`rankone.Solution.explore` does."""
     target = page_target(path, overwrite)
-    if title is not None and not is_text(title):
-        raise OptionError(f"title={shown(title)} is not text", term=title)
+    title = heading(title, solution.metadata, target)
     if solution.metadata.timeless:
         raise ExportError(
             "these values do not depend on time, and a page shows curves over time",
@@ -89,8 +67,6 @@ def export_page(
         )
     full = with_derivatives(solution)
     model = pack(full, rtol=rtol, allow_failed=allow_failed)
-    words = target.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
-    title = (title or "").strip() or solution.metadata.name or words[:1].upper() + words[1:]
     text = _page(full, solution, model, title, rtol)
     write_files({target: text}, overwrite, ExportError)
     return target
@@ -105,45 +81,26 @@ def _page(
 ) -> str:
     """Text of the page; ``full`` is the solution with its derivatives among the unknowns."""
     notation = Notation(solution.metadata)
-    data, groups = content(full, model, notation), notation.equations()
-    lines = sum(map(len, groups))
+    data = content(full, model, notation)
     sentences = quality(solution, model)
-    errors = [u["error"] for u in data["unknowns"] if u["error"] is not None]
     distributed = any(parameter["distribution"] for parameter in data["parameters"])
     fields = {
         "title": html.escape(title),
         "lead": html.escape(lead(data)),
-        "version": __version__,
         "success": "yes" if solution.success else "",
-        "error": f"Measured error {_scientific(max(errors))}" if errors else "Error not measured",
         "covers": _covers(solution, rtol),
         "bands": "under their distributions" if distributed else "over their ranges",
         "message": html.escape(sentences[0]),
-        "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in sentences),
-        "errors": "\n".join(
-            f"<tr><th scope='row'>{u['symbol']}</th><td>{_scientific(u['error'])}</td></tr>"
-            for u in data["unknowns"]
-        ),
-        "equations": "\n".join(
-            "\n".join(["<ul>", *(f"<li>{line}</li>" for line in group), "</ul>"])
-            for group in groups
-        ),
-        "folded": f"The {lines} equations and values" if lines > _MOST_LINES else "",
+        "quality": paragraphs(sentences),
+        **error_fields(data["unknowns"]),
+        **equation_fields(notation),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
         "events": "yes" if model.events else "",
         "running": " of what still runs" if model.terminal else "",
         "phase": "yes" if len(data["unknowns"]) > 1 else "",
-        "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_FOLDER / "page.css"),
-        "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),
-        "plots": _read(_VENDOR / "uPlot.iife.min.js"),
-        "data": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
-        "model": _as_object(model),
-        "script": "\n".join(
-            _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js"))) for name in _SCRIPTS
-        ),
     }
-    return filled("explorer/page.html.in", fields)
+    return page_text("curves.html.in", _SCRIPTS, data, model, fields)
 
 
 def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
@@ -152,31 +109,8 @@ def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
     if measured is None:
         return ""
     place = "in the whole box" if measured.cover == "box" else "inside the box"
-    text = f"asked for: {_scientific(solution.rtol)}"
-    if rtol is not None:
-        text += f", and made smaller to within {_scientific(rtol)}"
+    text = asked_for(solution.rtol, rtol)
     return f"{place} ({text})" if solution.parameters else f"({text})"
-
-
-def _as_object(model: PackedModel) -> str:
-    """The model's module as an object with everything that it exports."""
-    file = Path("model.mjs")
-    text = javascript_model(model, file)[file]
-    assert isinstance(text, str)
-    names = ", ".join(_EXPORTED.findall(text))
-    return f"const model = (() => {{\n{_EXPORT.sub('', text)}\nreturn {{ {names} }};\n}})();"
-
-
-def _scientific(error: float | None) -> str:
-    """A small number in HTML: ``6.9 · 10<sup>−4</sup>``; None was not measured."""
-    if error is None:
-        return "not measured"
-    digits, power = f"{error:.1e}".split("e")
-    return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if error else "0"
-
-
-def _read(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
 
 
 # -----------------------------------------------------------------------------
@@ -215,13 +149,7 @@ def content(
     """
     times = curve_times(solution)
     metadata = solution.metadata
-    units, distributions = dict(model.units), dict(metadata.distributions)
-
-    def named(name: str) -> dict[str, Any]:
-        symbol, text = notation.symbol(name), notation.text(name)
-        unit = with_exponents(units.get(name, ""))
-        return {"name": name, "text": text, "symbol": symbol, "unit": unit}
-
+    units = dict(model.units)
     probabilities = (0.0, *CENTRAL, 1.0)
     with warnings.catch_warnings():  # the page says itself that some may have ended
         warnings.filterwarnings("ignore", ".* still running", RankoneWarning)
@@ -231,7 +159,7 @@ def content(
     return {
         "unknowns": [
             {
-                **named(name),
+                **named(name, notation, units),
                 "derivative": name in notation.derivatives,
                 "error": None if np.isnan(model.errors[i]) else model.errors[i],
                 "extent": [float(np.nanmin(lowest[i])), float(np.nanmax(highest[i]))],
@@ -240,18 +168,9 @@ def content(
             }
             for i, name in enumerate(model.unknowns)
         ],
-        "parameters": [
-            {
-                **named(name),
-                "range": list(ends),
-                "distribution": with_measure("", distributions.get(name)).strip(),
-                "scale": _scale(ends, distributions.get(name)),
-                "median": _median(name, ends, distributions.get(name)),
-            }
-            for name, ends in solution.parameters.items()
-        ],
+        "parameters": parameter_entries(metadata, notation),
         "time": {
-            **named(metadata.time),
+            **named(metadata.time, notation, units),
             "range": list(model.intervals[0]),
             "start": _opening_time(times, low, high),
         },
@@ -297,22 +216,6 @@ def _shares(branch: PackedBranch, timeline: PackedTimeline) -> list[list[float]]
         shares = [np.linspace(a, b, each, endpoint=False) - i for a, b in pairwise(slabs)]
         stretches.append(np.concatenate(shares).tolist())
     return stretches
-
-
-def _median(name: str, ends: tuple[float, float], distribution: str | None) -> float:
-    """The median of a parameter, with as many digits as a slider has."""
-    lower, upper = ends
-    if distribution is None:
-        return lower + 0.5 * (upper - lower)
-    measure = Measure(name, lower, upper, from_text(distribution), from_problem=True)
-    middle = float(measure.sample(np.array(0.5)))
-    length = upper - lower if _scale(ends, distribution) == LINEAR else middle
-    return min(upper, max(lower, round(middle, 3 - math.floor(math.log10(length)))))
-
-
-def _scale(ends: tuple[float, float], distribution: str | None) -> str:
-    """The scale in which the slider of a parameter is even."""
-    return LINEAR if distribution is None else scale_of(distribution, ends[0])
 
 
 def curve_times(solution: DistributionOverBox) -> Array:
@@ -447,8 +350,7 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         )
     if model.reduction is not None:
         lines.append(f"{model.reduction} The errors of the table are those of both together.")
-    # lines break at a hyphen, but not at a minus sign
-    return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]
+    return unbroken(lines)
 
 
 def _of_errors(measured: Measured, solution: DistributionOverBox) -> list[str]:

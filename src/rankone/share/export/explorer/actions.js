@@ -1,63 +1,14 @@
-/** What happens: values set, links, tables, time that goes on. */
+/** What people do with curves: tables of them, measurements beside them, fits. */
 
 import { fitParameters } from "./fitting.js";
 import { readMeasurements } from "./measurements.js";
-import { fromFragment, toFragment, toTable } from "./values.js";
-import { arrange, drawWaiting, setTime, showAll, views } from "./drawing.js";
-import { shown, unbroken } from "./looks.js";
-import { $, data, start, state, visibleRows } from "./state.js";
-
-const SECONDS = 8; // to play from start to end
-const ranges = new Map([...data.parameters, data.time].map(({ name, range }) => [name, range]));
-
-/** Start anew, also after a reload: the values of a link go from the address. */
-export function reset() {
-  start();
-  $("notice").hidden = true;
-  showAll();
-  if (location.hash) history.replaceState(null, "", location.href.replace(/#.*/s, ""));
-}
-
-/** Set some parameters, or time, by name. What cannot be shown is an error, and changes nothing. */
-export function set(values) {
-  const p = state.p.slice();
-  let time = state.time;
-  for (const [name, value] of Object.entries(values)) {
-    if (typeof value !== "number") throw new TypeError(`${name} is ${String(value)}, not a number`);
-    const j = data.parameters.findIndex((parameter) => parameter.name === name);
-    if (j >= 0) p[j] = value;
-    else if (name === data.time.name) time = value;
-    else throw new RangeError(`there is no ${name}`);
-  }
-  model.evaluate(time, p);
-  state.p.set(p);
-  state.time = time;
-  showAll();
-}
-
-/** Parameters by name. */
-export const presentParameters = () =>
-  Object.fromEntries(data.parameters.map(({ name }, j) => [name, state.p[j]]));
-
-export function readLink() {
-  const fragment = location.hash.slice(1);
-  if (!fragment || $(fragment)) return; // a place of this page
-  const { values, problems } = fromFragment(fragment, ranges);
-  set(values);
-  $("notice").hidden = true;
-  if (problems.length) say(`The link could not be followed altogether: ${problems.join("; ")}.`);
-}
-
-export async function copyLink() {
-  const present = { ...presentParameters(), [data.time.name]: state.time };
-  history.replaceState(null, "", `#${toFragment(present)}`);
-  try {
-    await navigator.clipboard.writeText(location.href);
-    say("The link with the present values is copied.");
-  } catch {
-    say("The address of this page is now the link with the present values: copy it from there.");
-  }
-}
+import { toTable } from "./values.js";
+import { arrange, views } from "./drawing.js";
+import { drawWaiting, showAll } from "./frames.js";
+import { shown } from "./looks.js";
+import { say } from "./moves.js";
+import { $, data, state } from "./state.js";
+import { visibleRows } from "./trajectory.js";
 
 /** The curves that are shown, and the parameters, as text. */
 export function table() {
@@ -149,32 +100,4 @@ export function fitAndSay() {
   } catch (error) {
     say(`There is no fit: ${error.message}.`, true);
   }
-}
-
-/** Show a notice, a doubtful one in the colours of a warning. */
-function say(text, doubtful = false) {
-  const notice = $("notice");
-  notice.hidden = false;
-  notice.textContent = unbroken(text);
-  notice.classList.toggle("doubtful", Boolean(doubtful));
-  notice.scrollIntoView({ block: "nearest" });
-}
-
-export function play() {
-  cancelAnimationFrame(state.frame);
-  const [first, end] = data.time.range;
-  state.playing = !state.playing;
-  $("play").classList.toggle("playing", state.playing);
-  $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
-  if (!state.playing) return;
-  if (state.time >= end) state.time = first;
-  let before = performance.now();
-  const step = (now) => {
-    if (!state.playing) return;
-    setTime(Math.min(end, state.time + (Math.max(0, now - before) / 1000 / SECONDS) * (end - first)));
-    before = now;
-    if (state.time >= end) play();
-    else state.frame = requestAnimationFrame(step);
-  };
-  state.frame = requestAnimationFrame(step);
 }

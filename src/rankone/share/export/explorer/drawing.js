@@ -1,71 +1,30 @@
-/** What is drawn, and when. */
+/** What is drawn of curves, and how they are arranged. */
 
-import { stepAt } from "./values.js";
-import { digitsOf, setTheme, shown } from "./looks.js";
 import { curvesPlot } from "./curves.js";
+import { page, setTime, timeText } from "./frames.js";
 import { symbolWithUnit } from "./legend.js";
-import { $, data, evaluateModel, state, visibleRows } from "./state.js";
+import { $, data, state } from "./state.js";
+import { evaluateModel, visibleRows } from "./trajectory.js";
 
 /** The parts of the page that show values; some pages have no phase plot or no shares. */
-export const views = { plots: [], phase: null, shares: null, events: null, legend: [], controls: [] };
+export const views = { plots: [], phase: null, shares: null, events: null, legend: [] };
 
-/** Milliseconds from what somebody did to the end of the drawing. */
-export const latencies = [];
-
-export const timeDigits = digitsOf(data.time.range);
-let waiting = null;
-
-/** Draw once before the next picture: everything, or what depends on time alone. */
-export function schedule(kind) {
-  const since = performance.now();
-  if (waiting) {
-    if (kind === "all") waiting.kind = kind;
-    return;
-  }
-  waiting = { kind, since };
-  requestAnimationFrame(drawWaiting);
-}
-
-/** Draw what waits to be drawn, now. */
-export function drawWaiting() {
-  if (!waiting) return;
-  const asked = waiting;
-  waiting = null;
-  draw(asked.kind);
-  queueMicrotask(() => latencies.push(performance.now() - asked.since));
-}
-
-function draw(kind) {
+page.draw = (all) => {
   const { plots, phase, shares } = views;
-  evaluateModel(kind === "all");
+  evaluateModel(all);
   for (const part of [...plots, phase, shares]) {
-    if (kind === "all" || part === shares) part?.update();
+    if (all || part === shares) part?.update();
     else part?.mark();
   }
-  if (kind === "all") views.events?.show(state.happenings, state.timed);
-  showTime();
-}
-
-function showTime() {
-  const unit = data.time.unit && ` ${data.time.unit}`;
-  const text = `${shown(state.time, timeDigits)}${unit}`;
-  $("time").value = String(stepAt(data.time.range, state.time));
-  $("time").setAttribute("aria-valuetext", text);
-  $("time-shown").textContent = text;
-  if (views.shares) $("shares-time").textContent = `${data.time.text} = ${text}`;
+  if (all) views.events?.show(state.happenings, state.timed);
+  if (shares) $("shares-time").textContent = `${data.time.text} = ${timeText()}`;
   views.legend.forEach((entry, i) => entry.show(state.values[i]));
-}
+};
 
-export function setTime(time) {
-  state.time = time;
-  schedule("time");
-}
-
-/** The sliders at the present values, and everything drawn. */
-export function showAll() {
-  views.controls.forEach((control, j) => control.show(state.p[j]));
-  schedule("all");
-}
+page.redraw = () => {
+  views.plots.forEach((plot) => plot.redraw());
+  views.phase?.redraw();
+};
 
 /** Plots of the unknowns that are visible: one, or one each. */
 export function arrange() {
@@ -97,11 +56,4 @@ function plotOf(place, group, height) {
   );
   place.append(figure);
   return curvesPlot(figure, data, group, state, height, setTime);
-}
-
-export function recolour(theme) {
-  setTheme(theme);
-  $("theme").setAttribute("aria-pressed", String(theme === "dark"));
-  views.plots.forEach((plot) => plot.redraw());
-  views.phase?.redraw();
 }
