@@ -253,6 +253,7 @@ class CompiledFields:
             version=__version__,
             distributions=tuple(problem.distributions.items()),
             correlations=tuple((*pair, rho) for pair, rho in (problem.correlation or {}).items()),
+            units=tuple((problem.units or {}).items()),
             name=problem.name or "",
             constants=tuple((s.name, float(x)) for s, x in (problem.constants or {}).items()),
         )

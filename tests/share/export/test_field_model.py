@@ -69,11 +69,9 @@ def test_javascript(solution, tmp_path):
 
 
 def test_what_cannot_be_written_is_refused(solution, tmp_path):
-    for name in ("whole.fmu", "whole.html", "whole.txt"):
+    for name in ("whole.fmu", "whole.txt"):
         with pytest.raises(ro.ExportError, match=r"solution\.output"):
             solution.export(tmp_path / name)
-    with pytest.raises(ro.ExportError, match=r"solution\.output"):
-        solution.explore(tmp_path / "whole.html")
     path = solution.export(tmp_path / "whole.c")
     path.unlink()
     with pytest.raises(ro.ExportError, match=r"whole_fields\.c` exists"):

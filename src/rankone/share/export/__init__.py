@@ -1,7 +1,9 @@
 """Solvers and solved models as files that need neither rankone nor SymPy.
 
 - ``explorer``: the page that explores a solution: one HTML file, its data and its sentences
+- ``field_layout``: where the entries of fields are, as pages draw them
 - ``field_model``: exported fields: the solved model of the coefficients, and beside it their modes
+- ``field_page``: the page that explores fields: pictures of them beside the sliders
 - ``mathml``: equations as people write them, typeset as MathML
 - ``model_branches``: evaluation of the solved model where the order of events changes inside the
   box

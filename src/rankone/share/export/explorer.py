@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from os import PathLike
@@ -17,18 +17,21 @@ import numpy as np
 from rankone.share.export.mathml import Notation
 from rankone.share.export.packing import PackedBranch, PackedModel, PackedTimeline, pack
 from rankone.share.export.pages import (
+    ENDED,
     asked_for,
     equation_fields,
     error_fields,
     heading,
     named,
+    over_box,
     page_target,
     page_text,
     paragraphs,
     parameter_entries,
+    rounded_curve,
     unbroken,
+    unknown_entries,
 )
-from rankone.solution.statistics.over_box import CENTRAL
 from rankone.solvers.outcome import Measured, Role
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, RankoneWarning, listing
@@ -117,7 +120,6 @@ def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
 # The data of the page, and its sentences about the solution.
 
 
-_BOX_POINTS = 2**12  # Points over the box from which quantiles are taken
 _CURVE_TIMES = 401  # Evenly spaced times at which curves are drawn: about one for two pixels
 _TIMES_IN_SLAB = 4  # Further times in each slab
 _MOST_SLABS = 100  # Slabs up to which each has further times; of more slabs, even times show enough
@@ -128,7 +130,6 @@ _SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about
 _EVENT_SENSITIVITY_TIMES = 61  # The same with events: from points, within 0.02
 _TIMES_IN_STRETCH = 16  # Times at least in each stretch between events
 _NARROWEST_INTERVAL = 1e-6  # Part of the horizon that is not halved: indices jump there
-_CURVE_DIGITS = 7  # Significant digits of bands
 _SHARE_DIGITS = 5  # Significant digits of Sobol indices
 _MOST_NAMED = 3  # Parameters up to which each range is in the first sentence
 
@@ -150,24 +151,17 @@ def content(
     times = curve_times(solution)
     metadata = solution.metadata
     units = dict(model.units)
-    probabilities = (0.0, *CENTRAL, 1.0)
-    with warnings.catch_warnings():  # the page says itself that some may have ended
-        warnings.filterwarnings("ignore", ".* still running", RankoneWarning)
-        quantiles = solution.quantile(probabilities, times, count=_BOX_POINTS)
+    quantiles = over_box(solution, times)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ENDED, RankoneWarning)
         sobol = _sensitivities(solution) if _has_indices(solution) else None
-    lowest, low, high, highest = quantiles
+    _, low, high, _ = quantiles
+    errors = {
+        name: None if np.isnan(error) else error
+        for name, error in zip(model.unknowns, model.errors, strict=True)
+    }
     return {
-        "unknowns": [
-            {
-                **named(name, notation, units),
-                "derivative": name in notation.derivatives,
-                "error": None if np.isnan(model.errors[i]) else model.errors[i],
-                "extent": [float(np.nanmin(lowest[i])), float(np.nanmax(highest[i]))],
-                "low": _rounded(low[i]) if metadata.parameters else None,
-                "high": _rounded(high[i]) if metadata.parameters else None,
-            }
-            for i, name in enumerate(model.unknowns)
-        ],
+        "unknowns": unknown_entries(solution, quantiles, errors, notation),
         "parameters": parameter_entries(metadata, notation),
         "time": {
             **named(metadata.time, notation, units),
@@ -293,15 +287,10 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
     return {
         "times": times.tolist(),
         **{
-            order: [[_rounded(row, _SHARE_DIGITS) for row in unknown] for unknown in share]
+            order: [[rounded_curve(row, _SHARE_DIGITS) for row in unknown] for unknown in share]
             for order, share in zip(("first", "total"), shares.tolist(), strict=True)
         },
     }
-
-
-def _rounded(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float | None]:
-    """Numbers with as many digits as a picture needs; None for those that are not finite."""
-    return [float(f"{y:.{digits}g}") if np.isfinite(y) else None for y in curve]
 
 
 def lead(data: Mapping[str, Any]) -> str:

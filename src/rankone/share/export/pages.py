@@ -11,10 +11,11 @@ import html
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,14 +23,23 @@ from rankone.share.export.mathml import Notation, with_exponents
 from rankone.share.export.model_js import javascript_model
 from rankone.share.export.packing import PackedModel
 from rankone.share.export.standalone import filled
+from rankone.solution.statistics.over_box import CENTRAL
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.support import __version__
-from rankone.support.errors import ExportError, OptionError, is_text, shown
+from rankone.support.arrays import Array
+from rankone.support.errors import ExportError, OptionError, RankoneWarning, is_text, shown
 from rankone.support.files import as_path, free_target
 from rankone.tensors.coordinates import LINEAR, with_measure
 from rankone.tensors.distributions import Measure, from_text, scale_of
 
+if TYPE_CHECKING:
+    from rankone.solution.statistics.densities import DistributionOverBox
+
 _FOLDER = Path(__file__).parent / "explorer"
+ENDED = ".* still running"
+"""A warning that pages ignore: they say themselves that some trajectories have ended."""
+_BOX_POINTS = 2**12  # Points over the box from which quantiles are taken
+_CURVE_DIGITS = 7  # Significant digits of bands
 _MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
 _VENDOR = _FOLDER.parent / "vendor"
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
@@ -78,12 +88,16 @@ def page_text(
         "plots": _read(_VENDOR / "uPlot.iife.min.js"),
         "data": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         "model": _as_object(model),
-        "script": "\n".join(
-            _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js"))) for name in scripts
-        ),
+        "script": joined_scripts(scripts),
     }
     content = filled(f"explorer/{main}", fields)
     return filled("explorer/page.html.in", {**fields, **shared, "main": content})
+
+
+def joined_scripts(names: Sequence[str]) -> str:
+    """Scripts of pages as one, without their imports."""
+    texts = (_read(_FOLDER / f"{name}.js") for name in names)
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", text)) for text in texts)
 
 
 def _as_object(model: PackedModel) -> str:
@@ -185,6 +199,41 @@ def _median(name: str, ends: tuple[float, float], distribution: str | None) -> f
     middle = float(measure.sample(np.array(0.5)))
     length = upper - lower if _scale(ends, distribution) == LINEAR else middle
     return min(upper, max(lower, round(middle, 3 - math.floor(math.log10(length)))))
+
+
+def over_box(solution: DistributionOverBox, times: Array) -> Array:
+    """The smallest values of the unknowns, the ends of their bands, the largest: (4, n, times)."""
+    probabilities = (0.0, *CENTRAL, 1.0)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ENDED, RankoneWarning)
+        return np.asarray(solution.quantile(probabilities, times, count=_BOX_POINTS))
+
+
+def unknown_entries(
+    solution: DistributionOverBox,
+    quantiles: Array,
+    errors: Mapping[str, float | None],
+    notation: Notation,
+) -> list[dict[str, Any]]:
+    """Names, errors, extents and bands of the unknowns, of their quantiles over the box."""
+    units, varies = dict(solution.metadata.units), bool(solution.metadata.parameters)
+    lowest, low, high, highest = quantiles
+    return [
+        {
+            **named(name, notation, units),
+            "derivative": name in notation.derivatives,
+            "error": errors[name],
+            "extent": [float(np.nanmin(lowest[i])), float(np.nanmax(highest[i]))],
+            "low": rounded_curve(low[i]) if varies else None,
+            "high": rounded_curve(high[i]) if varies else None,
+        }
+        for i, name in enumerate(solution.unknowns)
+    ]
+
+
+def rounded_curve(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float | None]:
+    """Numbers with as many digits as a picture needs; None for those that are not finite."""
+    return [float(f"{y:.{digits}g}") if np.isfinite(y) else None for y in curve]
 
 
 def _scale(ends: tuple[float, float], distribution: str | None) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +55,15 @@ if TYPE_CHECKING:
 
 Observed = Mapping[str, Any] | None
 """Outputs by names, as for :meth:`FieldSolution.output`."""
+
+
+class PageOptions(TypedDict, total=False):
+    """What pages of all solutions take."""
+
+    title: str | None
+    rtol: float | None
+    overwrite: bool
+    allow_failed: bool
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -372,12 +381,12 @@ class FieldSolution(FieldCore):
         ``model_fields.c`` has the modes and a function that makes all entries of them:
         ``model_fields(coefficients, entries)``, in the other languages ``fields(coefficients)``.
         Few entries and functionals are smaller and faster as outputs:
-        ``solution.output({...}).export("model.c")``.
+        ``solution.output({...}).export("model.c")``. ``.html`` writes a page, as :meth:`explore`.
 
         Parameters
         ----------
         path : path-like
-            Ends in ``.py``, ``.c``, ``.js`` or ``.mjs``.
+            Ends in ``.py``, ``.c``, ``.js``, ``.mjs`` or ``.html``.
         rtol : float, optional
             By how much the model of the coefficients may differ from these.
         overwrite : bool
@@ -396,6 +405,8 @@ class FieldSolution(FieldCore):
             If the fields are not a success, or the path has another suffix, exists or cannot be
             written.
         """
+        if Path(path).suffix == ".html":
+            return self.explore(path, rtol=rtol, overwrite=overwrite, allow_failed=allow_failed)
         from rankone.share.export.field_model import field_files
 
         if not (self.success or allow_failed):
@@ -417,20 +428,58 @@ class FieldSolution(FieldCore):
         write_files(files, overwrite, ExportError)
         return model
 
-    def explore(self, path: str | PathLike[str], **options: object) -> NoReturn:
-        """Refused: pages show curves, those of outputs.
+    def explore(
+        self,
+        path: str | PathLike[str],
+        *,
+        coordinates: Mapping[str, ArrayLike] | None = None,
+        places: ArrayLike | None = None,
+        triangles: ArrayLike | None = None,
+        displacement: Sequence[Any] | None = None,
+        **options: Unpack[PageOptions],
+    ) -> Path:
+        """Write a page with a slider for each parameter, and pictures of the fields that follow.
+
+        It is one HTML file that works offline. Fields whose entries are as many as points of the
+        layout are drawn there, others as curves over the index of their entries; ordinary unknowns
+        are curves over time.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.html``.
+        coordinates : mapping, optional
+            Names and values along the axes of a line or a plane, as for :meth:`to_xarray`:
+            ``{"x": x}`` or ``{"x": x, "y": y}``.
+        places : array_like (entries, 2), optional
+            The places of the entries of a mesh in the plane, drawn as points.
+        triangles : array_like of int (triangles, 3), optional
+            Indices of the places at the corners of each triangle: a field is linear in between.
+        displacement : sequence of two unknowns or views, optional
+            How far the places move along x and y: ``(ux, uy)``, or for a field that has both in
+            turn ``(solution[u][0::2], solution[u][1::2])``. Its length is a picture of its own.
+        **options
+            ``title``, ``rtol``, ``overwrite`` and ``allow_failed`` as for
+            :meth:`rankone.Solution.explore`; ``rtol`` is about the coefficients of the modes.
+
+        Returns
+        -------
+        Path
+            The file.
 
         Raises
         ------
+        OptionError
+            If the layout is none, or does not fit the fields; and as for the other page.
         ExportError
-            It says how to write a page of outputs: ``solution.output({...}).explore(path)``.
+            As for the page of a solution.
         """
-        raise ExportError(
-            f"`{path}` would show {self.size} entries, and pages show curves",
-            term=path,
-            remedy="choose outputs: "
-            'solution.output({"tip": solution[u][3], "mean": rankone.apply(row, u)}).explore(path)',
-        )
+        from rankone.share.export.field_layout import displacement_views, layout_of
+        from rankone.share.export.field_page import export_field_page
+
+        moves = displacement_views(displacement, self.__getitem__)
+        layout = layout_of(self.modes, coordinates, places, triangles, moves)
+        return export_field_page(self, path, layout, **options)
 
     # --- files -----------------------------------------------------------------------------------
 
