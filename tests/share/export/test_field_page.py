@@ -245,6 +245,9 @@ def test_ranges_cover_the_box(tmp_path):
         ({"coordinates": {"x": np.linspace(0, 1, N)}}, "line"),
         ({"coordinates": {"x": X, "y": Y}}, "plane"),
         ({"places": np.random.default_rng(1).random((N, 2))}, "mesh"),
+        ({"coordinates": {"x": np.random.default_rng(1).random(N)}}, "line"),
+        ({"coordinates": {"x": ("entry", np.arange(N)), "y": ("entry", np.ones(N))}}, "mesh"),
+        ({"coordinates": {"a": np.arange(N), "b": np.ones(N)}, "triangles": [[0, 1, 2]]}, "mesh"),
     ],
 )
 def test_layouts(tmp_path, layout, kind):
@@ -273,12 +276,15 @@ def test_extents_hold_what_moves(tmp_path):
     [
         ({"coordinates": {"x": X, "y": X}}, "10 x 10 = 100 points, and the field has 60 entries"),
         ({"coordinates": {"x": X}}, "grid of `x` has 10 points, and the field has 60 entries"),
-        ({"coordinates": {"x": X, "y": Y, "z": [0.0]}}, "3 axes, `x`, `y` and `z`"),
+        ({"coordinates": {"x": X, "y": Y, "z": [0.0]}}, "3 coordinates, `x`, `y` and `z`"),
         ({"coordinates": {"x": X * 0, "y": Y}}, "`x` neither ascends nor descends"),
         ({"coordinates": {"x": [X], "y": Y}}, r"`x` has the shape \(1, 10\)"),
         ({"coordinates": {"x": X + np.nan, "y": Y}}, "`x` has entries that are not finite"),
         ({"coordinates": {"x": "wide", "y": Y}}, "`x` is .*wide.*, not an array of numbers"),
         ({"coordinates": [X, Y]}, "is not a mapping"),
+        ({"coordinates": {"x": ("entry", X), "y": Y}}, "only some are by entry"),
+        ({"coordinates": {"x": ("entry", X), "y": ("entry", X)}}, "10 places, and the field"),
+        ({"coordinates": {"x": X, "y": Y}, "triangles": [[0, 1, 2]]}, "triangles needs places"),
         ({"places": np.ones((59, 2))}, "59 places, and the field has 60 entries"),
         ({"places": np.ones((60, 3))}, r"places has the shape \(60, 3\)"),
         ({"places": np.ones(60)}, r"places has the shape \(60,\)"),
@@ -302,6 +308,13 @@ def test_layouts_that_do_not_fit_are_errors(tmp_path, layout, message):
     with pytest.raises(OptionError, match=message):
         solution().explore(tmp_path / "page.html", **layout)
     assert not [*tmp_path.iterdir()]
+
+
+def test_views_of_another_solution_are_refused(tmp_path):
+    places, _ = strip()
+    u = body().fix(k=1.0)["u"]
+    with pytest.raises(OptionError, match=r"solution\[u\] is a view of another solution"):
+        body().explore(tmp_path / "p.html", places=places, displacement=(u[0::2], u[1::2]))
 
 
 def test_options_are_those_of_other_pages(tmp_path):
@@ -330,6 +343,13 @@ def test_fields_that_were_not_measured_and_those_without_parameters(tmp_path):
     assert "Error not measured" in path.read_text()
     assert data["parameters"] == []
     assert data["pictures"][0]["error"] is None
+
+
+def test_fields_that_stay_zero(tmp_path):
+    zero = replace(solution().modes, scales=(0.0, 0.0), modes=(np.zeros((N, 4)), np.zeros((1, 1))))
+    data = data_of(replace(solution(), modes=zero).explore(tmp_path / "page.html"))
+    assert data["time"]["start"] == 0.0
+    assert data["pictures"][0]["range"] == [0.0, 0.0]
 
 
 # --- in a browser --------------------------------------------------------------------------------

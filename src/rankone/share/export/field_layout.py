@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +15,14 @@ from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
 
+if TYPE_CHECKING:
+    from rankone.solution.fields.field_core import FieldCore
+
+Coordinates: TypeAlias = Mapping[str, ArrayLike | tuple[str, ArrayLike]]
+"""By names, as :meth:`FieldSolution.to_xarray` takes them: along axes of a grid, or by entry."""
 Displacement: TypeAlias = Sequence[Any]
 """Two unknowns, or views of as many entries as there are places: along each axis."""
-_AXES = ("x", "y")
+_AXES: tuple[str, ...] = ("x", "y")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +54,7 @@ class Mesh:
     places: Array
     triangles: NDArray[np.intp] | None = None
     displacement: tuple[FieldView, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return _AXES
+    names: tuple[str, ...] = _AXES
 
     @property
     def size(self) -> int:
@@ -85,7 +86,7 @@ def index_line(size: int) -> Grid:
 
 def layout_of(
     modes: FieldModes,
-    coordinates: Mapping[str, ArrayLike] | None,
+    coordinates: Coordinates | None,
     places: ArrayLike | None,
     triangles: ArrayLike | None,
     displacement: tuple[FieldView, ...],
@@ -97,27 +98,33 @@ def layout_of(
     OptionError
         If it is no layout, or no field has as many entries.
     """
-    if places is None and (triangles is not None or displacement):
+    sizes = [unknown.size for unknown in modes.unknowns if unknown.is_field]
+    names = _AXES
+    if coordinates:
+        if places is not None:
+            raise OptionError(
+                f"coordinates ({listing(coordinates)}) and places are two layouts",
+                term=[*coordinates],
+                remedy="give one of them",
+            )
+        axes, by_entry = _axes(coordinates, sizes)
+        if len(axes) == len(_AXES) and by_entry:
+            names, places = tuple(axes), np.stack([*axes.values()], axis=1)
+    if places is not None:
+        corners = None if triangles is None else np.asarray(triangles)
+        return _mesh(names, _numbers("places", places, 2), corners, displacement, sizes)
+    if triangles is not None or displacement:
         raise OptionError(
             f"{'triangles' if triangles is not None else 'displacement'} needs places of entries",
             remedy="give places=, an array (entries, 2)",
         )
-    if coordinates and places is not None:
-        raise OptionError(
-            f"coordinates of a grid ({listing(coordinates)}) and places of a mesh are two layouts",
-            term=[*coordinates],
-            remedy="give one of them",
-        )
-    sizes = [unknown.size for unknown in modes.unknowns if unknown.is_field]
-    if coordinates:
-        return _grid(coordinates, sizes)
-    return None if places is None else _mesh(places, triangles, displacement, sizes)
+    return _grid(axes, sizes) if coordinates else None
 
 
 def displacement_views(
-    displacement: Displacement | None, view: Callable[[object], FieldView]
+    displacement: Displacement | None, solution: FieldCore
 ) -> tuple[FieldView, ...]:
-    """Two unknowns as views, where ``view`` makes one of a symbol or a name."""
+    """Two unknowns of a solution, by symbols or names, or views of it, as views."""
     if displacement is None:
         return ()
     if isinstance(displacement, str | FieldView) or not isinstance(displacement, Sequence):
@@ -131,32 +138,61 @@ def displacement_views(
             remedy="give two, along x and y: displacement=(ux, uy)",
         )
     try:
-        return tuple(each if isinstance(each, FieldView) else view(each) for each in displacement)
+        views = tuple(x if isinstance(x, FieldView) else solution[x] for x in displacement)
     except EvaluationError as error:
         raise OptionError(f"displacement: {error}", term=displacement) from None
+    for view in views:
+        if view.coefficients is not solution.coefficients:
+            raise OptionError(
+                f"the displacement solution[{view.name}] is a view of another solution",
+                term=view.name,
+                remedy="give views of the solution that the page is of",
+            )
+    return views
 
 
 def _described(term: object) -> str:
     return f"solution[{term.name}]" if isinstance(term, FieldView) else shown(term)
 
 
-def _grid(coordinates: Mapping[str, ArrayLike], sizes: Sequence[int]) -> Grid:
-    """A line or a plane with as many points as a field has entries."""
+def _axes(coordinates: Coordinates, sizes: Sequence[int]) -> tuple[dict[str, Array], bool]:
+    """Coordinates as numbers, and whether each has one for each entry.
+
+    They have where they are pairs ``("entry", numbers)``, or make no grid of entries.
+    """
     if not isinstance(coordinates, Mapping):
         raise OptionError(
             f"coordinates={shown(coordinates)} is not a mapping",
             remedy='give {"x": x} for a line, {"x": x, "y": y} for a plane',
         )
-    axes = {str(name): _numbers(quote(name), axis, 1) for name, axis in coordinates.items()}
-    if len(axes) > len(_AXES):
+    if len(coordinates) > len(_AXES):
         raise OptionError(
-            f"the grid has {len(axes)} axes, {listing(axes)}, and pages draw lines and planes",
-            term=[*axes],
+            f"there are {len(coordinates)} coordinates, {listing(coordinates)}, and pages draw "
+            "lines and planes",
+            term=[*coordinates],
             remedy="write a page of outputs: solution.output({...}).explore(path)",
         )
+    axes, pairs = dict[str, Array](), []
+    for name, written in coordinates.items():
+        pairs.append(isinstance(written, tuple) and bool(written) and written[0] == "entry")
+        numbers = cast("tuple[str, ArrayLike]", written)[-1] if pairs[-1] else written
+        axes[str(name)] = _numbers(quote(name), cast("ArrayLike", numbers), 1)
+    if any(pairs) and not all(pairs):
+        raise OptionError(
+            f"of the coordinates {listing(axes)} only some are by entry",
+            term=[*axes],
+            remedy='give all as ("entry", numbers), or all along the axes of a grid',
+        )
+    points = math.prod(axis.size for axis in axes.values())
+    by_entry = points not in sizes and all(axis.size in sizes for axis in axes.values())
+    return axes, all(pairs) or by_entry
+
+
+def _grid(axes: Mapping[str, Array], sizes: Sequence[int]) -> Grid:
+    """A line or a plane with as many points as a field has entries."""
     for name, axis in axes.items():
         steps = np.diff(axis)
-        if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        if len(axes) > 1 and not (np.all(steps > 0.0) or np.all(steps < 0.0)):
             raise OptionError(
                 f"the coordinate {quote(name)} neither ascends nor descends",
                 term=name,
@@ -175,13 +211,13 @@ def _grid(coordinates: Mapping[str, ArrayLike], sizes: Sequence[int]) -> Grid:
 
 
 def _mesh(
-    places: ArrayLike,
-    triangles: ArrayLike | None,
+    names: tuple[str, ...],
+    at: Array,
+    triangles: NDArray[Any] | None,
     displacement: tuple[FieldView, ...],
     sizes: Sequence[int],
 ) -> Mesh:
     """Places and triangles of as many entries as a field or the displacement has."""
-    at = _numbers("places", places, 2)
     if at.shape[1] != len(_AXES):
         raise OptionError(
             f"places has the shape {at.shape}", remedy="give an array (entries, 2): x and y of each"
@@ -199,12 +235,12 @@ def _mesh(
             f"there are {count(len(at), 'place')}, and {_of_fields(sizes)}",
             remedy="give a place for each entry, in their order",
         )
-    return Mesh(at, None if triangles is None else _corners(triangles, len(at)), displacement)
+    corners = None if triangles is None else _corners(triangles, len(at))
+    return Mesh(at, corners, displacement, names)
 
 
-def _corners(triangles: ArrayLike, size: int) -> NDArray[np.intp]:
+def _corners(corners: NDArray[Any], size: int) -> NDArray[np.intp]:
     """Indices of places, three for each triangle."""
-    corners = np.asarray(triangles)
     if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
         raise OptionError(
             f"triangles has the shape {corners.shape} and numbers of the type {corners.dtype}",

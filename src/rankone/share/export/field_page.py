@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -93,6 +93,7 @@ def export_field_page(
         **equation_fields(notation),
         "several": "yes" if len(data["pictures"]) > 1 else "",
         "unknowns": "yes" if data["unknowns"] else "",
+        "bands": _bands(data["parameters"]),
         "sampled": f"{data['sampled']:,}",
     }
     text = page_text("field.html.in", _SCRIPTS, data, model, fields)
@@ -164,11 +165,11 @@ class FieldPage:
         """
         solved, modes = self.solution.coefficients, self.solution.modes
         variances = solved.var(times)
-        shares = [
-            variances[modes.coefficients_of(k)].sum(axis=0) / max(scale, np.finfo(float).tiny) ** 2
-            for k, scale in enumerate(modes.scales)
-        ]
-        return float(times[int(np.argmax(np.sum(shares, axis=0)))])
+        total = np.zeros(len(times))
+        for k, scale in enumerate(modes.scales):
+            if scale > 0.0:
+                total += variances[modes.coefficients_of(k)].sum(axis=0) / scale / scale
+        return float(times[int(np.argmax(total))])
 
     def _layouts(self, sample: BoxSample) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """Where entries are, and the pictures drawn there: each field, and how far a body moves.
@@ -278,6 +279,15 @@ class BoxSample:
             _bounds(axis[:, None] + move for (move,) in self.values((view.weights, view.own)))
             for axis, view in zip(mesh.places.T, mesh.displacement, strict=True)
         ]
+
+
+def _bands(parameters: Sequence[Mapping[str, Any]]) -> str:
+    """What bands around the curves of ordinary unknowns are."""
+    if not parameters:
+        return ""
+    distributed = any(parameter["distribution"] for parameter in parameters)
+    spread_over = "under their distributions" if distributed else "over their ranges"
+    return f"Bands: 95 % of the values, for parameters spread {spread_over}."
 
 
 def _bounds(blocks: Sequence[Array] | Iterator[Array]) -> list[float]:

@@ -432,7 +432,7 @@ class FieldSolution(FieldCore):
         self,
         path: str | PathLike[str],
         *,
-        coordinates: Mapping[str, ArrayLike] | None = None,
+        coordinates: Mapping[str, ArrayLike | tuple[str, ArrayLike]] | None = None,
         places: ArrayLike | None = None,
         triangles: ArrayLike | None = None,
         displacement: Sequence[Any] | None = None,
@@ -450,7 +450,7 @@ class FieldSolution(FieldCore):
             Ends in ``.html``.
         coordinates : mapping, optional
             Names and values along the axes of a line or a plane, as for :meth:`to_xarray`:
-            ``{"x": x}`` or ``{"x": x, "y": y}``.
+            ``{"x": x}`` or ``{"x": x, "y": y}``; with a number for each entry, places of a mesh.
         places : array_like (entries, 2), optional
             The places of the entries of a mesh in the plane, drawn as points.
         triangles : array_like of int (triangles, 3), optional
@@ -477,7 +477,7 @@ class FieldSolution(FieldCore):
         from rankone.share.export.field_layout import displacement_views, layout_of
         from rankone.share.export.field_page import export_field_page
 
-        moves = displacement_views(displacement, self.__getitem__)
+        moves = displacement_views(displacement, self)
         layout = layout_of(self.modes, coordinates, places, triangles, moves)
         return export_field_page(self, path, layout, **options)
 
