@@ -16,7 +16,7 @@ from rankone.solvers.request import Domain
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.trajectories.fields.field_trajectories import field_trajectory
 from rankone.trajectories.system.verdict import Status
-from tests.trajectories.fields.test_field_trajectories import reference, system
+from tests.trajectories.fields.test_field_trajectories import reference, system, wave
 
 ADVECTION = """
 import numpy as np
@@ -63,6 +63,22 @@ def test_a_mass_matrix_is_projected():
     assert (
         np.abs(solved.modes.fields(states[:, :, 0]) - exact).max() < 1e-3 * solved.modes.scales[0]
     )
+
+
+@pytest.mark.slow
+def test_positions_share_the_modes_of_their_velocities():
+    fields = wave(80)
+    solved = solve_fields(fields, request(fields, 1e-4))
+    assert solved.verdict.status is Status.CONVERGED
+    assert solved.trajectories <= 40
+    positions, velocities = solved.modes.modes
+    assert positions is velocities
+    times, point = np.linspace(0, 2, 9), np.array([0.55])
+    rows = slice(0, len(solved.modes.names))
+    states = TrainEvaluator(solved.outcome.slabs).curves(times[:, None], point[:, None], rows)
+    errors = np.abs(solved.modes.fields(states[:, :, 0]) - reference(fields, point, times))
+    assert errors[:80].max() < 1e-4 * solved.modes.scales[0]
+    assert errors[80:].max() < 1e-4 * solved.modes.scales[1]
 
 
 @pytest.mark.slow

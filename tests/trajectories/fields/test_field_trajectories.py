@@ -1,5 +1,7 @@
 """Full trajectories of fields: sparse steps, compressed as they come."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -7,6 +9,7 @@ import scipy.linalg
 import scipy.sparse as ss
 
 from rankone.support.tasks import open_pool
+from rankone.trajectories.fields.field_factors import factorisation_of
 from rankone.trajectories.fields.field_system import (
     FieldSystem,
     LinearTerm,
@@ -103,6 +106,58 @@ def test_a_mass_matrix_stands_before_the_rates():
     trajectory = field_trajectory(fields, point, np.ones(1), 1e-8, 1e-8)
     exact = reference(fields, point, trajectory.times, mass)
     assert np.abs(trajectory.states[0].at(slice(None)) - exact).max() < 1e-5
+
+
+def wave(n=30, mass=None):
+    """A damped wave: positions u, and their velocities v."""
+    zero, one = ss.csr_array((n, n)), ss.eye_array(n)
+    stiffness = second_differences(n) * 1e-2
+    moves = ss.block_array([[zero, one], [zero, 0.05 * stiffness]], format="csr")
+    pulls = ss.block_array([[zero, zero], [stiffness, zero]], format="csr")
+    x = np.linspace(0, np.pi, n)
+    return FieldSystem(
+        unknowns=(Unknown("u", 0, n), Unknown("v", n, n)),
+        parameters=("k",),
+        box=((0.1, 1.0),),
+        horizon=(0.0, 2.0),
+        linear=(LinearTerm(0, moves), LinearTerm(1, pulls)),
+        sources=(SourceTerm(2, np.concatenate([0 * x, x])),),
+        pointwise=(),
+        initial_vectors=np.concatenate([np.sin(x), 0 * x])[:, None],
+        source=SOURCE,
+        mass=None if mass is None else ss.block_diag([one, mass], format="csr"),
+    )
+
+
+@pytest.mark.parametrize("weighed", [False, True])
+def test_positions_are_eliminated_before_factors(weighed):
+    n = 30
+    element = ss.csr_array(ss.diags_array([1.0, 4, 1], offsets=[-1, 0, 1], shape=(n, n))) / 6
+    fields, point = wave(n, element if weighed else None), np.array([0.5])
+    assert fields.velocities == {0: 1}
+    matrix = fields.mass if weighed else ss.eye_array(2 * n)
+    matrix = ss.csc_array(matrix - 0.1 * fields.at(point).jacobian(0.0, np.zeros(2 * n)))
+    right = np.random.default_rng(0).standard_normal(2 * n)
+    solution = factorisation_of(fields).of(matrix).solve(right)
+    assert np.abs(matrix @ solution - right).max() < 1e-10
+    trajectory = field_trajectory(fields, point, np.ones(2), 1e-8, 1e-8)
+    exact = reference(fields, point, trajectory.times, fields.mass)
+    states = np.concatenate([states.at(slice(None)) for states in trajectory.states])
+    assert np.abs(states - exact).max() < 1e-5
+
+
+def test_velocities_are_rates_and_nothing_else():
+    fields = wave(5)
+    assert system().velocities == {}
+    motion, _ = fields.linear
+    pushed = replace(fields, sources=(SourceTerm(0, np.ones(10)),))
+    assert pushed.velocities == {}
+    both = ss.csr_array(motion.matrix + ss.eye_array(10, k=-5))
+    assert replace(fields, linear=(LinearTerm(1, both),)).velocities == {0: 1}
+    assert replace(fields, linear=(LinearTerm(1, ss.csr_array(motion.matrix.T)),)).velocities == {}
+    turning = ss.csr_array(ss.eye_array(10, k=5) - ss.eye_array(10, k=-5))
+    assert replace(fields, linear=(LinearTerm(0, turning),)).velocities == {0: 1}
+    assert replace(fields, mass=ss.csr_array(2 * ss.eye_array(10))).velocities == {}
 
 
 def test_a_blow_up_is_told_with_its_time():

@@ -9,6 +9,7 @@ modes.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +29,9 @@ class Snapshots:
     def __init__(self, tolerance: float, *, relative: bool = False) -> None:
         self._union = Compression(tolerance, relative=relative)
 
-    def add(self, trajectory: Compressed) -> None:
-        """Take a further trajectory."""
-        self._union.add(trajectory.at(slice(None)))
+    def add(self, trajectory: Compressed, unit: float = 1.0) -> None:
+        """Take a further trajectory, times a number."""
+        self._union.add(unit * trajectory.at(slice(None)))
 
     @property
     def largest(self) -> float:
@@ -63,6 +64,35 @@ class Snapshots:
         parts = np.square(values[:, None] * columns)
         tails = np.cumsum(parts[::-1], axis=0)[::-1].max(axis=1)
         return np.asarray(np.sqrt(tails / len(union.modes)) / (self.largest or 1.0))
+
+
+class FieldSnapshots:
+    """The values of all unknowns of sizes (unknowns,) along all trajectories so far.
+
+    Positions share the modes of their ``velocities``, so that what is reduced moves as the body
+    does: a rate of the coefficients of positions is the coefficients of velocities, and forces that
+    do no work in the body do none in the reduced one.
+    """
+
+    def __init__(self, velocities: Mapping[int, int], sizes: Array, tolerance: float) -> None:
+        self._shared = [velocities.get(k, k) for k in range(len(sizes))]
+        self._units = sizes[self._shared] / sizes
+        self._groups = {k: Snapshots(tolerance * float(sizes[k])) for k in {*self._shared}}
+
+    def add(self, states: Sequence[Compressed]) -> None:
+        """Take the values of all unknowns along a further trajectory."""
+        for k, unit, values in zip(self._shared, self._units.tolist(), states, strict=True):
+            self._groups[k].add(values, unit)
+
+    def modes(self, left_out: Array) -> list[Array]:
+        """Modes of each unknown that leave out so much (unknowns,) of any entry at most."""
+        shared, units = np.array(self._shared), self._units * left_out
+        modes = {k: group.modes(units[shared == k].min()) for k, group in self._groups.items()}
+        return [modes[k] for k in self._shared]
+
+    def decay(self, unknown: int) -> Array:
+        """How the modes of an unknown decay."""
+        return self._groups[self._shared[unknown]].decay()
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 from rankone.solvers.engines import cross_engine
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Outcome, SolutionMetadata
-from rankone.solvers.reduced.field_bases import Interpolation, Snapshots
+from rankone.solvers.reduced.field_bases import FieldSnapshots, Interpolation, Snapshots
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.field_residual import FieldResidual
 from rankone.solvers.reduced.reduced_system import ReducedSystem, reduced_system
@@ -49,6 +49,8 @@ class FieldTuning:
 
     integrated: float = 0.05
     """Error of full trajectories."""
+    integrated_motion: float = 0.01
+    """The same where there are velocities: stiff bodies amplify rough parts of modes."""
     first_step: float = 0.01
     """Tolerance of a step at first; it is lowered until the error above is met."""
     finer: float = 0.1
@@ -253,7 +255,7 @@ class _FieldSolve:
         self.result = ReducedOutcome(Verdict(Status.TRAJECTORY_LIMIT))
         self.coverage = Coverage.of_domain(request.domain)
         self.generator = np.random.default_rng(20151)
-        self.states = [Snapshots(0.0) for _ in fields.unknowns]
+        self.states = FieldSnapshots({}, np.ones(len(fields.unknowns)), 0.0)
         self.pointwise = [Snapshots(0.0) for _ in fields.pointwise]
         self.scales = np.zeros(len(fields.unknowns))
         self.seen: list[Array] = []
@@ -291,7 +293,7 @@ class _FieldSolve:
         tolerance = self._step_tolerance(centre[0], sizes)
         kept = FIELDS.kept * rtol
         self.integration = FieldIntegration(self.fields, sizes, tolerance, kept, pool)
-        self.states = [Snapshots(kept * size) for size in sizes]
+        self.states = FieldSnapshots(self.fields.velocities, sizes, kept)
         self.pointwise = [Snapshots(kept, relative=True) for _ in self.fields.pointwise]
         self._learn(self._trajectories(centre))
         self._reduced()  # ends where the modes of the first trajectory alone do not decay
@@ -345,7 +347,9 @@ class _FieldSolve:
         Those of two tolerances are compared, and the next ones are what their difference suggests.
         """
         rtol, times = self.request.rtol, self._telling_times(FIELDS.tolerance_times)
-        kept, wanted = FIELDS.kept * rtol, FIELDS.integrated * rtol
+        moves = bool(self.fields.velocities)
+        share = FIELDS.integrated_motion if moves else FIELDS.integrated
+        kept, wanted = FIELDS.kept * rtol, share * rtol
         tolerance = FIELDS.first_step * rtol
         while True:
             coarse, fine = (
@@ -383,8 +387,7 @@ class _FieldSolve:
     def _learn(self, trajectories: Iterable[FieldTrajectory]) -> None:
         """Take trajectories into the modes."""
         for trajectory in trajectories:
-            for snapshots, states in zip(self.states, trajectory.states, strict=True):
-                snapshots.add(states)
+            self.states.add(trajectory.states)
             for snapshots, values in zip(self.pointwise, trajectory.pointwise, strict=True):
                 snapshots.add(values)
 
@@ -422,8 +425,7 @@ class _FieldSolve:
         """The reduced system of all trajectories so far."""
         left_out = self.left_out * self.request.rtol
         scales = np.maximum(self.scales, self.sizes * (self.scales == 0.0))
-        pairs = list(zip(self.states, scales.tolist(), strict=True))
-        blocks = [snapshots.modes(left_out * scale) for snapshots, scale in pairs]
+        blocks = self.states.modes(left_out * scales)
         self.modes = FieldModes(
             self.fields.unknowns, tuple(blocks), tuple(scales.tolist()), (), self.count
         )
@@ -440,7 +442,7 @@ class _FieldSolve:
         if self._rank <= FIELDS.most_modes:
             return
         worst = int(np.argmax(self.modes.counts))
-        decay = self.states[worst].decay()
+        decay = self.states.decay(worst)
         shown = min(FIELDS.most_modes, len(decay) - 1)
         rate = math.log(max(decay[shown], 1e-300) / decay[0]) / shown
         needed = max(int(math.log(left_out) / rate), self.modes.counts[worst])

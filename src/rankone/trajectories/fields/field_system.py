@@ -114,7 +114,7 @@ class FieldSystem:
             object.__setattr__(self, "scales", (LINEAR,) * len(self.box))
 
     def __getstate__(self) -> dict[str, object]:
-        derived = ("_functions", "_union", "_mass_factors")
+        derived = ("_functions", "_union", "velocities")
         return {name: value for name, value in self.__dict__.items() if name not in derived}
 
     @property
@@ -185,6 +185,40 @@ class FieldSystem:
             own = np.lexsort((matrix.col, matrix.row))
             row[places.data[order].astype(np.intp) - 1] = matrix.data[own]
         return pattern, entries
+
+    @cached_property
+    def velocities(self) -> Mapping[int, int]:
+        """Numbers of positions u, each with that of its velocity v: u' = c(t, p) v."""
+        pairs: dict[int, int] = {}
+        for k, unknown in enumerate(self.unknowns):
+            for j, other in enumerate(self.unknowns):
+                free = j != k and j not in pairs and k not in pairs.values()
+                if free and other.size == unknown.size and self._is_velocity(other, unknown):
+                    pairs[k] = j
+                    break
+        return pairs
+
+    def _is_velocity(self, velocity: Unknown, position: Unknown) -> bool:
+        """Whether the rate of a position is a velocity times numbers, and no mass is before it."""
+        rows, size = position.rows, position.size
+        others = [source.vector[rows].any() for source in self.sources]
+        others += [term.after[rows].nnz > 0 for term in self.pointwise]
+        matrices = [term.matrix[rows] for term in self.linear]
+        matrices = [matrix for matrix in matrices if matrix.nnz]
+        if any(others) or not matrices:
+            return False
+        if self.mass is not None:
+            one = ss.eye_array(size, self.size, k=rows.start)
+            if (self.mass[rows] != one).nnz or (self.mass[:, rows] != one.T).nnz:
+                return False
+        columns = np.arange(velocity.rows.start, velocity.rows.stop)
+        return all(
+            matrix.nnz == size
+            and np.array_equal(matrix.indptr, np.arange(size + 1))
+            and np.array_equal(matrix.indices, columns)
+            and bool((matrix.data == matrix.data[0]).all())
+            for matrix in matrices
+        )
 
     def matrix(self, numbers: Array) -> Matrix:
         """The sum of all linear terms, each times a number."""

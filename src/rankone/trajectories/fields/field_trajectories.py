@@ -1,11 +1,9 @@
 """Trajectories of fields, one by one, compressed into modes as they come.
 
 Steps are those of SciPy's backward differences (Shampine & Reichelt, SIAM J. Sci. Comput. 18
-(1997), 1) with the sparse Jacobian. SuperLU factors its matrices (Demmel et al., SIAM J. Matrix
-Anal. Appl. 20 (1999), 720) in an order of elimination that is chosen once for the pattern. Nobody
-keeps states times steps: some steps at a time, the part that the modes so far do not have becomes
-further modes, as in an incremental singular value decomposition (Brand, Linear Algebra Appl. 415
-(2006), 20).
+(1997), 1) with the sparse Jacobian. Nobody keeps states times steps: some steps at a time, the part
+that the modes so far do not have becomes further modes, as in an incremental singular value
+decomposition (Brand, Linear Algebra Appl. 415 (2006), 20).
 """
 
 from __future__ import annotations
@@ -17,19 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.integrate
 import scipy.sparse as ss
-from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
 
 from rankone.support.arrays import EPSILON, TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.tasks import Pool, Shared
+from rankone.trajectories.fields.field_factors import Factorisation, factorisation_of
 from rankone.trajectories.fields.field_system import FieldSystem
 
 _AT_ONCE = 32  # Steps that are compressed together
 _COARSE = 1e-3  # Relative tolerance of the trajectory that tells the sizes of the fields
 _GROWTH = 1e3  # Of the largest value, at which it leaves all bounds
-_PIVOT = 0.01  # A diagonal entry of this share of the largest of its column is the pivot
-_LINEAR_ENTRY, _FACTOR_ENTRY = 2.0, 4.0  # Operations for each entry of a matrix, and of factors
+_LINEAR_ENTRY = 2.0  # Operations for each entry of a matrix
 
 
 class EndsEarlyError(Exception):
@@ -281,9 +277,9 @@ def _backward_differences(
     solve (M - h J) d = M (h f' - b), where f' are the rates, f over M.
     """
     start, end = system.horizon
-    factors = _Factors()
+    factors = factorisation_of(system)
     mass = None if system.mass is None else ss.csc_array(system.mass)
-    inverse = None if mass is None else _Factors().of(mass)
+    inverse = None if mass is None else Factorisation().of(mass)
 
     own = system.at(point)
 
@@ -308,40 +304,3 @@ def _backward_differences(
     else:
         solver.solve_lu = lambda lu, right: lu.solve(right)
     return solver
-
-
-class _Solution:
-    """Solves with factors of a matrix whose rows and columns were put in another order."""
-
-    def __init__(self, factors: SuperLU, order: NDArray[np.intp]) -> None:
-        self._factors, self._order = factors, order
-
-    def solve(self, right: Array) -> Array:
-        """The solution for a right side (n,)."""
-        charge(_FACTOR_ENTRY * self._factors.nnz)
-        solution = np.empty_like(right)
-        solution[self._order] = self._factors.solve(right[self._order])
-        return solution
-
-
-class _Factors:
-    """Factors of matrices of one pattern; the order of elimination is that of the first one."""
-
-    def __init__(self) -> None:
-        self._order: NDArray[np.intp] | None = None
-
-    def of(self, matrix: ss.csc_array) -> _Solution:
-        """Factors of a matrix."""
-        symmetric = {"SymmetricMode": True}
-        if self._order is None:
-            first = splu(
-                ss.csc_array(matrix),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=_PIVOT,
-                options=symmetric,
-            )
-            self._order = np.argsort(first.perm_c)
-        ordered = ss.csc_array(ss.csc_array(matrix)[self._order][:, self._order])
-        factors = splu(ordered, permc_spec="NATURAL", diag_pivot_thresh=_PIVOT, options=symmetric)
-        charge(_FACTOR_ENTRY * 10.0 * factors.nnz)
-        return _Solution(factors, self._order)
