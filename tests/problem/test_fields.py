@@ -215,8 +215,6 @@ class TestProblems:
     @pytest.mark.parametrize(
         ("equations", "initial", "further", "message"),
         [
-            (None, None, {"jumps": {0.5: {u: 1}}}, "fields do not take jumps"),
-            (None, None, {"events": [ro.Event(when=x)]}, "fields do not take events"),
             (None, ro.SteadyState({}, start={u: 1}), {}, "fields do not start at steady states"),
             ([sp.Eq(u.diff(t), u), sp.Eq(v, u)], {u: 1, v: 1}, {}, "it has 0 highest derivatives"),
             ([sp.Eq(u.diff(t), v.diff(t))], {u: 1, v: 1}, {}, "it has 2 highest derivatives"),

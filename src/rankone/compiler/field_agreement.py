@@ -41,10 +41,10 @@ _UFUNCS: dict[str, Callable[[Extended], Extended]] = {
 def check_field_agreement(
     problem: CheckedFields, system: FieldSystem, places: Mapping[sp.Expr, slice]
 ) -> None:
-    """Raise a DisagreementError unless rates, derivatives and initial values are as written.
+    """Raise a DisagreementError unless what a system computes is as written.
 
-    They are compared near initial values, and at states of the same size away from them, where
-    values that are not finite do not count.
+    That is rates, derivatives, initial values and events. They are compared near initial values,
+    and at states of the same size away from them, where values that are not finite do not count.
     """
     rng = np.random.default_rng(SEED)
     lower, upper = np.array(system.box).reshape(-1, 2).T
@@ -90,6 +90,37 @@ def check_field_agreement(
                 "derivative of the rate",
                 state,
             )
+        _check_events(problem, system, places, (numbers, t, u, p), rows)
+
+
+def _check_events(
+    problem: CheckedFields,
+    system: FieldSystem,
+    places: Mapping[sp.Expr, slice],
+    where: tuple[Mapping[sp.Expr, float], float, Array, Array],
+    rows: Mapping[sp.Expr, Places],
+) -> None:
+    """Compare what crosses zero at events, and the states after them, at a state.
+
+    ``where`` are numbers for symbols, the time, the state (N,) and the parameters (d,).
+    """
+    numbers, t, u, p = where
+    tree, first = _Tree(numbers, places, u), np.zeros(1, dtype=np.intp)
+    for event, own in zip(problem.events, system.events, strict=True):
+        name = sp.Symbol(str(event.name))
+        arguments = [row @ u for row in own.arguments]
+        with np.errstate(all="ignore"):
+            height = system.height(own, np.array([t]), arguments, p[:, None])
+            after = None if own.after is None else system.mapped(own.after, t, u, p)
+        gap, size = height - tree.value(event.when, first), tree.magnitude(event.when, first)
+        _compare(np.where(np.isfinite(gap), gap, 0.0), size, NEGLIGIBLE, "crossing", name)
+        for state in problem.rates if after is not None else ():
+            some = rows[state]
+            value = (event.then or {}).get(state, state)
+            gap = np.asarray(after)[some + places[state].start] - tree.value(value, some)
+            size = tree.magnitude(value, some)
+            gap = np.where(np.isfinite(gap), gap, 0.0)
+            _compare(gap, size, NEGLIGIBLE, f"{name_of(state)} after the event", name)
 
 
 def _sizes(system: FieldSystem, start: Array) -> Array:

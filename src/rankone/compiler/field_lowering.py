@@ -25,18 +25,26 @@ from rankone.compiler.passes.field_terms import (
     Term,
     merged,
 )
+from rankone.problem.field_events import known_field_time
 from rankone.problem.field_problem import CheckedFields
 from rankone.problem.fields import Field, size_of
+from rankone.problem.forms import affine_coefficients
+from rankone.problem.user_events import Event
 from rankone.support.arrays import Array
 from rankone.support.errors import SeparationError, quote
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.fields.field_system import (
+    FieldEvent,
     FieldSystem,
     LinearTerm,
     PointwiseTerm,
     SourceTerm,
+    TermSum,
     Unknown,
 )
+from rankone.trajectories.system.features import BOTH, FALLING, RISING
+
+_DIRECTIONS = {"rising": RISING, "falling": FALLING, "both": BOTH}
 
 
 def field_system(problem: CheckedFields, *, check: bool = True) -> FieldSystem:
@@ -58,7 +66,8 @@ def field_system(problem: CheckedFields, *, check: bool = True) -> FieldSystem:
     Raises
     ------
     SeparationError
-        If a matrix is applied to a nonlinear expression inside of a function.
+        If a matrix is applied to a nonlinear expression inside of a function, or in what crosses
+        zero at an event.
     DisagreementError
         If the system does not compute what the user wrote.
     """
@@ -68,37 +77,30 @@ def field_system(problem: CheckedFields, *, check: bool = True) -> FieldSystem:
     terms = merged(
         term for state, rate in problem.rates.items() for term in splitter.of_rate(state, rate)
     )
+    resets = [_reset_terms(event, problem, splitter) for event in problem.events]
     source = FieldSource(problem.time[0], tuple(problem.parameters))
-    coefficients = _numbered([sp.S.One, *(term.coefficient for term in terms)])
+    every = [*terms, *(term for reset in resets for term in reset)]
+    coefficients = _numbered([sp.S.One, *(term.coefficient for term in every)])
     source.add_coefficients(list(coefficients))
-    pointwise = [term for term in terms if isinstance(term, Pointwise)]
-    functions = tuple(
-        _pointwise_term(f"g{i}", term, coefficients, splitter, source)
-        for i, term in enumerate(pointwise)
-    )
+    writer = _Writer(coefficients, splitter, source)
+    rates = writer.sum_of(terms)
     initial_vectors = _initial_vectors(problem, places, source)
+    events = writer.events(problem, resets)
     parameters = problem.coordinates[1:]
     system = FieldSystem(
         unknowns=unknowns,
         parameters=tuple(parameter.name for parameter in parameters),
         box=tuple((parameter.lower, parameter.upper) for parameter in parameters),
         horizon=problem.time[1:],
-        linear=tuple(
-            LinearTerm(coefficients[term.coefficient], _sorted(term.matrix))
-            for term in terms
-            if isinstance(term, Linear)
-        ),
-        sources=tuple(
-            SourceTerm(coefficients[term.coefficient], term.vector)
-            for term in terms
-            if isinstance(term, Source)
-        ),
-        pointwise=functions,
+        linear=rates.linear,
+        sources=rates.sources,
+        pointwise=rates.pointwise,
         initial_vectors=initial_vectors,
         source=source.text(),
         mass=_mass(problem, unknowns),
         scales=tuple(parameter.scale for parameter in parameters),
         time=problem.time[0].name,
+        events=events,
     )
     if check:
         check_field_agreement(problem, system, places)
@@ -129,27 +131,99 @@ def _sorted(matrix: Matrix) -> Matrix:
     return matrix
 
 
-def _pointwise_term(
-    name: str,
-    term: Pointwise,
-    coefficients: Mapping[sp.Expr, int],
-    splitter: FieldTerms,
-    source: FieldSource,
-) -> PointwiseTerm:
-    """A function with its arguments; its text is added to the source."""
-    present = term.function.free_symbols
-    named = {s: array for s, array in splitter.arguments.items() if s in present}
-    vectors = {s: array for s, array in named.items() if isinstance(array, np.ndarray)}
-    arguments = {s: array for s, array in named.items() if s not in vectors}
-    source.add_function(name, term.function, [*arguments], [*vectors])
-    n = term.after.shape[1]
-    return PointwiseTerm(
-        coefficient=coefficients[term.coefficient],
-        after=_sorted(term.after),
-        arguments=tuple(_sorted(matrix) for matrix in arguments.values()),
-        vectors=np.array([*vectors.values()]).reshape(len(vectors), n),
-        function=name,
-    )
+def _reset_terms(event: Event, problem: CheckedFields, splitter: FieldTerms) -> list[Term]:
+    """The terms of all states after an event; those that it does not reset stay as they are."""
+    if event.then is None:
+        return []
+    after = {state: event.then.get(state, state) for state in problem.rates}
+    return merged(term for state, value in after.items() for term in splitter.of_rate(state, value))
+
+
+class _Writer:
+    """Writes functions of terms into a source, one after the other."""
+
+    def __init__(
+        self, coefficients: Mapping[sp.Expr, int], splitter: FieldTerms, source: FieldSource
+    ) -> None:
+        self._coefficients, self._splitter, self._source = coefficients, splitter, source
+        self._count = 0
+
+    def sum_of(self, terms: Sequence[Term]) -> TermSum:
+        """Terms with numbers in place of their coefficients."""
+        numbers = self._coefficients
+        return TermSum(
+            linear=tuple(
+                LinearTerm(numbers[term.coefficient], _sorted(term.matrix))
+                for term in terms
+                if isinstance(term, Linear)
+            ),
+            sources=tuple(
+                SourceTerm(numbers[term.coefficient], term.vector)
+                for term in terms
+                if isinstance(term, Source)
+            ),
+            pointwise=tuple(
+                self._pointwise_term(term) for term in terms if isinstance(term, Pointwise)
+            ),
+        )
+
+    def _pointwise_term(self, term: Pointwise) -> PointwiseTerm:
+        """A function with its arguments; its text is added to the source."""
+        name, n = self._named("g"), term.after.shape[1]
+        arguments, vectors = self._add_function(name, term.function, n)
+        return PointwiseTerm(
+            coefficient=self._coefficients[term.coefficient],
+            after=_sorted(term.after),
+            arguments=arguments,
+            vectors=vectors,
+            function=name,
+        )
+
+    def _named(self, letter: str) -> str:
+        self._count += 1
+        return f"{letter}{self._count - 1}"
+
+    def _add_function(
+        self, name: str, function: sp.Expr, n: int
+    ) -> tuple[tuple[Matrix, ...], Array]:
+        """Add the text of a function of n entries; its arguments, and its vectors (v, n)."""
+        present = function.free_symbols
+        named = {s: array for s, array in self._splitter.arguments.items() if s in present}
+        vectors = {s: array for s, array in named.items() if isinstance(array, np.ndarray)}
+        arguments = {s: array for s, array in named.items() if s not in vectors}
+        self._source.add_function(name, function, [*arguments], [*vectors])
+        matrices = tuple(_sorted(matrix) for matrix in arguments.values())
+        return matrices, np.array([*vectors.values()]).reshape(len(vectors), n)
+
+    def events(
+        self, problem: CheckedFields, resets: Sequence[Sequence[Term]]
+    ) -> tuple[FieldEvent, ...]:
+        """The events; times that are known are added to the source."""
+        known: list[sp.Expr] = []
+        events = []
+        for event, terms in zip(problem.events, resets, strict=True):
+            name = self._named("height")
+            height = self._splitter.function_of(event.when)
+            arguments, vectors = self._add_function(name, height, 1)
+            at = known_field_time(event, problem.time[0])
+            known += [] if at is None else [at]
+            parameters = tuple(problem.parameters)
+            events.append(
+                FieldEvent(
+                    name=str(event.name),
+                    direction=_DIRECTIONS[event.direction],
+                    terminal=event.terminal,
+                    height=name,
+                    arguments=arguments,
+                    vectors=vectors,
+                    after=None if event.then is None else self.sum_of(terms),
+                    known=None if at is None else len(known) - 1,
+                    coefficients=None if at is None else affine_coefficients(at, parameters),
+                )
+            )
+        if known:
+            self._source.add_known_times(known)
+        return tuple(events)
 
 
 def _initial_vectors(

@@ -14,6 +14,7 @@ In come equations, parameters with their intervals, initial values and events; o
 - ``expressions``: single SymPy expressions, whatever problem they belong to
 - ``field_conversions``: matrices as problems with one field, and problems with fields entry by
   entry
+- ``field_events``: events and jumps of problems with fields
 - ``field_problem``: the checks of a problem with fields, and all that follows from them
 - ``field_rates``: the rates of fields from their equations, and what rates may have
 - ``field_values``: initial values of fields, and their mass matrices

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from rankone.problem.expressions.notation import exact
 from rankone.problem.field_problem import CheckedFields
 from rankone.problem.field_rates import State
 from rankone.problem.fields import Apply, Field, Operator, Vector, apply, constant_of, size_of
+from rankone.problem.user_events import Event
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, count, quote, shown
 from rankone.tensors.coordinates import name_of
@@ -189,6 +191,7 @@ def scalar_arguments(problem: CheckedFields) -> dict[str, Any]:
                 entries.states[state], entries.of(value, size_of(state)), strict=True
             )
         },
+        "events": [entries.event(event) for event in problem.events],
         "name": problem.name,
         "tail": problem.tail,
         "correlation": problem.written["correlation"],
@@ -216,6 +219,19 @@ class _Entries:
             column = self._of(expression, size)
             self._written[key] = column * size if len(column) == 1 else column
         return self._written[key]
+
+    def event(self, event: Event) -> Event:
+        """An event with entries in place of fields."""
+        then = None
+        if event.then is not None:
+            then = {
+                entry: after
+                for state, value in event.then.items()
+                for entry, after in zip(
+                    self.states[state], self.of(value, size_of(state)), strict=True
+                )
+            }
+        return replace(event, when=self.of(event.when, 1)[0], then=then)
 
     def _of(self, expression: sp.Basic, size: int) -> list[sp.Expr]:
         if expression in self.states:

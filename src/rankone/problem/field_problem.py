@@ -21,6 +21,7 @@ from rankone.problem.equations import (
     check_names,
 )
 from rankone.problem.expressions.notation import text_of
+from rankone.problem.field_events import field_events
 from rankone.problem.field_rates import State, check_rates, field_equations, solved_rates
 from rankone.problem.field_values import initial_fields, mass_matrices
 from rankone.problem.fields import (
@@ -30,6 +31,7 @@ from rankone.problem.fields import (
 )
 from rankone.problem.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.problem.steady_start import SteadyState
+from rankone.problem.user_events import event_latex, event_texts, warn_of_late
 from rankone.support.errors import (
     ProblemError,
     aligned_equations,
@@ -82,26 +84,16 @@ class CheckedFields(CheckedProblem):
             initial=MappingProxyType(initial),
             masses=MappingProxyType(mass_matrices(self.mass, rates, unknowns)),
             jumps=MappingProxyType({}),
-            events=(),
+            events=field_events(self.events, self.jumps, rates, symbols),
         )
         self._keep(mass=MappingProxyType(dict(self.mass or {})))
-        warn_of_unused(box, sp.Tuple(*rates.values(), *initial.values()).free_symbols)
+        of_events = [expression for event in self.events for expression in event.expressions]
+        used = sp.Tuple(*rates.values(), *initial.values(), *of_events).free_symbols
+        warn_of_late(self.events, box, time)
+        warn_of_unused(box, used)
 
     def _refuse_unsupported(self) -> None:
         """Raise for what fields do not take."""
-        if self.jumps:
-            raise ProblemError(
-                "fields do not take jumps",
-                term=self.jumps,
-                remedy="write a dose as a smooth source, a narrow pulse of time, or solve the "
-                "stretches between jumps one by one",
-            )
-        if self.events:
-            raise ProblemError(
-                "fields do not take events",
-                term=self.events,
-                remedy="leave them out, and read crossings from the solution",
-            )
         if isinstance(self.initial, SteadyState):
             raise ProblemError(
                 "fields do not start at steady states",
@@ -127,10 +119,24 @@ class CheckedFields(CheckedProblem):
             sp.Tuple(*(sp.Tuple(*pair) for pair in mapping.items()))
             for mapping in (self.rates, self.initial, self.masses, self.definitions or {})
         ]
+        expressions += [
+            sp.Tuple(*event.expressions, *(sp.Tuple(*pair) for pair in (event.then or {}).items()))
+            for event in self.events
+        ]
         box = sp.Tuple(*(sp.Tuple(symbol, *ends) for symbol, ends in self.parameters.items()))
         named = (self.units, self.distributions, self.correlation, self.atol)
         others = [dict(mapping or {}) for mapping in named]
-        return expressions, box, others, str(self.time[0]), self.time[1:], self.name, self.tail
+        flags = [(event.name, event.direction, event.terminal) for event in self.events]
+        return (
+            expressions,
+            box,
+            others,
+            flags,
+            str(self.time[0]),
+            self.time[1:],
+            self.name,
+            self.tail,
+        )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, CheckedFields):
@@ -167,7 +173,8 @@ class CheckedFields(CheckedProblem):
         if self.masses:
             masses = (f"{name_of(u)}: {matrix.name}" for u, matrix in self.masses.items())
             lines.append(f"  mass {', '.join(masses)}")
-        return "\n".join([*lines, "  " + ", ".join(self._initial_texts()), *self._closing_lines()])
+        lines += ["  " + ", ".join(self._initial_texts()), *self._closing_lines()]
+        return "\n".join([*lines, *(f"  {text}" for text in event_texts(self.events))])
 
     def _repr_latex_(self) -> str:
         lines = [
@@ -176,4 +183,4 @@ class CheckedFields(CheckedProblem):
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
-        return aligned_equations(lines)
+        return aligned_equations([*lines, *event_latex(self.events)])

@@ -202,11 +202,11 @@ def check_rates(rates: Mapping[State, sp.Expr], symbols: Symbols, equations: int
                 term=rate,
                 remedy="bring it to the right size by `apply`",
             )
-        _check_symbols(rate, symbols, number)
-        _check_smooth(rate, symbols, number)
+        check_symbols(rate, symbols, number)
+        check_smooth(rate, symbols, number)
 
 
-def _check_symbols(rate: sp.Expr, symbols: Symbols, equation: int) -> None:
+def check_symbols(rate: sp.Expr, symbols: Symbols, equation: int | None) -> None:
     """Raise if a rate has an unknown without an equation, or a symbol that nothing declares."""
     states = {*symbols.states}
     named = {name_of(state): state for state in states}
@@ -239,19 +239,21 @@ def _check_symbols(rate: sp.Expr, symbols: Symbols, equation: int) -> None:
         raise ProblemError(message, equation=equation, term=symbol, remedy=remedy)
 
 
-def _check_smooth(rate: sp.Expr, symbols: Symbols, equation: int) -> None:
+def check_smooth(rate: sp.Expr, symbols: Symbols, equation: int | None) -> None:
     """Raise for functions that jump or have kinks, and for users' functions."""
     moving = {symbols.time[0], *(s for s in symbols.states if isinstance(s, Field))}
     for node in sorted(rate.atoms(*_NOT_SMOOTH), key=sp.default_sort_key):
         if node.free_symbols & moving or node.atoms(AppliedUndef, Vector):
             time = symbols.time[0]
-            of_time = node.atoms(sp.Symbol) <= {time, *symbols.parameters}
+            of_time = node.atoms(sp.Symbol, AppliedUndef) <= {time, *symbols.parameters}
             step = f"1/(1 + exp(-({time if of_time else 'x'} - 1)/0.01))"
             transition = f"write a smooth transition, such as {step} for a step"
             if of_time:
                 remedy = (
                     f"{transition} at {time} = 1, with the width that it really has; or end the "
-                    "horizon at that time, and begin a second problem there"
+                    "horizon at that time, and begin a second problem there; or multiply by a "
+                    "scalar unknown s(t) with the rate 0 that an event resets: "
+                    f"rankone.Event({time} - 1, then={{s: 1}})"
                 )
             else:
                 remedy = (
@@ -259,7 +261,7 @@ def _check_smooth(rate: sp.Expr, symbols: Symbols, equation: int) -> None:
                     "an array"
                 )
             raise ProblemError(
-                f"{quote(node)} is not smooth, and the rates of fields are smooth",
+                f"{quote(node)} is not smooth, as rates and events of fields are",
                 equation=equation,
                 term=node,
                 remedy=remedy,

@@ -90,6 +90,17 @@ class Jump:
         return times
 
 
+def affine_coefficients(
+    expression: sp.Expr, parameters: Sequence[sp.Symbol]
+) -> tuple[float, ...] | None:
+    """The constant and the slopes of an expression that is affine in the parameters."""
+    if not expression.is_polynomial(*parameters):
+        return None
+    slopes = [expression.diff(p) for p in parameters]
+    numbers = [expression.subs(dict.fromkeys(parameters, 0)), *slopes]
+    return tuple(map(float, numbers)) if all(n.is_number for n in numbers) else None
+
+
 @dataclass(frozen=True, slots=True)
 class EventForm:
     """An event: what crosses zero, in which direction, and what it resets.
@@ -113,12 +124,7 @@ class EventForm:
 
     def coefficients(self, parameters: Sequence[sp.Symbol]) -> tuple[float, ...] | None:
         """The constant and the slopes of ``at`` if it is affine in the parameters."""
-        if self.at is None or not self.at.is_polynomial(*parameters):
-            return None
-        slopes = [self.at.diff(p) for p in parameters]
-        constant = self.at.subs(dict.fromkeys(parameters, 0))
-        numbers = [constant, *slopes]
-        return tuple(map(float, numbers)) if all(n.is_number for n in numbers) else None
+        return None if self.at is None else affine_coefficients(self.at, parameters)
 
     @property
     def interrupts(self) -> bool:

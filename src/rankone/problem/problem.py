@@ -653,7 +653,7 @@ class FieldProblem(CheckedFields, Problem):
     """A problem with fields: vectors of unknowns, as :func:`rankone.field` declares them.
 
     :class:`Problem` makes one where the equations, or the initial values, have fields. It takes the
-    arguments of that class, except ``jumps`` and ``events``.
+    arguments of that class.
 
     Parameters
     ----------
@@ -670,6 +670,13 @@ class FieldProblem(CheckedFields, Problem):
     mass : mapping of Field to matrix, optional
         Mass matrices (n, n) of numbers, as of finite elements: with ``mass={u: M}`` the equation
         ``u.diff(t) = rate`` stands for ``M u' = rate``, and for second order ``M u'' = rate``.
+    events : sequence of Event, optional
+        Where one number crosses zero, such as ``rankone.apply(row, u) - level`` with a matrix of
+        one row. It resets whole fields and scalar unknowns, or ends the trajectory. Without
+        ``delay``, ``priority``, ``persistent`` and ``overlapping``.
+    jumps : mapping, optional
+        ``{time: {u: value after it}}``: short for events ``jump_0``, ``jump_1``, ... at these
+        times, numbers or expressions of parameters.
 
     Attributes
     ----------

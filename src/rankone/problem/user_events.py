@@ -222,7 +222,7 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
         check_name(event.name)
     name = event_name(event.name, position)
     subject = f"event {quote(name)}"
-    _check_direction(event, subject)
+    check_direction(event, subject)
     when = _when(event, subject, symbols)
     then = _then(event, subject, symbols)
     delay, priority = (
@@ -247,7 +247,7 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
     return replace(event, when=closed(when), then=then, name=name, delay=delay, priority=priority)
 
 
-def _check_direction(event: Event, subject: str) -> None:
+def check_direction(event: Event, subject: str) -> None:
     """Raise if an event has no such direction, or flags that are not true or false."""
     direction = event.direction
     if not isinstance(direction, str) or direction not in _DIRECTIONS:

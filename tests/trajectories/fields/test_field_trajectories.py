@@ -10,6 +10,7 @@ import scipy.sparse as ss
 
 from rankone.support.tasks import open_pool
 from rankone.trajectories.fields.field_factors import factorisation_of
+from rankone.trajectories.fields.field_steps import EndsEarlyError
 from rankone.trajectories.fields.field_system import (
     FieldSystem,
     LinearTerm,
@@ -19,7 +20,6 @@ from rankone.trajectories.fields.field_system import (
 )
 from rankone.trajectories.fields.field_trajectories import (
     Compression,
-    EndsEarlyError,
     FieldIntegration,
     field_sizes,
     field_trajectory,

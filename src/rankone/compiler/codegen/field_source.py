@@ -46,6 +46,10 @@ class FieldSource:
         head = "def initial_coefficients(p):"
         self._add_rows(head, "np.shape(p)[1:]", expressions, {})
 
+    def add_known_times(self, expressions: Sequence[sp.Expr]) -> None:
+        """Write ``known_times(p)``: when events at known times happen."""
+        self._add_rows("def known_times(p):", "np.shape(p)[1:]", expressions, {})
+
     def add_function(
         self,
         name: str,

@@ -97,6 +97,10 @@ class FieldTerms:
             terms += split
         return terms
 
+    def function_of(self, expression: sp.Expr) -> sp.Expr:
+        """A number of states as a function of arguments: rows times all states."""
+        return self._with_arguments(expression, 1)
+
     def _of_product(self, factors: Sequence[sp.Expr], size: int) -> list[Term]:
         """The terms of a product none of whose factors is a sum that is multiplied out."""
         scalars = [f for f in factors if not f.atoms(*_STATES, Vector, Apply)]

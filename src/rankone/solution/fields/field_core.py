@@ -24,6 +24,7 @@ from rankone.support.errors import (
     quote,
 )
 from rankone.tensors.coordinates import name_of
+from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import Status
 
 
@@ -226,6 +227,24 @@ class FieldCore:
     def time(self) -> tuple[float, float]:
         """Start and end of what was solved."""
         return self.coefficients.time
+
+    # --- events ---------------------------------------------------------------------------------
+
+    @property
+    def timeline(self) -> Timeline | BranchedTimeline:
+        """The events that end the stretches of all trajectories; see :attr:`Solution.timeline`."""
+        return self.coefficients.timeline
+
+    def event_times(self, event: object, *at: object, **named: object) -> Array:
+        """When an event occurs: ``solution.event_times("dose", k=2.0)``.
+
+        Arguments, values and errors are those of :meth:`rankone.Solution.event_times`.
+        """
+        return self.coefficients.event_times(event, *at, **named)
+
+    def end(self, *at: object, **named: object) -> Array:
+        """When the solution ends: at a terminal event, or at the end of the horizon."""
+        return self.coefficients.end(*at, **named)
 
     # --- display ---------------------------------------------------------------------------------
 

@@ -6,10 +6,12 @@ trajectories of the fields themselves showed.
 
 - ``field_bases``: modes of fields and of functions, made of trajectories, and points to
   interpolate at
+- ``field_comparison``: differences from full trajectories that events reset or end
 - ``field_modes``: from coefficients to fields
 - ``functionals``: numbers that are linear in all coefficients of fields, and what errors of the
   fields do to them
 - ``field_residual``: how far a reduced solution is from satisfying the equations of the fields
 - ``field_solve``: look where modes are worst, solve for coefficients, and measure
+- ``reduced_events``: events of fields as events of their coefficients
 - ``reduced_system``: the system of the coefficients, dense and small
 """

@@ -15,11 +15,13 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.solvers.engines import cross_engine
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.solvers.reduced.field_bases import FieldSnapshots, Interpolation, Snapshots
+from rankone.solvers.reduced.field_comparison import CoefficientCurves, Curve, FieldComparison
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.field_residual import FieldResidual
 from rankone.solvers.reduced.reduced_system import ReducedSystem, reduced_system
@@ -29,17 +31,17 @@ from rankone.solvers.verification.points import Coverage
 from rankone.support.arrays import TINY, Array, corners, spread
 from rankone.support.budget import OutOfBudgetError, ProgressEvent, Report, limited, quiet, timed
 from rankone.support.tasks import ExecutorLike, Pool, open_pool
-from rankone.tensors.evaluator import TrainEvaluator
+from rankone.trajectories.events.event_integration import integrate_to_events
+from rankone.trajectories.fields.field_steps import EndsEarlyError
 from rankone.trajectories.fields.field_system import FieldSystem
 from rankone.trajectories.fields.field_trajectories import (
-    EndsEarlyError,
     FieldIntegration,
     FieldTrajectory,
     field_sizes,
     field_trajectory,
 )
 from rankone.trajectories.integrators.integrator import Tolerances
-from rankone.trajectories.integrators.integrator_choice import integrator_for
+from rankone.trajectories.integrators.integrator_choice import integrator_for, span_integrator_for
 from rankone.trajectories.system.verdict import Cause, Status, Verdict
 
 
@@ -131,6 +133,8 @@ class FieldsEnd(Cause):
         text = status.value
         if status is Status.BLOW_UP:
             text = "a trajectory leaves all bounds inside the horizon"
+        if status is Status.SWITCHES:
+            text = "events of a trajectory follow each other too closely to be told apart"
         return f"{text}, at t = {self.time:.6g}{place}; {remedy}"
 
 
@@ -154,7 +158,8 @@ class TooFewTrajectories(Cause):
 class FieldError(Cause):
     """How far the solution is from full trajectories at new points.
 
-    ``limit`` is the option that its coefficients have reached, if one is too small.
+    ``limit`` is the option that its coefficients have reached, if one is too small. With events
+    ``time_error`` is the largest error of their times, over the horizon.
     """
 
     error: float
@@ -162,6 +167,7 @@ class FieldError(Cause):
     points: int
     trajectories: int
     limit: str = ""
+    time_error: float | None = None
     text: ClassVar[str] = (
         "{status}: {error:.1e} of the largest value of {unknown}, against {points} trajectories "
         "that no mode was made of, {trajectories} in all"
@@ -169,6 +175,8 @@ class FieldError(Cause):
 
     def sentence(self, status: Status) -> str:
         text = super().sentence(status)
+        if self.time_error is not None:
+            text += f"; times of events within {self.time_error:.1e} of the horizon"
         if status is Status.CONVERGED or not self.limit:
             return text
         return f"{text}; the coefficients have reached {self.limit}, raise it"
@@ -235,11 +243,16 @@ def solve_fields(
                     solve.run(pool)
         except EndsEarlyError as end:
             at = tuple(zip(fields.parameters, end.point.tolist(), strict=True))
-            solve.ended(Status.BLOW_UP if end.grows else Status.STALLS, FieldsEnd(end.time, at))
+            stalled = Status.SWITCHES if end.accumulate else Status.STALLS
+            solve.ended(Status.BLOW_UP if end.grows else stalled, FieldsEnd(end.time, at))
         except OutOfBudgetError as out:
             solve.ended(Status.of_limit(out))
         work = account.done - before
     return replace(solve.result, work=work, timings=solve.timings, trajectories=solve.count)
+
+
+Columns = slice | NDArray[np.bool_]
+"""Some of the times of a trajectory."""
 
 
 class _SolvedEarlyError(Exception):
@@ -254,6 +267,7 @@ class _FieldSolve:
         self.timings: dict[str, float] = {}
         self.result = ReducedOutcome(Verdict(Status.TRAJECTORY_LIMIT))
         self.coverage = Coverage.of_domain(request.domain)
+        self.comparison = FieldComparison.of(fields, request.rtol)
         self.generator = np.random.default_rng(20151)
         self.states = FieldSnapshots({}, np.ones(len(fields.unknowns)), 0.0)
         self.pointwise = [Snapshots(0.0) for _ in fields.pointwise]
@@ -292,7 +306,8 @@ class _FieldSolve:
         self.sizes = sizes = np.maximum(sizes, absolute)
         tolerance = self._step_tolerance(centre[0], sizes)
         kept = FIELDS.kept * rtol
-        self.integration = FieldIntegration(self.fields, sizes, tolerance, kept, pool)
+        beside = self.comparison.beside
+        self.integration = FieldIntegration(self.fields, sizes, tolerance, kept, pool, beside)
         self.states = FieldSnapshots(self.fields.velocities, sizes, kept)
         self.pointwise = [Snapshots(kept, relative=True) for _ in self.fields.pointwise]
         self._learn(self._trajectories(centre))
@@ -356,10 +371,7 @@ class _FieldSolve:
                 field_trajectory(self.fields, point, sizes, factor * tolerance, kept, times)
                 for factor in (1.0, FIELDS.finer)
             )
-            error = max(
-                float(np.abs(a.at(slice(None)) - b.at(slice(None))).max() / size)
-                for a, b, size in zip(coarse.states, fine.states, sizes, strict=True)
-            )
+            error = self.comparison.difference(coarse, fine, sizes)
             if error <= wanted or tolerance <= FIELDS.least_step:
                 return tolerance
             tolerance *= min(FIELDS.finer, 0.5 * wanted / error)
@@ -467,13 +479,14 @@ class _FieldSolve:
         )
         points = self.coverage.points(shares)
         times = self._telling_times(FIELDS.residual_times)
-        states = self._reduced_states(reduced, points, times, self.request.rtol)
+        states, ended = self._reduced_states(reduced, points, times, self.request.rtol)
         residual = FieldResidual(self.fields, self.modes, interpolations, reduced)
         r, m, count_times = states.shape
         flat = residual(
             np.tile(times, m), states.reshape(r, -1), np.repeat(points.T, count_times, axis=1)
         )
-        heights = np.nan_to_num(flat, nan=np.inf).reshape(m, -1).max(axis=1)
+        heights = np.nan_to_num(flat, nan=np.inf).reshape(m, -1)
+        heights = np.where(ended, 0.0, heights).max(axis=1)
         width = np.ptp(self.request.domain.bounds, axis=1)
         order = np.argsort(-heights, kind="stable")
         seen, chosen = list(self.seen), list[int]()
@@ -494,32 +507,61 @@ class _FieldSolve:
 
     def _reduced_states(
         self, reduced: ReducedSystem, points: Array, times: Array, rtol: float
-    ) -> Array:
-        """Coefficients (R, m, T) of the reduced system at points (m, d); NaN beyond their end."""
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Coefficients (R, m, T) of the reduced system at points (m, d); NaN beyond their end.
+
+        And which times (m, T) are behind a terminal event.
+        """
         absolute = rtol * reduced.scales[:, None]
-        integrator = integrator_for(reduced.system, "auto", stiff=True)
         tolerances = Tolerances(max(rtol, 1e-12), absolute, self.fields.longest_step)
-        dense = integrator.run(reduced.system, points, self.fields.horizon, tolerances)
+        system, horizon = reduced.system, self.fields.horizon
         states = np.full((len(reduced.names), len(points), len(times)), np.nan)
-        there = times <= dense.end
-        states[:, :, there] = dense(times[there])
-        return states
+        ended = np.zeros(states.shape[1:], dtype=bool)
+        if not system.events:
+            integrator = integrator_for(system, "auto", stiff=True)
+            dense = integrator.run(system, points, horizon, tolerances)
+            there = times <= dense.end
+            states[:, :, there] = dense(times[there])
+            return states, ended
+        spanning = span_integrator_for(system, "auto", stiff=True)
+        for k, each in enumerate(
+            integrate_to_events(spanning, system, points, horizon, tolerances)
+        ):
+            there = times <= each.end
+            states[:, k, there] = each(times[there])
+            last = each.occurrences[-1:]
+            ended[k] = ~there & any(system.events[o.event].terminal for o in last)
+        return states, ended
 
     def _error_of(self, reduced: ReducedSystem, trajectory: FieldTrajectory) -> float:
         """The error of the reduced system at the point of a full trajectory."""
-        accurate = FIELDS.integrated * self.request.rtol
-        states = self._reduced_states(reduced, trajectory.point[None], trajectory.times, accurate)[
-            :, 0
-        ]
-        return max(self._errors(states, trajectory))
+        accurate = FIELDS.finer * self.integration.tolerance
 
-    def _errors(self, coefficients: Array, trajectory: FieldTrajectory) -> list[float]:
+        def curve(times: Array) -> Array:
+            states, _ = self._reduced_states(reduced, trajectory.point[None], times, accurate)
+            return states[:, 0]
+
+        return max(self._errors_along(curve, trajectory))
+
+    def _errors_along(self, curve: Curve, trajectory: FieldTrajectory) -> list[float]:
+        """The largest difference of coefficients from a full trajectory, by unknown.
+
+        Times next to jumps do not count; infinite where one of the two ends before the other.
+        """
+        if self.comparison.goes_on(curve, trajectory):
+            return [math.inf] * len(self.fields.unknowns)
+        counted = self.comparison.counted(trajectory)
+        return self._errors(curve(trajectory.times[counted]), trajectory, counted)
+
+    def _errors(
+        self, coefficients: Array, trajectory: FieldTrajectory, counted: Columns = slice(None)
+    ) -> list[float]:
         """The largest difference of coefficients (R, T) from a full trajectory, by unknown."""
         assert self.modes is not None
         errors = []
         for k, exact in enumerate(trajectory.states):
             ours = self.modes.modes[k] @ coefficients[self.modes.coefficients_of(k)]
-            difference = np.abs(ours - exact.at(slice(None))).max()
+            difference = np.abs(ours - exact.at(counted)).max(initial=0.0)
             errors.append(float(difference / self.scales[k]) if self.scales[k] else 0.0)
         return [math.inf if math.isnan(error) else error for error in errors]
 
@@ -543,8 +585,8 @@ class _FieldSolve:
                 return
             with timed(self.timings, "check"):
                 checked = self._check_trajectories(reduced, interpolations)
-                evaluator = TrainEvaluator(outcome.slabs)
-                errors = np.array([self._solution_errors(evaluator, each) for each in checked])
+                curves = CoefficientCurves(outcome, self.fields, self._rank)
+                errors = np.array([self._solution_errors(curves, each) for each in checked])
             assert self.modes is not None
             worst = errors.max(axis=0)
             self.modes = replace(
@@ -557,7 +599,9 @@ class _FieldSolve:
             error, name = float(worst.max()), self.fields.unknowns[int(worst.argmax())].name
             good = error <= rtol
             limit = _reached(outcome, self.request.options)
-            cause = FieldError(error, name, len(checked), self.count, limit)
+            times = [curves.time_error(self.comparison, each) for each in checked]
+            time_error = max(times) if self.fields.events else None
+            cause = FieldError(error, name, len(checked), self.count, limit, time_error)
             self.ended(Status.CONVERGED if good else Status.TOLERANCE, cause)
             if good:
                 return
@@ -592,13 +636,12 @@ class _FieldSolve:
         return self._trajectories(np.concatenate([even, worst, self.beside]))
 
     def _solution_errors(
-        self, evaluator: TrainEvaluator, trajectory: FieldTrajectory
+        self, curves: CoefficientCurves, trajectory: FieldTrajectory
     ) -> list[float]:
-        assert self.modes is not None
-        point = trajectory.point[:, None]
-        rows = slice(0, len(self.modes.names))
-        states = evaluator.curves(trajectory.times[:, None], point, rows)[:, :, 0]
-        return self._errors(states, trajectory)
+        """The errors by unknown; infinite where the solution has other events."""
+        if math.isinf(curves.time_error(self.comparison, trajectory)):
+            return [math.inf] * len(self.fields.unknowns)
+        return self._errors_along(curves.at(trajectory.point), trajectory)
 
 
 def _reached(outcome: Outcome, options: CrossOptions) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from rankone.solvers.outcome import Role, SolutionMetadata
 from rankone.solvers.reduced.field_bases import Interpolation
 from rankone.solvers.reduced.field_modes import FieldModes
+from rankone.solvers.reduced.reduced_events import ReducedEvents
 from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.trajectories.fields.field_system import FieldSystem, PointwiseTerm
@@ -46,7 +47,7 @@ class ReducedSystem:
     ``linear`` (c, R, R) and ``sources`` (c, R) belong to the numbers of the ``fields``, those of
     their coefficients that have such terms: ``linear_numbers``, ``source_numbers``. ``start``
     (R, v) times the initial numbers are the initial values. ``absolute`` are the tolerances of the
-    coefficients by name.
+    coefficients by name. Its ``events`` are those of the fields.
     """
 
     names: tuple[str, ...]
@@ -59,6 +60,7 @@ class ReducedSystem:
     start: Array
     absolute: tuple[tuple[str, float], ...]
     rtol: float
+    events: ReducedEvents
 
     @property
     def scales(self) -> Array:
@@ -114,6 +116,7 @@ class ReducedSystem:
                 "jacobian": self.jacobian,
                 "with_products": lambda u: np.array(u, dtype=float),
                 "unseparated_initial": self.initial,
+                **self.events.members(),
             }
         )
         object.__setattr__(system, "specification", self)
@@ -208,6 +211,7 @@ def reduced_system(
         start=start,
         absolute=tuple(zip(modes.names, (rtol * scales).tolist(), strict=True)),
         rtol=rtol,
+        events=ReducedEvents.of(fields, spread, tests),
     )
 
 

@@ -40,6 +40,17 @@ _STRETCHES = _Stretches(
 )
 
 
+def accumulate(shorter: int, cycle: float, before: float, horizon: float) -> bool:
+    """Whether events come ever faster, so that all further ones are as good as at one instant.
+
+    The time until the same events came again was a ``cycle``, and the one ``before`` it; so many in
+    a row were ``shorter`` than the one before.
+    """
+    if not shorter or shorter < _STRETCHES.shrinking:
+        return False
+    return cycle / (1.0 - cycle / before) <= _STRETCHES.rest * horizon
+
+
 @dataclass(frozen=True, eq=False)
 class Occurrence:
     """An event of a trajectory: which one, when, and the states (n,) before and after it.
@@ -188,8 +199,7 @@ class EventTrajectory:
         cycle = time - last
         self.returns[met] = time, cycle
         self.shorter = self.shorter + 1 if cycle < before else 0
-        left = cycle / (1.0 - cycle / before) if self.shorter else math.inf
-        self.stuck |= self.shorter >= _STRETCHES.shrinking and left <= _STRETCHES.rest * horizon
+        self.stuck |= accumulate(self.shorter, cycle, before, horizon)
 
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""

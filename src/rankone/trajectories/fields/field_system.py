@@ -83,8 +83,44 @@ class PointwiseTerm:
 
 
 @dataclass(frozen=True, eq=False)
+class TermSum:
+    """A function of t, u and p with values (N,): a sum of terms."""
+
+    linear: tuple[LinearTerm, ...] = ()
+    sources: tuple[SourceTerm, ...] = ()
+    pointwise: tuple[PointwiseTerm, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEvent:
+    """A root of one number, where fields are reset or trajectories end.
+
+    The number is ``height(t, [E_1 u, ..., v_1, ...], p)``, the name of a function, with
+    ``arguments`` E (1, N) and ``vectors`` v (k, 1). ``direction`` is 1 where it rises, -1 where
+    it falls, 0 for both. ``after`` gives all unknowns after it, if it resets any. ``known`` is its
+    row in ``known_times`` of the system, for events at times of the parameters alone;
+    ``coefficients`` are the constant and slopes of those that are affine.
+    """
+
+    name: str
+    direction: int
+    terminal: bool
+    height: str
+    arguments: tuple[Matrix, ...]
+    vectors: Array
+    after: TermSum | None = None
+    known: int | None = None
+    coefficients: tuple[float, ...] | None = None
+
+    @property
+    def jumps(self) -> bool:
+        """Whether fields jump there, or end."""
+        return self.terminal or self.after is not None
+
+
+@dataclass(frozen=True, eq=False)
 class FieldSystem:
-    """Vectors of unknowns and their rates.
+    """Vectors of unknowns, their rates, and events that reset them.
 
     No step is longer than ``longest_step``.
 
@@ -106,6 +142,7 @@ class FieldSystem:
     mass: Matrix | None = None
     scales: tuple[str, ...] = ()
     time: str = "t"
+    events: tuple[FieldEvent, ...] = ()
     longest_step: float = math.inf
     namespace: Mapping[str, object] = field(default_factory=dict)
 
@@ -162,6 +199,34 @@ class FieldSystem:
     def _arguments(self, term: PointwiseTerm, u: Array) -> list[Array]:
         vectors = term.vectors if u.ndim == 1 else term.vectors[:, :, None]
         return [*(matrix @ u for matrix in term.arguments), *vectors]
+
+    def mapped(self, terms: TermSum, t: float | Array, u: Array, p: Array) -> Array:
+        """A sum of terms at t, u (N,) and p (d,), or t (m,), u (N, m) and p (d, m)."""
+        c, total = self.coefficients(t, p), np.zeros_like(u)
+        for linear in terms.linear:
+            total += c[linear.coefficient] * (linear.matrix @ u)
+        for source in terms.sources:
+            total += c[source.coefficient] * (
+                source.vector if u.ndim == 1 else source.vector[:, None]
+            )
+        for term in terms.pointwise:
+            values = np.broadcast_to(
+                self.values(term, t, u, p), (term.after.shape[1], *u.shape[1:])
+            )
+            total += c[term.coefficient] * (term.after @ values)
+        return total
+
+    def height(
+        self, event: FieldEvent, t: float | Array, arguments: list[Array], p: Array
+    ) -> Array:
+        """What crosses zero at t (m,), for arguments (m,) each and p (d, m): (m,)."""
+        vectors = [np.broadcast_to(vector, np.shape(t)) for vector in event.vectors]
+        heights = self.elementwise(event.height)(t, [*arguments, *vectors], p)
+        return np.array(np.broadcast_to(heights, np.shape(t)), dtype=float)
+
+    def known_times(self, p: Array) -> Array:
+        """Times of the events at known times, at p (d, ...): (events, ...)."""
+        return cast(Callable[[Array], Array], self._functions["known_times"])(p)
 
     def at(self, p: Array) -> FieldRates:
         """Rates and Jacobians at parameters (d,)."""

@@ -1,42 +1,28 @@
 """Trajectories of fields, one by one, compressed into modes as they come.
 
-Steps are those of SciPy's backward differences (Shampine & Reichelt, SIAM J. Sci. Comput. 18
-(1997), 1) with the sparse Jacobian. Nobody keeps states times steps: some steps at a time, the part
-that the modes so far do not have becomes further modes, as in an incremental singular value
-decomposition (Brand, Linear Algebra Appl. 415 (2006), 20).
+Nobody keeps states times steps: some steps at a time, the part that the modes so far do not have
+becomes further modes, as in an incremental singular value decomposition (Brand, Linear Algebra
+Appl. 415 (2006), 20).
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Sequence
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.integrate
-import scipy.sparse as ss
+from numpy.typing import NDArray
 
-from rankone.support.arrays import EPSILON, TINY, Array
+from rankone.support.arrays import TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.tasks import Pool, Shared
-from rankone.trajectories.fields.field_factors import Factorisation, factorisation_of
+from rankone.trajectories.fields.field_crossings import Occurred
+from rankone.trajectories.fields.field_steps import EndsEarlyError, FieldSteps, StepTolerances
 from rankone.trajectories.fields.field_system import FieldSystem
 
 _AT_ONCE = 32  # Steps that are compressed together
 _COARSE = 1e-3  # Relative tolerance of the trajectory that tells the sizes of the fields
-_GROWTH = 1e3  # Of the largest value, at which it leaves all bounds
 _LINEAR_ENTRY = 2.0  # Operations for each entry of a matrix
-
-
-class EndsEarlyError(Exception):
-    """A trajectory of fields does not reach the end: ``time`` is as far as it came.
-
-    It ``grows`` beyond all bounds there, or its steps shrink without such a reason.
-    """
-
-    def __init__(self, time: float, point: Array, grows: bool) -> None:
-        super().__init__(time, point, grows)
-        self.time, self.point, self.grows = time, point, grows
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +35,7 @@ class Compressed:
     modes: Array
     numbers: Array
 
-    def at(self, columns: slice) -> Array:
+    def at(self, columns: slice | NDArray[np.bool_]) -> Array:
         """The vectors at some of the times."""
         return np.asarray(self.modes @ self.numbers[:, columns])
 
@@ -59,7 +45,9 @@ class FieldTrajectory:
     """A trajectory at a point (d,): its times (T,), those of the steps.
 
     ``states`` has for each unknown its values, ``pointwise`` for each pointwise term those of its
-    function, and ``largest`` the largest absolute value of each unknown.
+    function, and ``largest`` the largest absolute value of each unknown. Where fields are reset
+    there are two columns at one time, before and after. ``occurred`` are its events, and ``end`` is
+    where it ends: at the horizon, or at a terminal event.
     """
 
     point: Array
@@ -67,6 +55,13 @@ class FieldTrajectory:
     states: tuple[Compressed, ...]
     pointwise: tuple[Compressed, ...]
     largest: Array
+    occurred: tuple[Occurred, ...] = ()
+    end: float = math.inf
+
+    def jumps(self, system: FieldSystem) -> Array:
+        """The times at which fields jump, or end."""
+        times = [each.time for each in self.occurred if system.events[each.event].jumps]
+        return np.array(times)
 
 
 def field_sizes(system: FieldSystem, point: Array) -> Array:
@@ -77,7 +72,7 @@ def field_sizes(system: FieldSystem, point: Array) -> Array:
     for _ in range(2):  # sizes tell the tolerances, and these the sizes
         known_sizes = np.where(reached > 0.0, reached, reached.max(initial=0.0) or 1.0)
         absolute = _COARSE * _by_entry(system, known_sizes)
-        for _, state in _steps(system, point, _COARSE, absolute):
+        for _, state in FieldSteps(system, point, StepTolerances(_COARSE, absolute)):
             reached = np.maximum(reached, _largest(system, state))
         if (reached <= 2.0 * known_sizes).all() and (reached >= 0.1 * known_sizes).all():
             break
@@ -91,6 +86,7 @@ def field_trajectory(
     tolerance: float,
     kept: float,
     times: Array | None = None,
+    beside: float = 0.0,
 ) -> FieldTrajectory:
     """The trajectory at a point (d,).
 
@@ -105,14 +101,16 @@ def field_trajectory(
         own largest value so far.
     times : ndarray (T,), optional
         Ascending times to read the trajectory at, in place of those of its steps.
+    beside : float
+        Distance from events that reset fields at which states are kept, to each side.
 
     Raises
     ------
     EndsEarlyError
-        Where steps shrink without end or states are not finite.
+        Where steps shrink without end, states are not finite, or events accumulate.
     """
     scale = _by_entry(system, sizes)
-    absolute = tolerance * scale
+    steps = FieldSteps(system, point, StepTolerances(tolerance, tolerance * scale), times, beside)
     passed: list[float] = []
     columns: list[Array] = []
     states = [Compression(kept * size) for size in sizes]
@@ -129,7 +127,7 @@ def field_trajectory(
             compression.add(system.values(term, at, block, point[:, None]))
         columns.clear()
 
-    for time, state in _steps(system, point, tolerance, absolute, times):
+    for time, state in steps:
         passed.append(time)
         columns.append(state)
         if len(columns) == _AT_ONCE:
@@ -142,6 +140,8 @@ def field_trajectory(
         tuple(compression.result() for compression in states),
         tuple(compression.result() for compression in pointwise),
         largest,
+        tuple(steps.occurred),
+        steps.occurred[-1].time if steps.ends else system.horizon[1],
     )
 
 
@@ -154,6 +154,7 @@ class FieldIntegration:
     tolerance: float
     kept: float
     pool: Pool | None = None
+    beside: float = 0.0
 
     def trajectories(self, points: Array) -> list[FieldTrajectory]:
         """Trajectories at points (m, d), each on its own; the same to the bit on any workers.
@@ -163,14 +164,18 @@ class FieldIntegration:
         EndsEarlyError
             For the first of the points whose trajectory does not reach the end.
         """
-        how, limits = (self.sizes, self.tolerance, self.kept), LimitsElsewhere.left()
+        how = (self.sizes, self.tolerance, self.kept, None, self.beside)
+        limits = LimitsElsewhere.left()
         shared = Shared("a system of fields", self.system, self.pool)
         answers = shared.map(_counted, [(point, how, limits) for point in points])
         return [answer.settled() for answer in answers]
 
 
 def _counted(
-    system: FieldSystem, point: Array, how: tuple[Array, float, float], limits: LimitsElsewhere
+    system: FieldSystem,
+    point: Array,
+    how: tuple[Array, float, float, None, float],
+    limits: LimitsElsewhere,
 ) -> Counted[FieldTrajectory]:
     return Counted.of(limits, (EndsEarlyError,), lambda: field_trajectory(system, point, *how))
 
@@ -228,79 +233,3 @@ def least_count(directions: Array, columns: Array, left_out: float) -> int:
         missed = np.abs(directions[:, count:] @ columns[count:]).max(initial=0.0)
         fewest, most = (fewest, count) if missed <= left_out else (count + 1, most)
     return fewest
-
-
-def _steps(
-    system: FieldSystem,
-    point: Array,
-    tolerance: float,
-    absolute: Array,
-    times: Array | None = None,
-) -> Iterator[tuple[float, Array]]:
-    """The start and the ends of all steps of a trajectory, or states at ascending times."""
-    start = system.horizon[0]
-    state = system.initial(point)
-    if times is None:
-        yield start, state
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of rates that are not finite: told below
-        solver = _backward_differences(system, point, state, tolerance, absolute)
-        passed = [(start, float(np.abs(state).max()))]
-        while solver.status == "running":
-            before = solver.t
-            solver.step()
-            passed.append((float(solver.t), float(np.abs(solver.y).max())))
-            if solver.status == "failed" or not np.isfinite(solver.y).all():
-                raise EndsEarlyError(float(solver.t), point, _grows(passed))
-            charge(_LINEAR_ENTRY * 4.0 * absolute.size)
-            if times is None:
-                yield float(solver.t), solver.y.copy()
-                continue
-            within = times[(times <= solver.t) & ((times > before) | (before == start))]
-            if within.size:
-                yield from zip(within.tolist(), solver.dense_output()(within).T, strict=True)
-
-
-def _grows(passed: Sequence[tuple[float, float]]) -> bool:
-    """Whether the largest value is far above that of the first half of the time, at the end."""
-    half = 0.5 * (passed[0][0] + passed[-1][0])
-    usual = max(size for time, size in passed if time <= half)
-    return not passed[-1][1] <= _GROWTH * max(usual, TINY)
-
-
-def _backward_differences(
-    system: FieldSystem, point: Array, state: Array, tolerance: float, absolute: Array
-) -> scipy.integrate.BDF:
-    """SciPy's integrator, with factors of a fixed order and a mass matrix.
-
-    Of u' = f it solves (1 - h J) d = h f - b, with numbers h and b of its own; of M u' = f it is to
-    solve (M - h J) d = M (h f' - b), where f' are the rates, f over M.
-    """
-    start, end = system.horizon
-    factors = factorisation_of(system)
-    mass = None if system.mass is None else ss.csc_array(system.mass)
-    inverse = None if mass is None else Factorisation().of(mass)
-
-    own = system.at(point)
-
-    def rates(t: float, u: Array) -> Array:
-        force = own.force(t, u)
-        return force if inverse is None else inverse.solve(force)
-
-    solver = scipy.integrate.BDF(
-        rates,
-        start,
-        state,
-        end,
-        rtol=max(tolerance, 100.0 * EPSILON),
-        atol=absolute,
-        jac=own.jacobian,
-        max_step=system.longest_step,
-    )
-    solver.lu = factors.of
-    if mass is not None:
-        solver.I = mass
-        solver.solve_lu = lambda lu, right: lu.solve(mass @ right)
-    else:
-        solver.solve_lu = lambda lu, right: lu.solve(right)
-    return solver
