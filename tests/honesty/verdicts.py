@@ -70,7 +70,11 @@ def tried(seed: int, kind: str, method: str, one: bool = False) -> tuple[int, st
 
 
 def judged(
-    case: Case, longest: float = LONGEST, asked: int | None = None, **options: object
+    case: Case,
+    longest: float = LONGEST,
+    asked: int | None = None,
+    points: int = POINTS,
+    **options: object,
 ) -> Verdict:
     """Solve a case and judge the result; beyond this many seconds it is slow.
 
@@ -92,7 +96,7 @@ def judged(
     seconds = time.perf_counter() - began
     if solution is None or not solution.success:
         return Verdict("slow" if seconds > longest else "refused", np.nan, seconds, message)
-    points = sampled(case)
+    points = sampled(case)[:, :points]
     times = np.linspace(0.0, case.end, TIMES)
     try:
         if case.events:
