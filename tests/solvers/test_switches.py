@@ -198,7 +198,7 @@ def test_a_short_visit_of_a_side_is_not_overlooked(rate):
     )
     compiled = ro.compile(visited)
     try:
-        solution = compiled.solve(1e-3, effort=0.3)
+        solution = compiled.solve(1e-3, effort=0.1)
     except ro.ConvergenceError:
         return
     lengths = np.pi - 2 * np.arcsin(0.999999), 2 * (np.arcsin(0.50001) - np.arcsin(0.49999))
@@ -227,14 +227,14 @@ def test_where_it_sticks_in_some_order_the_error_says_why_that_failed():
     ],
 )
 def test_a_side_as_narrow_as_a_peak_is_not_overlooked(bump):
-    """Each of four passes adds 3e3 times the integral of 1 - ((t - t0)/h)**2."""
+    """Each of two passes adds 3e3 times the integral of 1 - ((t - t0)/h)**2."""
     rates = {"x": "v", "v": "-x", "y": f"3000*{bump} - k*y"}
-    box, times = {"k": (0.2, 0.4)}, np.array([0.5, 1.5, 3.0, 12.0])
-    solution = ro.solve(problem(rates, {"x": 0, "v": 1, "y": 0.5}, box, 12), 1e-3)
+    box, times = {"k": (0.2, 0.4)}, np.array([0.5, 1.5, 3.0])
+    solution = ro.solve(problem(rates, {"x": 0, "v": 1, "y": 0.5}, box, 3), 1e-3)
     first = np.arcsin(0.7)
     jump = 3e3 * 4 / 3 / np.sqrt(1e7) / np.cos(first)
     exact = 0.5 * np.exp(-0.3 * times)
-    for passed in (first, np.pi - first, 2 * np.pi + first, 3 * np.pi - first):
+    for passed in (first, np.pi - first):
         exact += np.where(times > passed, jump * np.exp(-0.3 * (times - passed)), 0.0)
     assert solution.success
     assert solution["y"](times, k=0.3) == pytest.approx(exact, abs=3e-3)
@@ -291,27 +291,27 @@ GRAZING = {
         (),
     ),
     "threshold": (
-        {"x": "v", "v": "-0.2*v - x + k*Heaviside(x - c)"},
+        {"x": "v", "v": "-0.2*v - x + 0.4*Heaviside(x - c)"},
         {"x": 1, "v": 0},
-        {"k": (0.2, 0.6), "c": (0.3, 1.2)},
+        {"c": (0.3, 1.2)},
         15,
         (),
     ),
     "wall": (
         {"x": "v", "v": "-x + F*sin(1.7*t)"},
         {"x": 0, "v": 0.5},
-        {"F": (0.2, 0.9), "c": (0.5, 1.5)},
+        {"F": (0.2, 0.9)},
         12,
-        [{"when": "x - c", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "wall"}],
+        [{"when": "x - 1", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "wall"}],
     ),
 }
 """Larger parts of these boxes graze a switch or an event."""
 
 
-def refusal(compiled: ro.CompiledProblem) -> str:
+def refusal(compiled: ro.CompiledProblem, effort: float) -> str:
     """Why a solve with a small budget is no success, whether it ends by a limit or raises."""
     try:
-        solution = compiled.solve(1e-3, effort=0.4)
+        solution = compiled.solve(1e-3, effort=effort)
     except ro.ConvergenceError as error:
         return str(error)
     assert not solution.success
@@ -323,13 +323,14 @@ def refusal(compiled: ro.CompiledProblem) -> str:
 def test_a_refusal_where_trajectories_graze_names_a_box_that_works(name):
     *parts, events = GRAZING[name]
     compiled = ro.compile(ro.Problem.from_strings(*parts[:3], (0, parts[3]), events=events))
-    message = refusal(compiled)
+    effort = 0.2 if name == "friction" else 0.1
+    message = refusal(compiled, effort)
     assert f"`{'wall' if events else 'switch_0'}`" in message
     assert "not finite" not in message
     found = re.findall(r"`(\w+)` to \[([-+.\de]+), ([-+.\de]+)\]", message)
     assert found
     part = {parameter: (float(lower), float(upper)) for parameter, lower, upper in found}
-    assert compiled.solve(1e-3, parameters=part, effort=0.4).success
+    assert compiled.solve(1e-3, parameters=part, effort=effort).success
 
 
 def filled(k, since):
@@ -490,13 +491,14 @@ def test_a_guard_against_a_division_by_zero_at_rest():
     np.testing.assert_allclose(solution(t=[2, 3], k=1.0), exact, atol=3 * RTOL)
 
 
-@pytest.mark.slow
 def test_a_switch_of_time_and_parameters_alone_is_no_surface_to_move():
     """Its height does not depend on the state by which trajectories would be moved."""
-    rates, box = {"x": "-x + Abs(sin(w*t))"}, {"w": (0.05, 1)}
-    solution = ro.solve(problem(rates, {"x": 0}, box, 10), 1e-4)
-    exact = problem(rates, {"x": 0}, box, 10).trajectory([5, 10], w=0.7, rtol=1e-9).values
-    np.testing.assert_allclose(solution(t=[5, 10], w=0.7), exact, atol=1e-2)
+    rates = {"x": "-x + Heaviside(t*((t - 2)**2 - a))"}
+    grazing = problem(rates, {"x": 0}, {"a": (-0.1, 0.1)}, 3)
+    solution = ro.solve(grazing, 1e-3, effort=0.1)
+    assert not solution.success  # where it is switched off for a while is a root of `a`
+    exact = grazing.trajectory([1, 3], a=0.05, rtol=1e-9).values
+    np.testing.assert_allclose(solution(t=[1, 3], a=0.05), exact, atol=0.1)
 
 
 @pytest.mark.parametrize("value", ["exp(-q/D)", "sin(q/D)", "q/D/(1 + q/D)"])
