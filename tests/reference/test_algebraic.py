@@ -25,10 +25,10 @@ def integrated(rates, times, start):
     return solve_ivp(lambda s, states: rates(s, *states), times[[0, -1]], start, **options).y
 
 
-def check(problem, reference, points=12):
+def check(problem, reference, points=12, solution=None):
     """Compare a solution, and one trajectory, with reference(times, **parameters) by name."""
     times = np.linspace(*problem.time[1:], 31)
-    solution = ro.solve(problem, rtol=RTOL)
+    solution = ro.solve(problem, rtol=RTOL) if solution is None else solution
     assert solution.success, solution.message
     assert solution.outcome.measured.constraint_drift <= RTOL
     assert solution.outcome.measured.constraint_drift <= solution.error
@@ -232,20 +232,15 @@ def of_slider_crank(times, r, l, m):  # noqa: E741
 
 
 @pytest.mark.slow
-def test_a_slider_crank():
-    check(slider_crank(), of_slider_crank)
-
-
-@pytest.mark.slow
-def test_a_slider_crank_is_the_same_in_a_standalone_solver(tmp_path):
+def test_a_slider_crank_here_and_in_a_standalone_solver(tmp_path):
     compiled = ro.compile(slider_crank())
-    path = compiled.export(tmp_path / "slider.py")
+    solution = compiled.solve(RTOL)
+    check(compiled.problem, of_slider_crank, solution=solution)
+    path = compiled.export(tmp_path / "slider.py", method="cross")
     names = {"__name__": "slider", "__file__": str(path)}
     exec(compile(path.read_text(), str(path), "exec"), names)
     point = {"r": 0.45, "l": 1.7, "m": 0.8}
-    np.testing.assert_array_equal(
-        names["solve"](1e-4)(1.3, point), compiled.solve(1e-4)(1.3, point)
-    )
+    np.testing.assert_array_equal(names["solve"](RTOL)(1.3, point), solution(1.3, point))
 
 
 def random_problem(seed):
