@@ -12,6 +12,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.verification.reference import integrate_reference
 from rankone.support.budget import OutOfMemoryError, limited
+from rankone.trajectories.integrators import integrator_choice
 from rankone.trajectories.integrators import workers as groups
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
@@ -210,10 +211,12 @@ def dripping(states):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("states", "integrator"),
-    [(2, "single"), (MANY, "auto")],
+    [(2, "single"), (70, "auto")],
     ids=["alone", "stacks of many states"],
 )
-def test_references_with_events_are_followed_in_groups(states, integrator):
+def test_references_with_events_are_followed_in_groups(states, integrator, monkeypatch):
+    monkeypatch.setattr(groups, "_STACK_STATES", 20 * states)
+    monkeypatch.setattr(integrator_choice, "_MOST_SINGLE_STATES", 64)
     options = {"integrator": integrator, "check": 40}
     compiled = ro.compile(dripping(states))
     here = compiled.solve(1e-3, **options)
