@@ -205,9 +205,7 @@ def orders_of(monkeypatch, problem, seed):
 @pytest.mark.parametrize("problem_of", [lifted, put_on_a_mark, bouncing, turned_back])
 def test_orders_that_are_forced(monkeypatch, problem_of):
     """Roots that are rounded in another way, and constants, leave the orders as they are."""
-    shaken = [
-        orders_of(monkeypatch, problem_of(u), seed) for u, seed in [(0, None), (-1, 1), (2, 2)]
-    ]
+    shaken = [orders_of(monkeypatch, problem_of(u), seed) for u, seed in [(0, None), (2, 2)]]
     assert shaken[1:] == shaken[:-1]
 
 

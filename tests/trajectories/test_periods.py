@@ -188,7 +188,7 @@ def test_the_check_sees_what_goes_on_wrongly(monkeypatch):
     start = {**START, "u": "1 - 1e-9"}
     box = {"x0": (8, 12), "p": (0.9, 1.1)}
     problem = ro.Problem.from_strings(rates, start, box, (0, 30))
-    solution = ro.solve(problem, 1e-3, method="cross", effort="low")
+    solution = ro.solve(problem, 1e-3, method="cross", effort=0.1)
     assert solution.outcome.timeline is not None
     assert not solution.success
     assert solution.error > 0.1

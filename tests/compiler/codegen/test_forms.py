@@ -47,7 +47,7 @@ LAWS = {
 }
 """The rate of state i of n."""
 WITHOUT_NEIGHBOUR = ("saturation", "haldane", "arrhenius", "network", "two layers")
-FEW = 24
+FEW = 12
 """States where array code is compared with lines, which are slow to write for many."""
 
 
