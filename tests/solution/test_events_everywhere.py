@@ -111,9 +111,9 @@ def text(rates, initial, box, end, *events):
 
 CHANGING = {
     "wash": text(
-        {"x": "-k*x"},
+        {"x": "-0.4*x"},
         {"x": 1},
-        {"a": (1, 3), "b": (1.6, 3.5), "k": (0.3, 0.5)},
+        {"a": (1, 3), "b": (1.6, 3.5)},
         6,
         {"when": "t - a", "direction": "rising", "then": {"x": "x + 1"}, "name": "dose"},
         {"when": "t - b", "direction": "rising", "then": {"x": "x*b/6"}, "name": "wash"},
@@ -144,7 +144,7 @@ CASES = {
     "ball": Case("ball", "y", 0.8, "bounce", "v", {"c": 0.05}),
     "dose": Case("dose", "A", 6.0, "stop", "A", {"k": 0.3}),
     "rocket": Case("rocket", "h", 8.0, "drop", "v", {"d": 100.0}),
-    "wash": Case("wash", "x", 5.0, "dose", "x", {"k": 0.4}),
+    "wash": Case("wash", "x", 5.0, "dose", "x", {"b": 2.4}),
     "mass": Case("mass", "x", 7.0, "switch_0", "x", {"mu": 0.36}),
 }
 
@@ -463,8 +463,10 @@ def test_outputs(one_order):
 
 
 @takes("fit", "posterior", "minimize")
-def test_parameters_from_data(case):
-    """Data of a trajectory lead back to its parameters."""
+@pytest.mark.parametrize("name", [name for name in CASES if name != "wash"])
+def test_parameters_from_data(name):
+    """Data of a trajectory lead back to its parameters. (Doses that swap: test_changing_orders.)"""
+    case = CASES[name]
     (true,) = case.points(1, seed=4)
     times = case.away(true, 40)
     data = case.trajectory(times, true)[case.unknown]
