@@ -43,7 +43,8 @@ def is_slow(language, name):
 
 
 ALIKE = {*EXAMPLES} - {"lotka_volterra"} | {n for n in CASES if ", " in n} | {"bar"}
-"""For FMUs and sanitizers like others: their C is that of the language, which has all cases."""
+"""For FMUs, sanitizers and plain JavaScript like others: the code is that of C, or with
+WebAssembly, which has all cases."""
 
 
 def matrix(*attributes, kinds=None, languages=NAMES):
@@ -356,7 +357,12 @@ PLAIN = ("kirchhoff", "scaled", "two runs", "washed")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in PLAIN)) for n in CASES]
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (n not in PLAIN))
+        for n in CASES
+        if n in PLAIN or n not in ALIKE
+    ],
 )
 def test_javascript_without_webassembly(name, models):
     """The same bits."""
