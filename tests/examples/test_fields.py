@@ -16,7 +16,8 @@ pytest.importorskip("matplotlib")
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "fields"
-SIZES = {"heat": 12, "brusselator": 3, "epidemic": 12, "truss": 2}
+SIZES = {"heat": 12, "brusselator": 3, "truss": 2}  # Entry by entry
+FIELDS = {"convection": 10, "epidemic": 64}
 
 
 @pytest.fixture
@@ -27,13 +28,13 @@ def script(monkeypatch):
     import matplotlib.pyplot as plt
 
     plt.close("all")
-    for name in ("common", *SIZES):
+    for name in ("common", *SIZES, *FIELDS):
         sys.modules.pop(name, None)
 
 
 def test_every_script_has_its_picture_in_the_docs():
     scripts = {path.stem for path in FOLDER.glob("*.py")} - {"common"}
-    assert scripts == {*SIZES}
+    assert scripts == {*SIZES, *FIELDS}
     text = (ROOT / "docs" / "guide" / "fields.md").read_text()
     for name in scripts:
         picture = ROOT / "docs" / "guide" / "fields" / f"{name}.png"
@@ -71,9 +72,47 @@ def test_solution_and_picture(name, script, monkeypatch, capsys):
     ).y[: len(system.unknowns)]
     if name == "truss":
         exact = exact[: len(exact) // 2]  # without velocities
-    if name == "epidemic":
-        exact = exact[SIZES[name] :].mean(axis=0, keepdims=True)
     ours = np.atleast_2d(solution(times, point))
     size = np.abs(exact).max(axis=1, keepdims=True)
     assert (np.abs(ours - exact) / size).max() <= 5 * module.RTOL
+    assert figure.axes
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) for n in FIELDS])
+def test_fields_and_picture(name, script, monkeypatch, capsys):
+    """All entries of all fields against a trajectory of SciPy."""
+    module, solutions, solve = script(name), [], ro.CompiledFields.solve
+
+    def recorded(*arguments, **options):
+        solutions.append(solve(*arguments, **options))
+        return solutions[-1]
+
+    monkeypatch.setattr(ro.CompiledFields, "solve", recorded)
+    figure = module.draw(FIELDS[name])
+    (solution,) = solutions
+    assert capsys.readouterr().out.startswith(repr(solution))
+    assert solution.success
+    assert solution.rtol == module.RTOL
+    assert solution.modes.trajectories <= 100
+    point = {p: 0.3 * a + 0.7 * b for p, (a, b) in solution.parameters.items()}
+    times = np.linspace(0, module.END, 9)
+    system = ro.compile(module.problem(FIELDS[name])).system
+    own = system.at(np.array(list(point.values())))
+    mass = np.eye(system.size) if system.mass is None else system.mass.toarray()
+    inverse = np.linalg.inv(mass)
+    exact = solve_ivp(
+        lambda t, u: inverse @ own.force(t, u),
+        (0, module.END),
+        system.initial(np.array(list(point.values()))),
+        method="Radau",
+        jac=lambda t, u: inverse @ own.jacobian(t, u).toarray(),
+        rtol=1e-9,
+        atol=1e-12,
+        t_eval=times,
+    ).y
+    ours = solution(times, point)
+    for unknown in system.unknowns:
+        if unknown.rows.stop <= len(ours):
+            errors = np.abs(ours[unknown.rows] - exact[unknown.rows])
+            assert errors.max() <= 2 * module.RTOL * np.abs(exact[unknown.rows]).max()
     assert figure.axes
