@@ -18,13 +18,13 @@ MEAN = ro.apply(ROW, u)
 WEIGHTS = np.arange(N) - 2.0
 
 
-def trajectory(rates, initial, events, end=1.0, beside=0.0, **further):
+def trajectory(rates, initial, events, end=1.0, beside=0.0, tolerance=1e-9, **further):
     box = {k: (0.5, 2.0)}
     problem = ro.Problem(rates, (t, 0, end), box, initial, events=events, **further)
     system = field_system(problem)
     sizes = np.ones(len(system.unknowns))
     point = np.array([1.0])
-    return field_trajectory(system, point, sizes, 1e-9, 1e-11, beside=beside)
+    return field_trajectory(system, point, sizes, tolerance, 1e-11, beside=beside)
 
 
 def times(course, event=0):
@@ -113,9 +113,21 @@ def test_states_beside_jumps_are_kept():
     assert np.abs(course.times - (instant + 1e-3)).min() < 1e-14
 
 
-def test_events_that_accumulate_are_told():
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
+def test_a_reset_that_keeps_the_surface_is_one_event(tolerance):
+    """One entry of an oscillator falls through zero, and the velocity is halved there."""
+    first = np.eye(1, N)
+    events = [ro.Event(ro.apply(first, u), "falling", then={y: y / 2})]
+    rates = {u: y + k - 1, y: -k * ro.apply(first, u)}
+    course = trajectory(rates, {u: 1, y: 0}, events, 9, tolerance=tolerance)
+    assert times(course) == pytest.approx([np.pi / 2, np.pi * 5 / 2], abs=1e3 * tolerance)
+
+
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])
+def test_events_that_accumulate_are_told(tolerance):
+    """No ball falls through the floor, however small its bounces become."""
     events = [ro.Event(x, "falling", then={x: 0, y: -y / 2})]
     with pytest.raises(EndsEarlyError) as ended:
-        trajectory({u: k, x: y, y: -2}, {u: 0, x: 1, y: 0}, events, 6)
+        trajectory({u: k, x: y, y: -2}, {u: 0, x: 1, y: 0}, events, 6, tolerance=tolerance)
     assert ended.value.accumulate
     assert 2.9 < ended.value.time < 3.0

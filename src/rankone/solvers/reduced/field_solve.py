@@ -367,10 +367,16 @@ class _FieldSolve:
         kept, wanted = FIELDS.kept * rtol, share * rtol
         tolerance = FIELDS.first_step * rtol
         while True:
-            coarse, fine = (
-                field_trajectory(self.fields, point, sizes, factor * tolerance, kept, times)
-                for factor in (1.0, FIELDS.finer)
-            )
+            try:
+                coarse, fine = (
+                    field_trajectory(self.fields, point, sizes, factor * tolerance, kept, times)
+                    for factor in (1.0, FIELDS.finer)
+                )
+            except EndsEarlyError as end:
+                if not end.accumulate or tolerance <= FIELDS.least_step:
+                    raise
+                tolerance *= FIELDS.finer  # which may tell its events apart
+                continue
             error = self.comparison.difference(coarse, fine, sizes)
             if error <= wanted or tolerance <= FIELDS.least_step:
                 return tolerance

@@ -22,6 +22,8 @@ from rankone.trajectories.fields.field_system import FieldSystem, Matrix
 from rankone.trajectories.system.features import BOTH
 
 _PLACES = 16  # Of a step, at which it is looked for crossings
+_ROOM = 4.0  # Heights at a root that count as zero, over the one that it has
+_FRESH = 3  # Steps after an event that tell nothing of the next one: they may pass over it
 _AHEAD = 1e-6  # Change of the state over which it is looked where rates lead
 _SHARES = np.linspace(0.0, 1.0, _PLACES + 1)[1:]
 
@@ -61,7 +63,9 @@ class FieldCrossings:
         self._rows, self._places = self._stacked()
         self._absolute = abs(self._rows)
         self._sides = np.zeros(len(self._events))
-        self._leaving = np.zeros(len(self._events))  # The side that rates lead to from a surface
+        self._leaving = np.zeros(len(self._events))  # The side to which a reset turned the rates
+        self._fired, self._steps = set[int](), 0  # The last events, and steps since then
+        self._left_over = np.zeros(len(self._events))  # Roundings of where it leaves a surface
         self._roundings = np.zeros(len(self._events))  # What is that close to zero is on it
 
     @property
@@ -108,11 +112,16 @@ class FieldCrossings:
         times[-1] = until
         arguments = self._arguments_along(path, times)
         crossed: list[tuple[float, int, float]] = []
+        self._steps += 1
         sizes = self._absolute @ np.abs(path(np.array([before, until]))).max(axis=1)
         for k in self._watched:
             heights, own = self._heights(k, times, arguments), self._places[k]
-            _, self._roundings[k] = self._rounded(k, until, arguments[own, -1], sizes[own])
-            crossed += [(root, k, side) for root, side in self._roots(k, path, times, heights)]
+            _, rounding = self._rounded(k, until, arguments[own, -1], sizes[own])
+            self._roundings[k] = max(rounding, self._left_over[k])
+            roots = self._roots(k, path, times, heights)
+            if roots and k in self._fired and self._steps <= _FRESH:
+                raise UnresolvedEventError
+            crossed += [(root, k, side) for root, side in roots]
         crossed.sort()
         first = min((t for t, k, _ in crossed if self._events[k].jumps), default=math.inf)
         marks = [Occurred(k, t) for t, k, _ in crossed if t < first - self._instant]
@@ -121,8 +130,12 @@ class FieldCrossings:
             return marks, until, []
         self._sides = self._sides_after(path, first)
         fired = {k: side for t, k, side in crossed if abs(t - first) <= self._instant}
+        at = np.array([first])
+        arguments = self._arguments_along(path, at)
         for k, side in fired.items():
             self._sides[k] = side
+            left = abs(float(self._heights(k, at, arguments)[0]))  # a root is to rounding of time
+            self._roundings[k] = max(self._roundings[k], _ROOM * left)
         return marks, first, sorted(fired)
 
     def _roots(
@@ -137,7 +150,7 @@ class FieldCrossings:
                 continue
             if side == 0.0 and here * self._leaving[k] < 0.0:
                 raise UnresolvedEventError
-            self._leaving[k] = 0.0
+            self._leaving[k] = self._left_over[k] = 0.0
             if side * here < 0.0 and direction in (BOTH, here):
                 root = self._root(k, path, float(times[last]), float(times[j]))
                 roots.append((root, side))
@@ -163,10 +176,7 @@ class FieldCrossings:
     ) -> tuple[list[Occurred], Array, bool]:
         """What happens at an instant: the events, the state after them, and whether it ends."""
         happened: list[Occurred] = []
-        sides, now = self._sides.copy(), list(fired)
-        met = [k for k in fired if self._sides[k] != 0.0]
-        if met and (self._sides[met] * self._slopes(time, state)[met] > 0.0).any():
-            raise UnresolvedEventError  # the rates lead away from the surface
+        sides, now, before = self._sides.copy(), list(fired), state
         for _ in range(MOST_ROUNDS):
             for k in now:
                 happened.append(Occurred(k, time))
@@ -185,10 +195,16 @@ class FieldCrossings:
                 if came[k] * on[k] < 0.0 and self._events[k].direction in (BOTH, on[k])
             ]
             if not now:
-                self._sides = sides
-                self._leaving = np.where(on == 0.0, self._slopes(time, state), 0.0)
+                self._sides, self._steps = sides, 0
+                self._fired = {each.event for each in happened}
+                self._leaving = np.zeros(len(self._events))
+                self._left_over = np.where(on == 0.0, self._roundings, 0.0)
+                if any(on[k] == 0.0 for k in self._watched):
+                    slopes = self._slopes(time, before), self._slopes(time, state)
+                    turned = (on == 0.0) & (slopes[0] * slopes[1] < 0.0)
+                    self._leaving[turned] = slopes[1][turned]
                 return happened, state, False
-        return happened, state, True
+        raise UnresolvedEventError
 
     def _slopes(self, time: float, state: Array) -> Array:
         """The signs of the rates of what crosses zero at a state (N,), for each event."""

@@ -21,7 +21,9 @@ from rankone.trajectories.fields.field_steps import EndsEarlyError, FieldSteps, 
 from rankone.trajectories.fields.field_system import FieldSystem
 
 _AT_ONCE = 32  # Steps that are compressed together
-_COARSE = 1e-3  # Relative tolerance of the trajectory that tells the sizes of the fields
+# Relative tolerances of the trajectory that tells the sizes of the fields: the first one that tells
+# its events apart
+_COARSE = (1e-3, 1e-5, 1e-7)
 _LINEAR_ENTRY = 2.0  # Operations for each entry of a matrix
 
 
@@ -66,13 +68,24 @@ class FieldTrajectory:
 
 def field_sizes(system: FieldSystem, point: Array) -> Array:
     """About how large each unknown becomes at a point: (unknowns,); one for what stays zero."""
+    for tolerance in _COARSE[:-1]:
+        try:
+            return _sizes_by(system, point, tolerance)
+        except EndsEarlyError as end:
+            if not end.accumulate:
+                raise
+    return _sizes_by(system, point, _COARSE[-1])
+
+
+def _sizes_by(system: FieldSystem, point: Array, tolerance: float) -> Array:
+    """The same, by trajectories of a tolerance."""
     start = system.initial(point)
     sizes = _largest(system, start)
     reached = sizes.copy()
     for _ in range(2):  # sizes tell the tolerances, and these the sizes
         known_sizes = np.where(reached > 0.0, reached, reached.max(initial=0.0) or 1.0)
-        absolute = _COARSE * _by_entry(system, known_sizes)
-        for _, state in FieldSteps(system, point, StepTolerances(_COARSE, absolute)):
+        absolute = tolerance * _by_entry(system, known_sizes)
+        for _, state in FieldSteps(system, point, StepTolerances(tolerance, absolute)):
             reached = np.maximum(reached, _largest(system, state))
         if (reached <= 2.0 * known_sizes).all() and (reached >= 0.1 * known_sizes).all():
             break
