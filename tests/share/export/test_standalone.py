@@ -75,8 +75,11 @@ def folder(tmp_path_factory):
         pytest.param("robertson", marks=pytest.mark.slow),
     ],
 )
-def test_the_library_and_the_solver_agree(alone, name, tmp_path):
-    compiled(name).export(tmp_path / "solver.py")
+def test_the_library_and_the_solver_agree(alone, name, folder, tmp_path):
+    if name == "lotka_volterra":
+        tmp_path = folder
+    else:
+        compiled(name).export(tmp_path / "solver.py")
     wanted = solved(name)
     where = points(wanted, 200)
     np.savez(tmp_path / "points.npz", **where)
@@ -541,22 +544,13 @@ def test_two_solvers_in_one_process_keep_apart(alone, folder):
     assert run.returncode == 0, run.stderr
 
 
-def test_a_solution_by_another_method_is_refused(alone, tmp_path):
-    problem = compiled("decay")
-    problem.export(tmp_path / "solver.py")
-    problem.solve(1e-3, method="greedy").save(tmp_path / "greedy.npz")
-    run, shown = alone(tmp_path, ["--load", "greedy.npz"], "print(repr(solver.solve(1e-3)))")
+def test_a_solution_by_another_method_is_refused(alone, folder):
+    greedy = compiled("lotka_volterra").solve(1e-2, method="greedy", effort=0.01)
+    greedy.save(folder / "greedy.npz")
+    run, shown = alone(folder, ["--load", "greedy.npz"], "print(repr(solver.solve(1e-3)))")
     assert run.returncode == 2
     assert "a solution by method='greedy', which is not known here" in run.stderr
-    assert shown.stdout.startswith("Solution of u: success, the")
-
-
-def test_a_pole_is_refused(alone, tmp_path):
-    problem = ro.Problem.from_strings({"x": "-x/k"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
-    ro.compile(problem).export(tmp_path / "solver.py")
-    (run,) = alone(tmp_path, ["--rtol", "1e-3", "--box", "k=-1:2"])
-    assert run.returncode == 2
-    assert "not finite for `k` in [-1, 2]" in run.stderr
+    assert shown.stdout.startswith("Solution of x, y: success, the")
 
 
 def test_long_texts_are_wrapped():
@@ -571,13 +565,22 @@ def test_long_texts_are_wrapped():
     assert names["METADATA"] == replace(ro.compile(problem).metadata(), source=None)
 
 
-def test_awkward_names(alone, tmp_path):
-    problem = ro.Problem.from_strings(
-        rhs={"x": "-lambda_*x"}, initial={"x": "1"}, parameters={"lambda_": (1, 2)}, time=(0, 1)
-    )
+def test_grids_of_any_names_and_a_pole(alone, tmp_path):
+    names = {"lambda_": (1, 2), "file": (1, 2)}
+    problem = ro.Problem.from_strings({"x": "-lambda_*x/file"}, {"x": "1"}, names, (0, 1))
     ro.compile(problem).export(tmp_path / "solver.py")
-    (run,) = alone(tmp_path, "print(solver.solve()({'t': 1, 'lambda_': 1.5})[0])")
-    assert float(run.stdout) == pytest.approx(np.exp(-1.5), rel=1e-6)
+    value = "print(solver.solve()({'t': 1, 'lambda_': 1.5, 'file': 2})[0])"
+    grid = ["--rtol", "1e-3", "--grid", "3", "--save", "grid.npz"]
+    inside, run, refused = alone(tmp_path, value, grid, ["--rtol", "1e-3", "--box", "file=-1:2"])
+    assert float(inside.stdout) == pytest.approx(np.exp(-0.75), rel=1e-6)
+    assert run.returncode == 0, run.stderr
+    with np.load(tmp_path / "grid.npz") as arrays:
+        assert set(arrays) == {"t", "lambda_", "file", "x"}
+        assert arrays["x"].shape == (3, 3, 3)
+        wanted = np.exp(-arrays["lambda_"][:, None] / arrays["file"])
+        np.testing.assert_allclose(arrays["x"][-1], wanted, rtol=2e-3)
+    assert refused.returncode == 2
+    assert "not finite for `file` in [-1, 2]" in refused.stderr
 
 
 def test_no_parameters(alone, tmp_path):
@@ -618,17 +621,6 @@ def test_command_line(tmp_path, capsys):
     assert main(["export", str(source), "-o", str(target)]) == 2
     assert "exists" in capsys.readouterr().err
     assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0
-
-
-def test_grids_of_any_names(alone, tmp_path):
-    problem = ro.Problem.from_strings({"x": "-file*x"}, {"x": "1"}, {"file": (1, 2)}, (0, 1))
-    ro.compile(problem).export(tmp_path / "solver.py")
-    (run,) = alone(tmp_path, ["--rtol", "1e-3", "--grid", "3", "--save", "grid.npz"])
-    assert run.returncode == 0, run.stderr
-    with np.load(tmp_path / "grid.npz") as arrays:
-        assert set(arrays) == {"t", "file", "x"}
-        assert arrays["x"].shape == (3, 3)
-        np.testing.assert_allclose(arrays["x"][-1], np.exp(-arrays["file"]), rtol=2e-3)
 
 
 @pytest.mark.parametrize("name", ["numpy", "scipy", "sympy", "math", "random", "rankone"])
