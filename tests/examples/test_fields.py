@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "fields"
-SIZES = {"heat": 12, "brusselator": 3, "truss": 2}  # Entry by entry
+SIZES = {"heat": 12, "brusselator": 3, "truss": 1}  # Entry by entry
 FIELDS = {"convection": 10, "epidemic": 64}
 
 
@@ -74,6 +74,7 @@ def test_solution_and_picture(name, script, monkeypatch, capsys):
         exact = exact[: len(exact) // 2]  # without velocities
     ours = np.atleast_2d(solution(times, point))
     size = np.abs(exact).max(axis=1, keepdims=True)
+    size[size == 0.0] = 1.0  # a tower of one storey stands still in the middle
     assert (np.abs(ours - exact) / size).max() <= 5 * module.RTOL
     assert figure.axes
 

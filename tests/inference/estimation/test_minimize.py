@@ -110,7 +110,9 @@ def test_a_minimum_that_may_be_local():
 def failed():
     """A solution that missed its tolerance, and an output of one."""
     rates, box = {"x": "cos(a*b*t + a*x)"}, {"a": (0.5, 2), "b": (0.5, 2)}
-    return ro.solve(ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 3)), 1e-8, max_rank=3)
+    return ro.solve(
+        ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 3)), 1e-8, max_rank=3, effort=0.1
+    )
 
 
 @pytest.mark.parametrize(
