@@ -50,7 +50,7 @@ def test_figures_are_small_and_shown(path):
 @pytest.mark.slow
 def test_linear_model(script):
     module = script("linear_model")
-    found = module.compute(nodes=(21, 41))
+    found = module.compute(nodes=(11, 21))
     assert found["linear"].solution.history[-1].ranks == (1,)
     assert all(model.order > 1.6 for model in found.values())
     assert len(module.draw(found).axes) == 6

@@ -11,10 +11,7 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import pickle
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import cache
 
@@ -28,6 +25,7 @@ import rankone as ro
 from rankone import plotting
 from tests.share.conformance.cases import PROBLEMS, RTOL
 from tests.share.conformance.cases import solution_of as solved
+from tests.share.export.alone import PythonAlone
 from tests.share.export.test_models import imported
 
 pytestmark = pytest.mark.slow
@@ -535,21 +533,26 @@ def test_pages(case, tmp_path):
     assert all(event in text for event in case.solution.timeline.events)
 
 
-def test_standalone_solvers(case, tmp_path):
+@pytest.fixture(scope="module")
+def alone():
+    python = PythonAlone()
+    yield python.runs
+    python.close()
+
+
+def test_standalone_solvers(case, alone, tmp_path):
     ro.compile(case.problem).export(tmp_path / "solver.py")
     (point,) = case.points(1)
     times = case.away(point)
-    (tmp_path / "ask.py").write_text(
-        "import json, sys, numpy as np, solver\n"
+    script = (
+        "import json\n"
         f"solution = solver.solve({RTOL})\n"
         f"point = {point!r}\n"
-        "values = solution(np.array(json.loads(sys.argv[1])), point)\n"
+        f"values = solution(np.array({times.tolist()!r}), point)\n"
         f"times = solution.event_times({case.event!r}, point)\n"
         "print(json.dumps([values.tolist(), times.tolist(), solution.success]))\n"
     )
-    command = [sys.executable, "ask.py", json.dumps(times.tolist())]
-    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    run = subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True)
+    (run,) = alone(tmp_path, script)
     assert run.returncode == 0, run.stderr
     values, instants, success = json.loads(run.stdout)
     assert success

@@ -245,7 +245,7 @@ def test_a_trajectory_that_blows_up_beyond_a_kink_is_named_as_such():
     """Its last crossing is where the states are no numbers any more."""
     repelled = {"x": "v", "v": "-x - 20*Abs(x - k)**1.5"}
     with pytest.raises(ro.BlowUpError, match="blows up inside the horizon"):
-        ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL)
+        ro.solve(problem(repelled, {"x": 0, "v": 1}, {"k": (0.3, 0.6)}, 15), RTOL, effort=0.2)
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def test_switches_that_accumulate_are_told_and_not_where_steps_stall(monkeypatch
 
     monkeypatch.setattr(Engine, "_solve_as_written", stalled)
     with pytest.raises(ro.ConvergenceError, match=r"^a trajectory ends at t = .*accumulate"):
-        ro.solve(problem(rates, start, {"k": (1, 1.1)}, 9), RTOL)
+        ro.solve(problem(rates, start, {"k": (1, 1.1)}, 9), RTOL, effort=0.2)
 
 
 GRAZING = {
