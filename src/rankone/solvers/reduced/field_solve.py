@@ -61,6 +61,8 @@ class FieldTuning:
     tolerance_times: int = 48
     kept: float = 0.01
     """What compressed trajectories leave out."""
+    kept_motion: float = 0.001
+    """The same where there are velocities."""
     modes: float = 0.25
     """What the modes leave out of all trajectories so far, at first."""
     fewest_left_out: float = 0.02
@@ -305,7 +307,7 @@ class _FieldSolve:
         absolute = np.array([u.absolute for u in self.fields.unknowns]) / rtol
         self.sizes = sizes = np.maximum(sizes, absolute)
         tolerance = self._step_tolerance(centre[0], sizes)
-        kept = FIELDS.kept * rtol
+        kept = self._kept
         beside = self.comparison.beside
         self.integration = FieldIntegration(self.fields, sizes, tolerance, kept, pool, beside)
         self.states = FieldSnapshots(self.fields.velocities, sizes, kept)
@@ -356,15 +358,20 @@ class _FieldSolve:
         at_peaks, at_sides = (np.reshape(some, (len(some), d)) for some in (peaks, beside))
         return np.unique(at_peaks, axis=0), np.unique(at_sides, axis=0)
 
+    @property
+    def _kept(self) -> float:
+        """What compressed trajectories leave out, relative to the sizes of the fields."""
+        share = FIELDS.kept_motion if self.fields.velocities else FIELDS.kept
+        return share * self.request.rtol
+
     def _step_tolerance(self, point: Array, sizes: Array) -> float:
         """A tolerance of steps whose trajectories are accurate enough.
 
         Those of two tolerances are compared, and the next ones are what their difference suggests.
         """
         rtol, times = self.request.rtol, self._telling_times(FIELDS.tolerance_times)
-        moves = bool(self.fields.velocities)
-        share = FIELDS.integrated_motion if moves else FIELDS.integrated
-        kept, wanted = FIELDS.kept * rtol, share * rtol
+        share = FIELDS.integrated_motion if self.fields.velocities else FIELDS.integrated
+        kept, wanted = self._kept, share * rtol
         tolerance = FIELDS.first_step * rtol
         while True:
             try:
