@@ -4,15 +4,22 @@
 
 - ``compile``: 100,000 equations written as two fields, from the problem to the system
 - ``heat40``, ``heat100``, ``heat200``, ``block``, ``cable``, ``brusselator``, ``burgers``,
-  ``convection``: solves by modes, each in a process of its own, beside trajectories of SciPy's BDF
-  with the sparse Jacobian and modes by hand of five of them
+  ``convection``, ``beam``: solves by modes, each in a process of its own, beside trajectories of
+  SciPy's BDF with the sparse Jacobian and modes by hand of five of them
+- ``pymor``: heat on 100 x 100 cells and the block by modes of pyMOR, also printed by their sections
+
+The beam needs scikit-fem; its reference trajectories are those of rankone at a tolerance of their
+own, since SciPy takes no mass matrix.
 """
 
+import itertools
 import resource
+import runpy
 import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import scipy.integrate
@@ -21,7 +28,10 @@ import sympy as sp
 
 import rankone as ro
 from rankone.compiler.field_lowering import field_system
+from rankone.trajectories.fields.field_trajectories import field_trajectory
+from tests.benchmarks.field_peers import by_pymor
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "fields"
 SIDE = 224  # Cells on a side of the square: two fields have 100,352 entries
 
 
@@ -176,6 +186,12 @@ def convection(side):
     return ro.Problem({u: rate}, (t, 0, 0.5), {c: (0.4, 0.8), angle: (-0.4, 0.4)}, {u: start})
 
 
+def beam(elements):
+    """A rubber beam that swings: the example."""
+    made: ro.Problem = runpy.run_path(str(EXAMPLES / "beam.py"))["problem"](elements)
+    return made
+
+
 CASES = {
     "heat40": (heat, 40, 1e-3),
     "heat100": (heat, 100, 1e-4),
@@ -185,13 +201,20 @@ CASES = {
     "brusselator": (reaction, 64, 1e-4),
     "burgers": (burgers, 1000, 1e-4),
     "convection": (convection, 100, 1e-4),
+    "beam": (beam, 4, 1e-4),
 }
+BY_PYMOR = {"heat100": 5, "block": 20}  # Trajectories
 POINTS, TIMES = 4, 41
 
 
 def by_scipy(system, point, rtol, sizes, times):
     """A trajectory of SciPy's BDF with the sparse Jacobian."""
     own = system.at(point)
+    if system.mass is not None:
+        unknowns = [sizes[unknown.rows][0] for unknown in system.unknowns]
+        how = np.array(unknowns), 0.01 * rtol, 0.01 * rtol, times
+        trajectory = field_trajectory(system, point, *how)
+        return np.concatenate([states.at(slice(None)) for states in trajectory.states])
     return scipy.integrate.solve_ivp(
         own.force,
         system.horizon,
@@ -204,11 +227,38 @@ def by_scipy(system, point, rtol, sizes, times):
     ).y
 
 
+def first_points(system, count=5):
+    """The centre and corners."""
+    lower, upper = np.array(system.box).T
+    all_corners = np.array([*itertools.product((0.0, 1.0), repeat=len(lower))])
+    at = np.random.default_rng(0).permutation(all_corners)[: count - 1]
+    return [0.5 * (lower + upper), *(lower + at * (upper - lower))]
+
+
+def further_points(system):
+    """Points at which errors are measured."""
+    lower, upper = np.array(system.box).T
+    return lower + np.random.default_rng(7).random((POINTS, len(lower))) * (upper - lower)
+
+
+def pymor_section(*names):
+    """Linear fields by modes of pyMOR."""
+    for name in names or BY_PYMOR:
+        build, size, rtol = CASES[name]
+        system = field_system(build(size))
+        sizes = np.ones(system.size)
+        lines = by_pymor(
+            system,
+            first_points(system, BY_PYMOR[name]),
+            further_points(system),
+            lambda point, times: by_scipy(system, point, 1e-3 * rtol, sizes, times),  # noqa: B023
+        )
+        print("\n".join(f"  {line}" for line in (f"{name}:", *lines)))
+
+
 def by_hand(system, rtol, sizes, times):
     """Modes of five trajectories, at the centre and at corners."""
-    lower, upper = np.array(system.box).T
-    at = np.random.default_rng(0).choice(2, (4, len(lower)))
-    points = [0.5 * (lower + upper), *(lower + at * (upper - lower))]
+    points = first_points(system)
     columns = [by_scipy(system, point, 0.01 * rtol, sizes, times) for point in points]
     together = np.concatenate(columns, axis=1) / sizes[:, None]
     modes, values, _ = np.linalg.svd(together, full_matrices=False)
@@ -234,10 +284,11 @@ def solve_section(name):
     modes, hand = seconds(lambda: by_hand(system, rtol, sizes, times))
     print(f"  a trajectory of SciPy {one:.2f} s")
     print(f"  modes of five by hand {hand:.1f} s, {modes.shape[1]} modes")
+    if name in BY_PYMOR:
+        pymor_section(name)
     if not solution.success:
         return
-    shares = np.random.default_rng(7).random((POINTS, len(bounds)))
-    points = bounds[:, 0] + shares * np.ptp(bounds, axis=1)
+    points = further_points(system)
     worst = missed = 0.0
     for point in points:
         exact = by_scipy(system, point, 1e-3 * rtol, sizes, times)
@@ -252,7 +303,11 @@ def solve_section(name):
     print(f"  evaluation at a point {1e4 * each:.0f} us")
 
 
-SECTIONS = {"compile": compile_section, **{name: partial(solve_section, name) for name in CASES}}
+SECTIONS = {
+    "compile": compile_section,
+    **{name: partial(solve_section, name) for name in CASES},
+    "pymor": pymor_section,
+}
 
 if __name__ == "__main__":
     names = sys.argv[1:] or list(SECTIONS)
