@@ -16,8 +16,13 @@ from matplotlib.figure import Figure
 DPI = 100
 
 
-def run(name: str, size: int, draw: Callable[[int], Figure]) -> None:
-    """Solve and draw with the size of the command line; write the figure to ``--to DIR``."""
+def run(
+    name: str,
+    size: int,
+    draw: Callable[[int], Figure],
+    page: Callable[[int, Path], Path] | None = None,
+) -> None:
+    """Solve and draw with the size of the command line; write figure and page to ``--to DIR``."""
     parser = argparse.ArgumentParser(description=f"Solve and draw: {name}.")
     parser.add_argument("size", nargs="?", type=int, default=size, help=f"by default {size}")
     parser.add_argument("--to", type=Path, help="folder of the figure; by default a new one")
@@ -29,3 +34,5 @@ def run(name: str, size: int, draw: Callable[[int], Figure]) -> None:
     figure.savefig(path, dpi=DPI)
     plt.close(figure)
     print(path)
+    if page is not None:
+        print(page(arguments.size, folder))
