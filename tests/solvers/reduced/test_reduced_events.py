@@ -1,5 +1,6 @@
 """Events of coefficients, and the comparison with full trajectories next to events."""
 
+import itertools
 import math
 
 import numpy as np
@@ -84,6 +85,18 @@ class TestComparison:
         assert (distances[counted] >= 1e-2).all()
         assert (distances[~counted] < 1e-2).all()
         assert distances[counted].min() == pytest.approx(1e-2, rel=1e-2)
+
+    def test_half_of_each_stretch_counts_where_jumps_are_many(self):
+        loose = FieldComparison.of(self.system, 0.1)
+        course = self.trajectory(loose.beside)
+        jumps = course.jumps(self.system)
+        assert np.diff(jumps).max() < 2 * loose.out
+        counted = course.times[loose.counted(course)]
+        for a, b in itertools.pairwise(jumps):
+            inside = counted[(counted > a) & (counted < b)]
+            assert inside.size
+            assert inside.min() >= a + 0.2499 * (b - a)
+            assert inside.max() <= b - 0.2499 * (b - a)
 
     def test_times_of_events_are_compared_one_by_one(self):
         exact = [Occurred(0, 0.3), Occurred(1, 0.4), Occurred(0, 0.6)]

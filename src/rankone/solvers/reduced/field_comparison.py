@@ -24,6 +24,7 @@ from rankone.trajectories.fields.field_system import FieldSystem
 from rankone.trajectories.fields.field_trajectories import FieldTrajectory
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 
+_MOST_LEFT_OUT = 0.5  # Of the horizon, next to jumps
 Curve = Callable[[Array], Array]
 """Coefficients (R, T) at times (T,); NaN behind a terminal event."""
 
@@ -50,12 +51,24 @@ class FieldComparison:
         return CHECK.event_distance * self.out if self.fields.events else 0.0
 
     def counted(self, trajectory: FieldTrajectory, *others: FieldTrajectory) -> NDArray[np.bool_]:
-        """The times of a trajectory that count: away from its jumps, and from those of others."""
+        """The times of a trajectory that count: away from its jumps, and from those of others.
+
+        Where jumps are so many that most of the horizon would be left out, half of each stretch
+        between them counts.
+        """
         jumps = np.concatenate([each.jumps(self.fields) for each in (trajectory, *others)])
         if not jumps.size:
             return np.ones(trajectory.times.size, dtype=bool)
-        distances = np.abs(trajectory.times[:, None] - jumps).min(axis=1)
-        return np.asarray(distances >= self.out)
+        borders = np.unique(np.concatenate([self.fields.horizon, jumps]))
+        out = np.full(borders.size - 1, self.out)
+        if np.minimum(np.diff(borders), 2.0 * self.out).sum() > _MOST_LEFT_OUT * np.ptp(borders):
+            out = np.minimum(self.out, 0.25 * np.diff(borders))
+        times = trajectory.times
+        stretch = np.clip(np.searchsorted(borders, times, "right") - 1, 0, out.size - 1)
+        after, before = times - borders[stretch], borders[stretch + 1] - times
+        begins, ends = np.isin(borders[stretch], jumps), np.isin(borders[stretch + 1], jumps)
+        near = (begins & (after < out[stretch])) | (ends & (before < out[stretch]))
+        return np.asarray(~near)
 
     def goes_on(self, curve: Curve, trajectory: FieldTrajectory) -> bool:
         """Whether coefficients go on where the trajectory has ended."""
