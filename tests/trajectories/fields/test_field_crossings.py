@@ -7,7 +7,7 @@ import sympy as sp
 import rankone as ro
 from rankone.compiler.field_lowering import field_system
 from rankone.trajectories.fields.field_steps import EndsEarlyError
-from rankone.trajectories.fields.field_trajectories import field_trajectory
+from rankone.trajectories.fields.field_trajectories import FieldIntegration, field_trajectory
 
 N = 5
 t, k = sp.symbols("t k")
@@ -121,6 +121,19 @@ def test_a_reset_that_keeps_the_surface_is_one_event(tolerance):
     rates = {u: y + k - 1, y: -k * ro.apply(first, u)}
     course = trajectory(rates, {u: 1, y: 0}, events, 9, tolerance=tolerance)
     assert times(course) == pytest.approx([np.pi / 2, np.pi * 5 / 2], abs=1e3 * tolerance)
+
+
+def test_finer_steps_tell_events_apart():
+    """Eight bounces before they accumulate at 3, which coarse steps pass over."""
+    events = [ro.Event(x, "falling", then={x: 0, y: -y / 2})]
+    rates, start = {u: k, x: y, y: -2}, {u: 0, x: 1, y: 0}
+    problem = ro.Problem(rates, (t, 0, 2.99), {k: (0.5, 2.0)}, start, events=events)
+    system, point, sizes = field_system(problem), np.array([1.0]), np.ones(3)
+    with pytest.raises(EndsEarlyError):
+        field_trajectory(system, point, sizes, 1e-5, 1e-9)
+    (course,) = FieldIntegration(system, sizes, 1e-5, 1e-9).trajectories(point[None])
+    bounces = 3.0 - 2.0 * 0.5 ** np.arange(8)
+    assert times(course) == pytest.approx(bounces, abs=1e-3)
 
 
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])

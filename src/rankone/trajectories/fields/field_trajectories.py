@@ -24,6 +24,7 @@ _AT_ONCE = 32  # Steps that are compressed together
 # Relative tolerances of the trajectory that tells the sizes of the fields: the first one that tells
 # its events apart
 _COARSE = (1e-3, 1e-5, 1e-7)
+_FINER, _FINEST = (1.0, 0.1, 0.01), 0.001  # On tolerances where events are not told apart
 _LINEAR_ENTRY = 2.0  # Operations for each entry of a matrix
 
 
@@ -190,7 +191,26 @@ def _counted(
     how: tuple[Array, float, float, None, float],
     limits: LimitsElsewhere,
 ) -> Counted[FieldTrajectory]:
-    return Counted.of(limits, (EndsEarlyError,), lambda: field_trajectory(system, point, *how))
+    return Counted.of(limits, (EndsEarlyError,), lambda: _told_apart(system, point, *how))
+
+
+def _told_apart(
+    system: FieldSystem,
+    point: Array,
+    sizes: Array,
+    tolerance: float,
+    kept: float,
+    times: None,
+    beside: float,
+) -> FieldTrajectory:
+    """A trajectory, of a finer tolerance where that tells its events apart."""
+    for factor in _FINER:
+        try:
+            return field_trajectory(system, point, sizes, factor * tolerance, kept, times, beside)
+        except EndsEarlyError as end:
+            if not end.accumulate:
+                raise
+    return field_trajectory(system, point, sizes, _FINEST * tolerance, kept, times, beside)
 
 
 def _largest(system: FieldSystem, states: Array) -> Array:
