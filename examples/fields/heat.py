@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy.sparse
+import scipy.sparse as ss
 import sympy as sp
 from common import run
 from matplotlib.figure import Figure
@@ -24,25 +24,17 @@ CONDUCTIVITIES = sp.symbols("D1 D2 D3")
 def problem(n: int) -> ro.Problem:
     """The bar with n inner points; conductivities are known up to a factor of 1.4."""
     scale, faces = (n + 1) ** 2, n + 1
-    difference = scipy.sparse.diags([1.0, -1.0], [0, -1], shape=(faces, n)).tocsr()
-    layer = np.minimum(3 * np.arange(faces) // faces, 2)
-    stiffness = {}
-    for k, conductivity in enumerate(CONDUCTIVITIES):
-        of_layer = scipy.sparse.diags((layer == k).astype(float))
-        stiffness[conductivity] = scale * difference.T @ of_layer @ difference
+    u = ro.field("u", n)
+    difference = ss.diags_array([1.0, -1.0], offsets=(0, -1), shape=(faces, n)).tocsr()
     heated = np.zeros(n)
     heated[0] = scale
-    return ro.Problem.from_matrices(
-        None,
-        scipy.sparse.eye(n),
-        stiffness,
-        {CONDUCTIVITIES[0]: heated},
-        time=(t, 0, END),
-        parameters=dict.fromkeys(CONDUCTIVITIES, (1 / 1.4, 1.4)),
-        initial=np.zeros(n),
-        names="u",
-        name="bar of three layers",
-    )
+    rate = ro.apply(heated, CONDUCTIVITIES[0])
+    layer = np.minimum(3 * np.arange(faces) // faces, 2)
+    for k, conductivity in enumerate(CONDUCTIVITIES):
+        of_layer = ss.diags_array((layer == k).astype(float))
+        rate -= conductivity * ro.apply(scale * difference.T @ of_layer @ difference, u)
+    box = dict.fromkeys(CONDUCTIVITIES, (1 / 1.4, 1.4))
+    return ro.Problem({u: rate}, (t, 0, END), box, {u: 0}, name="bar of three layers")
 
 
 def draw(n: int) -> Figure:
@@ -58,7 +50,7 @@ def draw(n: int) -> Figure:
         left.plot(x, mean[:, k], label=f"t = {time:g}")
     left.set(xlabel="x", ylabel="temperature, mean and band")
     left.legend()
-    total = solution.sobol(TIMES[1]).total[:, :, 0]
+    total = solution.sobol(TIMES[1])["u"].total[:, :, 0]
     for name, share in zip(solution.parameters, total.T, strict=True):
         right.plot(x, share, label=name)
     right.set(xlabel="x", ylabel=f"total Sobol index at t = {TIMES[1]:g}", ylim=(0, 1))

@@ -16,8 +16,8 @@ pytest.importorskip("matplotlib")
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "fields"
-SIZES = {"heat": 12, "brusselator": 3, "truss": 1}  # Entry by entry
-FIELDS = {"convection": 10, "epidemic": 64, "beam": 1}
+SIZES = {"brusselator": 3, "truss": 1}  # Entry by entry
+FIELDS = {"heat": 80, "convection": 10, "epidemic": 64, "beam": 1}
 
 
 @pytest.fixture
