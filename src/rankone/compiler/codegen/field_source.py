@@ -38,6 +38,8 @@ class FieldSource:
 
     def add_coefficients(self, expressions: Sequence[sp.Expr]) -> None:
         """Write ``coefficients(t, p)``; the first one is one."""
+        timed = [k for k, expression in enumerate(expressions) if expression.has(self._time)]
+        self._functions.append(f"TIMED = {tuple(timed)}  # coefficients that depend on time\n")
         head = "def coefficients(t, p):"
         self._add_rows(head, "shape(t, (), p)", expressions, {})
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rankone.support.arrays import Array
 from rankone.trajectories.fields.field_trajectories import Compressed, Compression, least_count
 
-_TELLING = 128  # Times that tell how many modes are needed: those that need most
+_TELLING = 128  # Times at once that tell how many modes are needed
 _OVERSAMPLED = 1.5  # Entries at which a function is taken, for each of its modes
 
 
@@ -49,9 +49,15 @@ class Snapshots:
         rotation, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
         count = len(values)
         if left_out > 0.0:
-            telling = np.argsort(-np.abs(columns * values[:, None])[1:].sum(axis=0))[:_TELLING]
-            rotated = (union.modes @ rotation) * values
-            count = max(least_count(rotated, columns[:, telling], left_out), 1)
+            rotated, count = (union.modes @ rotation) * values, 0
+            while True:  # at the times that miss most so far
+                squares = np.square(values[count:, None] * columns[count:]).sum(axis=0)
+                telling = np.argsort(-squares, kind="stable")[:_TELLING]
+                needed = least_count(rotated, columns[:, telling], left_out)
+                if needed <= count:
+                    break
+                count = needed
+            count = max(count, 1)
         return np.asarray(np.sqrt(len(union.modes)) * (union.modes @ rotation[:, :count]))
 
     def decay(self) -> Array:

@@ -84,7 +84,7 @@ class FieldTuning:
     residual_times: int = 24
     distance: float = 0.15
     """Least distance of new points, in widths of the box."""
-    effort: float = 4.0
+    effort: float = 16.0
     """Budget of the solve for coefficients, over that of a system without fields."""
     spread_checks: int = 12
     worst_checks: int = 8
@@ -531,8 +531,9 @@ class _FieldSolve:
         states = np.full((len(reduced.names), len(points), len(times)), np.nan)
         ended = np.zeros(states.shape[1:], dtype=bool)
         if not system.events:
-            integrator = integrator_for(system, "auto", stiff=True)
-            dense = integrator.run(system, points, horizon, tolerances)
+            alone = len(points) == 1
+            chosen = integrator_for(system, "single" if alone else "auto", stiff=True)
+            dense = chosen.run(system, points, horizon, tolerances)
             there = times <= dense.end
             states[:, :, there] = dense(times[there])
             return states, ended

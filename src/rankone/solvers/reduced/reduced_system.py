@@ -19,7 +19,8 @@ from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.reduced_events import ReducedEvents
 from rankone.support import __version__
 from rankone.support.arrays import Array
-from rankone.trajectories.fields.field_system import FieldSystem, PointwiseTerm
+from rankone.support.costs import CALL
+from rankone.trajectories.fields.field_system import Elementwise, FieldSystem, PointwiseTerm
 from rankone.trajectories.system.features import VectorLike
 from rankone.trajectories.system.system import System, UserFunction, system_of
 
@@ -117,6 +118,8 @@ class ReducedSystem:
                 "with_products": lambda u: np.array(u, dtype=float),
                 "unseparated_initial": self.initial,
                 **self.events.members(),
+                "at_point": self.at,
+                "SMOOTH": True,
             }
         )
         object.__setattr__(system, "specification", self)
@@ -164,6 +167,10 @@ class ReducedSystem:
                 total += product @ (c[term.coefficient] * slope)
         return total.reshape(r, r, *shape)
 
+    def at(self, p: Array) -> ReducedRates:
+        """The rates at parameters (d,)."""
+        return ReducedRates(self, p)
+
     @cached_property
     def _products(self) -> list[list[Array]]:
         """For each argument of each term the matrices (R R, k) that slopes are multiplied with."""
@@ -174,6 +181,97 @@ class ReducedSystem:
             ]
             for term in self.pointwise
         ]
+
+
+class ReducedRates:
+    """The rates at parameters (d,): what does not depend on time is added up once.
+
+    Fulfils :class:`~rankone.trajectories.system.system.PointRates`.
+    """
+
+    def __init__(self, reduced: ReducedSystem, p: Array) -> None:
+        fields = reduced.coefficients
+        self._fields, self._p, timed = fields, p, fields.timed
+        self._timed = bool(timed)
+        self._numbers = fields.coefficients(fields.horizon[0], p)
+        linear = list(zip(reduced.linear_numbers, reduced.linear, strict=True))
+        sources = list(zip(reduced.source_numbers, reduced.sources, strict=True))
+        r = len(reduced.names)
+        self._matrix, self._source = np.zeros((r, r)), np.zeros(r)
+        for number, matrix in linear:
+            if number not in timed:
+                self._matrix += self._numbers[number] * matrix
+        for number, vector in sources:
+            if number not in timed:
+                self._source += self._numbers[number] * vector
+        self._moving_linear = [pair for pair in linear if pair[0] in timed]
+        self._moving_sources = [pair for pair in sources if pair[0] in timed]
+        self._terms = [_PointTerm.of(term, fields) for term in reduced.pointwise]
+
+    @property
+    def cost(self) -> float:
+        """Operations of a call."""
+        calls = 3 + len(self._moving_linear) + len(self._moving_sources) + 6 * len(self._terms)
+        entries = (1 + len(self._moving_linear)) * self._matrix.size
+        entries += sum(term.arguments.size + term.after.size for term in self._terms)
+        return calls * CALL + 0.5 * entries
+
+    def rates(self, t: float, a: Array) -> Array:
+        """The derivatives (R,) of the coefficients a (R,)."""
+        c = self._at(t)
+        total = self._matrix @ a
+        total += self._source
+        for number, matrix in self._moving_linear:
+            total += c[number] * (matrix @ a)
+        for number, vector in self._moving_sources:
+            total += c[number] * vector
+        for term in self._terms:
+            total += term.after @ (c[term.coefficient] * term.function(t, term.at(a), self._p))
+        return total
+
+    def jacobian(self, t: float, a: Array) -> Array:
+        """The derivatives (R, R) of the rates by the coefficients."""
+        c, total = self._at(t), self._matrix.copy()
+        for number, matrix in self._moving_linear:
+            total += c[number] * matrix
+        for term in self._terms:
+            slopes = c[term.coefficient] * term.slopes(t, term.at(a), self._p)
+            inner = np.einsum("km,kmr->mr", slopes, term.matrices)
+            total += term.after @ inner
+        return total
+
+    def _at(self, t: float) -> Array:
+        return self._fields.coefficients(t, self._p) if self._timed else self._numbers
+
+
+@dataclass(frozen=True, eq=False)
+class _PointTerm:
+    """A pointwise term as one trajectory needs it: ``arguments`` (arguments k, R) are stacked."""
+
+    coefficient: int
+    after: Array
+    arguments: Array
+    matrices: Array
+    vectors: tuple[Array, ...]
+    function: Elementwise
+    slopes: Elementwise
+
+    @staticmethod
+    def of(term: ReducedTerm, fields: FieldSystem) -> _PointTerm:
+        return _PointTerm(
+            term.coefficient,
+            np.ascontiguousarray(term.after),
+            term.arguments.reshape(-1, term.arguments.shape[-1]),
+            term.arguments,
+            tuple(term.vectors),
+            fields.elementwise(term.function),
+            fields.elementwise(f"{term.function}_slopes"),
+        )
+
+    def at(self, a: Array) -> list[Array]:
+        """The arguments of the function at coefficients (R,)."""
+        values = (self.arguments @ a).reshape(len(self.matrices), -1)
+        return [*values, *self.vectors]
 
 
 def reduced_system(

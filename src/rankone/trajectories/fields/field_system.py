@@ -176,6 +176,11 @@ class FieldSystem:
         """The numbers of all terms at t (...) and p (d, ...): shape (c, ...)."""
         return cast(Coefficients, self._functions["coefficients"])(t, p)
 
+    @property
+    def timed(self) -> frozenset[int]:
+        """The coefficients that depend on time."""
+        return frozenset(cast(tuple[int, ...], self._functions["TIMED"]))
+
     def elementwise(self, name: str) -> Elementwise:
         """A function of pointwise terms."""
         return cast(Elementwise, self._functions[name])

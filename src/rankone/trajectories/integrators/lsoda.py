@@ -24,10 +24,10 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost, function_cost, scalar_cost
+from rankone.support.costs import Cost, function_cost, inverse, scalar_cost
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.features import AT_THE_ENDS, POINTS, PREFIX, VALUES
-from rankone.trajectories.system.system import System, pattern_of
+from rankone.trajectories.system.system import PointRates, System, pattern_of
 
 # Numbers, row by row, at a time, states (n,) and parameters (d,) as floats
 ScalarFunction: TypeAlias = Callable[[float, Sequence[float], Sequence[float]], list[float]]
@@ -259,6 +259,7 @@ _LOOKED_CALLS = 3000  # Calls after which progress is looked at
 _TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
 _SLOW_PROGRESS = 1e-3  # Way in as many, below which an integration begins anew
 _CALL_COST = Cost(600.0, 0.02)  # Operations of LSODA for a call: once, and for each cube of states
+_FACTORS_OF_INVERSE = 1.0 / 3.0  # What the factors of a matrix cost, over its inverse
 _MATRIX_COST = 5e3  # Operations of a matrix of the entries of a Jacobian
 _FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
 
@@ -295,19 +296,25 @@ def called_by_lsoda(
     same time; with ``restarts`` a Crawl after as many not far from each other. The Jacobian is None
     where LSODA's own differences cost no more.
     """
-    function = scalar_rates(system)
-    stacked_cost = function_cost(system.rhs, system.user_functions)(1)
+    alone = None if system.at_point is None else system.at_point(point)
+    function = None if alone else scalar_rates(system)
+    stacked_cost = alone.cost if alone else function_cost(system.rhs, system.user_functions)(1)
     each = stacked_cost if function is None else scalar_cost(function)
     each += _CALL_COST.once
-    jacobian = _jacobian(system, point, span, system.n_differential * each)
-    each += _CALL_COST.each * system.n_differential**3
+    differences = system.n_differential * each
+    if alone:  # whose factors are counted where they are made
+        jacobian: Jacobian | None = _counted(alone, system.n_differential)
+    else:
+        jacobian = _jacobian(system, point, span, differences)
+        each += _CALL_COST.each * system.n_differential**3
     (first, last), numbers, column = span, point.tolist(), point[:, None]
     tiny, calls, looked_at = _TINY_PROGRESS * horizon, 0, -math.inf
     slow = _SLOW_PROGRESS * horizon if restarts else tiny
 
     def stacked(t: float, u: Array) -> Array:
-        charge(stacked_cost)
-        rates = system.rhs(t, u[:, None], column)[:, 0]
+        if function is not None:  # others are counted some calls at a time
+            charge(stacked_cost)
+        rates = alone.rates(t, u) if alone else system.rhs(t, u[:, None], column)[:, 0]
         if not np.isfinite(rates).all():
             raise Border(t)
         return np.asarray(rates)
@@ -355,6 +362,17 @@ def _jacobian(
         except _FAILURES:
             matrix = jacobians(system, point[None], time, u)[0]
         return np.asarray(finite_blocks(matrix[None])[0])
+
+    return jacobian
+
+
+def _counted(alone: PointRates, n: int) -> Jacobian:
+    """The Jacobian at a point, of a system that has it; each is factored once."""
+    cost = 2.0 * alone.cost + _FACTORS_OF_INVERSE * inverse(n, real=True)
+
+    def jacobian(t: float, u: Array) -> Array:
+        charge(cost)
+        return np.asarray(finite_blocks(alone.jacobian(t, u)[None])[0])
 
     return jacobian
 

@@ -154,8 +154,10 @@ def _dop853_step_cost(size: int, rates: float) -> float:
 def has_smooth_rates(system: System, start: float) -> bool:
     """Whether rates are polynomials of low degree in the states, with no functions of time.
 
-    Then nothing is so narrow that it hides between the stages of a step.
+    Then nothing is so narrow that it hides between the stages of a step. Others may say so.
     """
+    if system.smooth:
+        return True
     if not system.separated or len(system.time_factors(np.array([start]))) > 1:
         return False
     degrees = [len(states) for *_, states in system.terms]

@@ -127,6 +127,19 @@ Answer = TypeVar("Answer")
 Member = TypeVar("Member")
 
 
+class PointRates(Protocol):
+    """Rates at a point of the box; the ``cost`` of a call is operations."""
+
+    @property
+    def cost(self) -> float: ...
+
+    def rates(self, t: float, u: Array) -> Array:
+        """The derivatives (n,) of the states u (n,)."""
+
+    def jacobian(self, t: float, u: Array) -> Array:
+        """Their derivatives (n, n) by the states."""
+
+
 class ModuleSpecification(Protocol):
     """What a system is loaded from, in any process. Pickles."""
 
@@ -192,7 +205,9 @@ class System:
     where there are any. ``constraints`` vanish on all trajectories. ``atol`` has absolute
     tolerances of states by name; the states of each tuple in ``alike`` share a unit.
     Where trajectories start at steady states, ``rest`` is what has them, and ``at_rest`` finds them
-    at p (d, m), without lifted states.
+    at p (d, m), without lifted states. ``at_point`` has the rates at parameters (d,), where these
+    are faster alone than those of many points. The rates of ``smooth`` ones have nothing in them
+    that is narrower than the longest step that they are integrated with.
     """
 
     separated: bool
@@ -230,6 +245,8 @@ class System:
     held: System | None = None
     rest: Rest | None = None
     at_rest: OfParameters | None = None
+    at_point: Callable[[Array], PointRates] | None = None
+    smooth: bool = False
 
     def tolerances(self, sizes: Array) -> Array:
         """Absolute tolerances of the differential states, whose largest values are ``sizes`` (n,).
@@ -461,6 +478,8 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
         n_sides=member("N_SIDES", 0),
         held=None if held is None else system_of(held),
         rest=_rest(names),
+        smooth=member("SMOOTH", False),
+        at_point=cast("Callable[[Array], PointRates] | None", names.get("at_point")),
     )
 
 
