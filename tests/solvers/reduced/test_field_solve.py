@@ -20,6 +20,7 @@ from tests.trajectories.fields.test_field_trajectories import reference, system,
 
 ADVECTION = """
 import numpy as np
+TIMED = ()
 def coefficients(t, p):
     (c,) = p
     return np.stack(np.broadcast_arrays(1.0 + 0.0 * t, c))

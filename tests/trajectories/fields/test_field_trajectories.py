@@ -27,6 +27,7 @@ from rankone.trajectories.fields.field_trajectories import (
 
 SOURCE = """
 import numpy as np
+TIMED = (2,)
 def coefficients(t, p):
     (k,) = p
     return np.stack(np.broadcast_arrays(1.0, k, np.cos(t)))

@@ -124,7 +124,8 @@ class FieldSystem:
 
     No step is longer than ``longest_step``.
 
-    The ``source`` is a module that defines ``coefficients(t, p)``, the functions of the pointwise
+    The ``source`` is a module that defines ``coefficients(t, p)``, of which those numbered in
+    ``TIMED`` depend on time, the functions of the pointwise
     terms, and ``initial_coefficients(p)``: the initial values are ``initial_vectors`` (N, v) times
     these numbers (v, ...). ``namespace`` has functions of the user that it calls. ``scales`` are
     those of the parameters, words of :data:`~rankone.tensors.coordinates.SCALES`.
@@ -168,8 +169,9 @@ class FieldSystem:
     def _functions(self) -> Mapping[str, object]:
         names: dict[str, object] = {"__name__": "fields", **self.namespace}
         exec(compile(self.source, "<rankone fields>", "exec"), names)
-        if "coefficients" not in names:
-            raise OptionError("the module of a system of fields defines no coefficients")
+        for name in ("coefficients", "TIMED"):
+            if name not in names:
+                raise OptionError(f"the module of a system of fields defines no {name}")
         return names
 
     def coefficients(self, t: float | Array, p: Array) -> Array:
