@@ -125,10 +125,10 @@ class FieldSystem:
     No step is longer than ``longest_step``.
 
     The ``source`` is a module that defines ``coefficients(t, p)``, of which those numbered in
-    ``TIMED`` depend on time, the functions of the pointwise
-    terms, and ``initial_coefficients(p)``: the initial values are ``initial_vectors`` (N, v) times
-    these numbers (v, ...). ``namespace`` has functions of the user that it calls. ``scales`` are
-    those of the parameters, words of :data:`~rankone.tensors.coordinates.SCALES`.
+    ``TIMED`` depend on time, the functions of the pointwise terms, and ``initial_coefficients(p)``:
+    the initial values are ``initial_vectors`` (N, v) times these numbers (v, ...). ``namespace``
+    has functions of the user that it calls. ``scales`` are those of the parameters, words of
+    :data:`~rankone.tensors.coordinates.SCALES`.
     """
 
     unknowns: tuple[Unknown, ...]
