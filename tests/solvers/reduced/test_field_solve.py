@@ -92,7 +92,7 @@ def test_travelling_fronts_are_refused_early():
         linear=(replace(system(n).linear[0], matrix=central),),
         sources=(),
         box=((0.5, 1.0),),
-        initial_vectors=np.exp(-(((x - 0.2) / 0.005) ** 2))[:, None],
+        initial_vectors=np.exp(-(((x - 0.2) / 0.003) ** 2))[:, None],
         source=ADVECTION,
     )
     solved = solve_fields(fields, request(fields, 1e-3))
@@ -127,7 +127,7 @@ def test_a_limit_that_the_coefficients_reach_is_named():
     asked = replace(request(fields, 1e-5), options=CrossOptions(max_rank=1))
     solved = solve_fields(fields, asked)
     assert solved.verdict.status is not Status.CONVERGED
-    assert "max_rank=1" in str(solved.verdict)
+    assert "raise max_rank" in str(solved.verdict)
 
 
 def learnt(fields, points):

@@ -99,11 +99,15 @@ class FieldTuning:
     """Change of a coefficient from one time to the next, over all of it, that needs no care."""
     jump: float = 0.5
     """The same that is too much to be followed."""
+    coefficient_checks: int = 16
+    """Points at which a solution for the coefficients is compared with trajectories of these."""
     rounds: int = 4
     """Solutions that are measured at most: what disagrees becomes modes."""
 
 
 FIELDS = FieldTuning()
+# Solutions for the coefficients whose fields are measured: some suffice though theirs do not
+_MEASURED = (Status.CONVERGED, Status.TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -160,15 +164,13 @@ class TooFewTrajectories(Cause):
 class FieldError(Cause):
     """How far the solution is from full trajectories at new points.
 
-    ``limit`` is the option that its coefficients have reached, if one is too small. With events
-    ``time_error`` is the largest error of their times, over the horizon.
+    With events ``time_error`` is the largest error of their times, over the horizon.
     """
 
     error: float
     unknown: str
     points: int
     trajectories: int
-    limit: str = ""
     time_error: float | None = None
     text: ClassVar[str] = (
         "{status}: {error:.1e} of the largest value of {unknown}, against {points} trajectories "
@@ -179,9 +181,7 @@ class FieldError(Cause):
         text = super().sentence(status)
         if self.time_error is not None:
             text += f"; times of events within {self.time_error:.1e} of the horizon"
-        if status is Status.CONVERGED or not self.limit:
-            return text
-        return f"{text}; the coefficients have reached {self.limit}, raise it"
+        return text
 
 
 @dataclass(frozen=True)
@@ -590,7 +590,7 @@ class _FieldSolve:
         for _ in range(FIELDS.rounds):
             with timed(self.timings, "solve"):
                 outcome, metadata = self._solved(reduced, inner)
-            if outcome.status is not Status.UNCHECKED:
+            if not outcome.slabs or outcome.status not in _MEASURED:
                 self.ended(outcome.status, ReducedEnds(outcome.message, self._rank))
                 return
             self.result = replace(self.result, modes=self.modes, outcome=outcome, metadata=metadata)
@@ -612,10 +612,9 @@ class _FieldSolve:
             self.result = replace(self.result, modes=self.modes)
             error, name = float(worst.max()), self.fields.unknowns[int(worst.argmax())].name
             good = error <= rtol
-            limit = _reached(outcome, self.request.options)
             times = [curves.time_error(self.comparison, each) for each in checked]
             time_error = max(times) if self.fields.events else None
-            cause = FieldError(error, name, len(checked), self.count, limit, time_error)
+            cause = FieldError(error, name, len(checked), self.count, time_error)
             self.ended(Status.CONVERGED if good else Status.TOLERANCE, cause)
             if good:
                 return
@@ -631,7 +630,7 @@ class _FieldSolve:
         """The coefficients over the box by the cross engine."""
         request = self.request
         limits = Limits(FIELDS.effort * request.limits.operations, memory=request.limits.memory)
-        check, options = Check(0), (request.options,)  # the fields themselves are measured
+        check, options = Check(FIELDS.coefficient_checks), (request.options,)
         asked = SolveRequest(rtol, request.domain, check, limits, options, markers=False)
         metadata = reduced.metadata(rtol)
         return solve_with((cross_engine.ENGINE,), reduced.system, asked, metadata)
@@ -656,12 +655,3 @@ class _FieldSolve:
         if math.isinf(curves.time_error(self.comparison, trajectory)):
             return [math.inf] * len(self.fields.unknowns)
         return self._errors_along(curves.at(trajectory.point), trajectory)
-
-
-def _reached(outcome: Outcome, options: CrossOptions) -> str:
-    """The limit that a solution of coefficients has reached; nothing if it has reached none."""
-    rank = max((max(slab.ranks, default=1) for slab in outcome.slabs), default=0)
-    nodes = max((basis.size for slab in outcome.slabs for basis in slab.bases), default=0)
-    if rank >= options.max_rank:
-        return f"max_rank={options.max_rank}"
-    return f"max_nodes={options.max_nodes}" if nodes >= options.max_nodes else ""
