@@ -299,19 +299,19 @@ JAVASCRIPT = [
 ]
 PAGE = [
     Fault(
-        X + "explorer/__init__.py",
+        X + "pages.py",
         "text = javascript_model(model, file)[file]",
         "text = javascript_model(model, file)[file].replace('2 * x', '2.001 * x')",
         f"{SUITE} page-units or page_has",
     ),
     Fault(
-        X + "explorer/__init__.py",
+        X + "explorer.py",
         '"running": " of what still runs" if model.terminal else ""',
         '"running": ""',
         f"{PAGES} what_is_written and rocket",
     ),
     Fault(
-        X + "explorer/page.py",
+        X + "explorer.py",
         '"terminal": model.terminal,',
         '"terminal": False,',
         f"{PAGES} bands_end or what_is",
