@@ -69,6 +69,7 @@ from rankone.support.errors import (
     number,
     quote,
 )
+from rankone.support.options import RTOL
 from rankone.tensors.coordinates import with_measure
 from rankone.trajectories.system.system import System
 
@@ -288,7 +289,7 @@ class CompiledStages:
             f"compiled in {sum(self.timings.values()):.2f} s"
         )
 
-    def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
+    def metadata(self, rtol: float = RTOL, method: str = "train") -> SolutionMetadata:
         """What a solution of the problem says was asked."""
         return replace(self._metadata, rtol=rtol, method=method)
 
@@ -304,7 +305,7 @@ class CompiledStages:
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,
             horizon=(clock.lower, clock.upper),
-            rtol=1e-6,
+            rtol=RTOL,
             method="train",
             equations=tuple(
                 general_equation_texts(self.first_order)

@@ -14,7 +14,7 @@ import sympy as sp
 from rankone.problem.expressions.notation import check_size
 from rankone.problem.forms import Coordinate
 from rankone.solvers.outcome import per
-from rankone.solvers.request import LEAST_WIDTH
+from rankone.support.arrays import LEAST
 from rankone.support.errors import (
     EvaluationError,
     OptionError,
@@ -58,7 +58,7 @@ def check_time(time: object) -> Time:
         fault = "zero" if t1 == t0 else "negative"
         remedy = "let time end after it starts"
         raise ProblemError(f"{horizon} is {fault}", term=time, remedy=remedy)
-    if t1 - t0 < LEAST_WIDTH:
+    if t1 - t0 < LEAST:
         raise ProblemError(f"{horizon} is too short", term=time, remedy=_OTHER_UNITS)
     return symbol, t0, t1
 
@@ -175,7 +175,7 @@ def _interval(symbol: sp.Symbol, bounds: object) -> tuple[float, float]:
     if low == high:
         remedy = "widen it, or write the number itself in the equations"
         raise ProblemError(f"{interval} is empty", term=symbol, remedy=remedy)
-    if low < high and high - low < LEAST_WIDTH:
+    if low < high and high - low < LEAST:
         raise ProblemError(f"{interval} is too narrow", term=symbol, remedy=_OTHER_UNITS)
     if low > high:
         remedy = f"write ({high:g}, {low:g})"

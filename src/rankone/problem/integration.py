@@ -17,7 +17,7 @@ import scipy
 
 from rankone.problem.forms import Coordinate
 from rankone.problem.numeric import Crossing, NumericEquations, Sides, first_change
-from rankone.support.arrays import COINCIDENT, EPSILON, NEGLIGIBLE, ROUNDING, Array
+from rankone.support.arrays import COINCIDENT, EPSILON, LEAST_SQUARED, NEGLIGIBLE, ROUNDING, Array
 from rankone.support.errors import (
     BlowUpError,
     ConvergenceError,
@@ -28,17 +28,15 @@ from rankone.support.errors import (
     listing,
     quote,
 )
-from rankone.support.options import checked_number
+from rankone.support.options import STEP_RTOLS, checked_number
 from rankone.tensors.coordinates import Coordinates, name_of
 from rankone.trajectories.system.features import overlap
 
-LEAST_RTOL, MOST_RTOL = 1e-12, 0.1
 _SMALL_STATE = 1e-3  # States below this share of their largest value need not be as accurate
 _LEAST_TOLERANCE = 8.0 * ROUNDING  # Of a step, over the largest value: below it rounding counts
 _FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
 _FIRST_TIMES = 9  # Times in it at which rates are taken
 _FIRST_SHARE = 1e-6  # Size of a state that starts at zero, over its change in that time
-_LEAST_ABSOLUTE = 1e-150  # Least absolute tolerance: what is divided by its square is a number
 _NOISE = 8.0 * EPSILON  # Relative change of the states that tells the noise of rates
 _LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
 _FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
@@ -154,7 +152,7 @@ class Integration:
             raise self._blow_up()
         absolute, with_events = self._tolerances(end), len(self._occurrences) > 0
         # LSODA squares what it divides by tolerances: tiny states are in units of their own
-        units = np.where(absolute < _LEAST_ABSOLUTE, np.exp2(np.frexp(absolute)[1] + 0.0), 1.0)
+        units = np.where(absolute < LEAST_SQUARED, np.exp2(np.frexp(absolute)[1] + 0.0), 1.0)
         solver = self._solver(end, absolute, units)
         start, stalls = self._time, 0
         while solver.status == "running" and self._goes_on():
@@ -511,7 +509,7 @@ def trajectory_of(
 
     See :meth:`rankone.Problem.trajectory`.
     """
-    tolerance = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+    tolerance = checked_number("rtol", rtol, *STEP_RTOLS, float)
     axes = Coordinates([c.name for c in coordinates], [(c.lower, c.upper) for c in coordinates])
     at, named = given
     times, *values = axes.arrays(axes.gather(at, dict(named)))

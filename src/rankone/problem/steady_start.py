@@ -28,7 +28,7 @@ from rankone.problem.jumps import instants_of
 from rankone.problem.numeric import NumericEquations
 from rankone.problem.shorthand import Shorthand
 from rankone.problem.user_events import Event
-from rankone.support.arrays import Array
+from rankone.support.arrays import LEAST_SQUARED, Array
 from rankone.support.errors import (
     ConvergenceError,
     EvaluationError,
@@ -122,9 +122,6 @@ def _defined(written: Arguments) -> Iterator[str]:
 # Which constants of a problem are run-time values, and which are written in.
 
 
-_LARGEST = 1e150  # Of run-time constants, and with its reciprocal the smallest
-
-
 def with_decisive(
     shorthand: Shorthand, written: Mapping[str, Any], coupled: Set[str] = frozenset()
 ) -> Shorthand:
@@ -153,7 +150,7 @@ def with_decisive(
 
 def _is_extreme(number: sp.Expr) -> bool:
     """Whether a number is zero, or so small or large that products may be lost."""
-    return not 1.0 / _LARGEST <= abs(float(number)) <= _LARGEST
+    return not LEAST_SQUARED <= abs(float(number)) <= 1.0 / LEAST_SQUARED
 
 
 def coupled_by(residuals: Sequence[sp.Expr]) -> set[str]:

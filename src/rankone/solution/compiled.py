@@ -37,6 +37,7 @@ from rankone.support.errors import (
     quote,
     warn,
 )
+from rankone.support.options import RTOL
 from rankone.support.tasks import one_thread
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
@@ -123,7 +124,7 @@ class CompiledProblem(CompiledStages):
 
     def solve(
         self,
-        rtol: float = 1e-6,
+        rtol: float = RTOL,
         *,
         method: Literal["auto", "cross", "train", "greedy"] = "auto",
         parameters: Mapping[Any, Sequence[float | str]] | None = None,

@@ -25,7 +25,7 @@ from rankone.support import __version__
 from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import Report, resolve_progress
 from rankone.support.errors import ConvergenceError, OptionError, did_you_mean
-from rankone.support.options import checked_number
+from rankone.support.options import RTOL, checked_number
 from rankone.support.tasks import ExecutorLike, checked_executor, one_thread
 from rankone.trajectories.fields.field_system import FieldSystem
 
@@ -37,7 +37,7 @@ _MOST_TRAJECTORIES = 100_000
 class SolvesEntries(Protocol):
     """A compiled problem without fields."""
 
-    def solve(self, rtol: float = 1e-6, **options: Any) -> Solution: ...
+    def solve(self, rtol: float = RTOL, **options: Any) -> Solution: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class CompiledFields:
 
     def solve(
         self,
-        rtol: float = 1e-6,
+        rtol: float = RTOL,
         *,
         method: str = "auto",
         parameters: Mapping[Any, Sequence[Any]] | None = None,

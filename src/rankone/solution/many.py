@@ -29,7 +29,7 @@ from rankone.support.errors import (
     shown,
     warn,
 )
-from rankone.support.options import takes_options_of
+from rankone.support.options import RTOL, takes_options_of
 from rankone.support.tasks import (
     ExecutorLike,
     Parcel,
@@ -138,7 +138,7 @@ class Solutions(Labelled, Sequence[Solution]):
 def solve_many(
     problem: Problem | CompiledProblem,
     boxes: Sequence[Box],
-    rtol: float = 1e-6,
+    rtol: float = RTOL,
     *,
     executor: ExecutorLike | None = None,
     checkpoint: str | PathLike[str] | None = None,

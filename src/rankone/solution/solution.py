@@ -51,6 +51,7 @@ from rankone.support.errors import (
     optional_module,
     shown,
 )
+from rankone.support.options import RTOL
 from rankone.support.tasks import ExecutorLike, checked_executor, one_thread, open_pool
 from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
 from rankone.tensors.canonical import CanonicalForms, canonical_form
@@ -468,7 +469,7 @@ class Solution(DistributionOverBox, EventTimes):
 
     # --- other forms -----------------------------------------------------------------------------
 
-    def to_canonical(self, rtol: float = 1e-6, *, max_rank: int = 500) -> CanonicalForms:
+    def to_canonical(self, rtol: float = RTOL, *, max_rank: int = 500) -> CanonicalForms:
         """Write each unknown as a sum of products of functions of one coordinate.
 
         ``u(t, p_1, ..., p_d) = sum_i amplitudes[i] T_i(t) P_i^1(p_1) ... P_i^d(p_d)`` over the

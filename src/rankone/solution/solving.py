@@ -10,7 +10,7 @@ from rankone.solution.compiled_fields import CompiledFields
 from rankone.solution.fields.field_solution import FieldSolution
 from rankone.solution.solution import Solution
 from rankone.support.budget import preparing
-from rankone.support.options import takes_options_of
+from rankone.support.options import RTOL, takes_options_of
 
 
 @overload
@@ -35,11 +35,11 @@ def compile_any(problem: Problem) -> CompiledProblem | CompiledFields:
 
 
 @overload
-def solve_any(problem: FieldProblem, rtol: float = 1e-6, **options: Any) -> FieldSolution: ...
+def solve_any(problem: FieldProblem, rtol: float = RTOL, **options: Any) -> FieldSolution: ...
 @overload
-def solve_any(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution: ...
+def solve_any(problem: Problem, rtol: float = RTOL, **options: Any) -> Solution: ...
 @takes_options_of(CompiledProblem.solve)
-def solve_any(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution | FieldSolution:
+def solve_any(problem: Problem, rtol: float = RTOL, **options: Any) -> Solution | FieldSolution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
     With fields the options are those of :meth:`rankone.CompiledFields.solve`.

@@ -22,7 +22,7 @@ from rankone.solvers.verification.points import branch_points
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, patience_for
 from rankone.support.errors import ConvergenceError, ProblemError, check_kind, quote
-from rankone.support.options import checked_number
+from rankone.support.options import RTOL, RTOLS, checked_number
 from rankone.support.tasks import one_thread
 from rankone.tensors.slab import at_one_time
 from rankone.trajectories.bifurcations import check_one_branch
@@ -31,14 +31,13 @@ from rankone.trajectories.system.verdict import MeasuredError, Note, Status, Ste
 
 _SHORTEST = 1e-300  # Shortest time that trajectories may be given to settle
 _FINER = 0.01  # Factor of the tolerance until gradients are within it
-_LEAST_RTOL = 1e-10
 
 
 def steady_state(
     problem: Problem | CompiledProblem,
     *,
     settle: float | None = None,
-    rtol: float = 1e-6,
+    rtol: float = RTOL,
     check: int = USUAL_POINTS,
     effort: str | float = "normal",
     max_seconds: float | None = None,
@@ -155,11 +154,11 @@ def _with_gradients(
     exact = slopes[rows] * widths
     sizes = np.abs(exact).max(axis=(1, 2), keepdims=True)
     at = dict(zip(solution.parameters, points.T, strict=True))
-    while finer > _LEAST_RTOL:
+    while finer > RTOLS[0]:
         off = np.abs(solution.gradient(at) * widths - exact)
         if (off <= rtol * sizes).all():
             break
-        finer = max(finer * _FINER, _LEAST_RTOL)
+        finer = max(finer * _FINER, RTOLS[0])
         closer = solved(finer)
         if not closer.success:
             break

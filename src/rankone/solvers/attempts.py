@@ -21,7 +21,7 @@ from rankone.solvers.verification.measure import measure
 from rankone.solvers.verification.reference import safe_intervals
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.verification.worst_points import confirmed, worst_points
-from rankone.support.arrays import Array
+from rankone.support.arrays import TINY, Array
 from rankone.support.budget import (
     OutOfBudgetError,
     Report,
@@ -346,7 +346,7 @@ def _narrowed(
         work = best.work
         bases, spectra = result.slabs[-1].bases, spectra_of(result.slabs, reference_set.states)
         tails = [basis.tail(s) for basis, s in zip(bases, spectra, strict=True)]
-        missed = max(best.error / max(max(tails), 1e-300), 1.0)
+        missed = max(best.error / max(max(tails), TINY), 1.0)
         modes = list(zip(bases, spectra, strict=True))
     else:
         modes = marcher.modes_on_lines()

@@ -19,7 +19,7 @@ from rankone.solvers.outcome import Outcome
 from rankone.solvers.request import SolveRequest
 from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.points import check_points, smooth_nodes
-from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.arrays import NEGLIGIBLE, TINY, Array
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, persisting
 from rankone.support.errors import ConvergenceError, quote
 from rankone.tensors import Basis1D, first_scale
@@ -50,7 +50,7 @@ class Resolution:
     def of(cls, basis: Basis1D, spectrum: Array, rtol: float) -> Resolution:
         """From the sizes of the modes, in units of the states."""
         smooth = min(smooth_nodes(rtol), basis.size)
-        excess = math.log(max(basis.tail(spectrum), 1e-300) / (SOLVE.narrowing_aim * rtol))
+        excess = math.log(max(basis.tail(spectrum), TINY) / (SOLVE.narrowing_aim * rtol))
         if excess <= 0.0:
             return cls(basis, float(basis.size), smooth)
         if basis.elements > 1:
@@ -126,7 +126,7 @@ def _decay(spectrum: Array) -> float:
     """Ratio of successive modes over the second half of a spectrum."""
     levels = np.maximum.accumulate(spectrum[::-1])[::-1]
     half = len(levels) // 2
-    ratio = (levels[-1] / max(levels[half], 1e-300)) ** (1.0 / max(len(levels) - 1 - half, 1))
+    ratio = (levels[-1] / max(levels[half], TINY)) ** (1.0 / max(len(levels) - 1 - half, 1))
     return float(min(max(ratio, SOLVE.fastest_decay), SOLVE.slowest_decay))
 
 

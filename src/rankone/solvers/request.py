@@ -13,10 +13,17 @@ from typing import SupportsFloat, TypeVar
 
 import numpy as np
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import LEAST, Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
-from rankone.support.options import INTEGRATORS, Options, checked_memory, checked_number
+from rankone.support.options import (
+    INTEGRATORS,
+    RTOL,
+    RTOLS,
+    Options,
+    checked_memory,
+    checked_number,
+)
 from rankone.tensors.coordinates import (
     LINEAR,
     SCALES,
@@ -44,17 +51,12 @@ SOLVE_ARGUMENTS = (
 )
 """Arguments of every ``solve``, beside the options of an engine."""
 _MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memory is given
-# Smallest tolerance: the reference, three digits better, comes close to rounding errors there
-_TIGHTEST_RTOL = 1e-10
-_LOOSEST_RTOL = 0.1  # Largest tolerance: beyond it a solution says little
 USUAL_POINTS = 96
 """Interior check points: a twentieth of the box is missed with probability below 1 %."""
 _MOST_POINTS = 100_000  # Most interior check points, so that their trajectories fit into memory
 _COVERS = ("interior", "box")
 # Factor on the budget of work where functions of the user are called, which may be slow
 _USER_FUNCTION_FACTOR = 10.0
-LEAST_WIDTH = 1e-290
-"""Shortest interval: fractions of a shorter one underflow."""
 # Points of an interval at which known functions are checked, both ends and the middle included
 _SAMPLES = 257
 
@@ -161,7 +163,7 @@ def _interval(subject: str, interval: object) -> tuple[float, float]:
         lower = upper = math.nan
     if isinstance(interval, Set):  # it has no order
         lower = math.nan
-    if lower < upper and upper - lower < LEAST_WIDTH:
+    if lower < upper and upper - lower < LEAST:
         raise OptionError(f"{subject} is {shown(interval)}, which is too narrow", term=interval)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise OptionError(
@@ -304,7 +306,7 @@ class SolveRequest:
         groups: Sequence[type[Options]],
         options: Mapping[str, object],
         *,
-        rtol: float = 1e-6,
+        rtol: float = RTOL,
         parameters: Mapping[object, Sequence[object]] | None = None,
         t_final: float | None = None,
         check: int = USUAL_POINTS,
@@ -353,7 +355,7 @@ class SolveRequest:
 
 def checked_rtol(rtol: object) -> float:
     """The option ``rtol``, or an OptionError."""
-    return float(checked_number("rtol", rtol, _TIGHTEST_RTOL, _LOOSEST_RTOL, float))
+    return float(checked_number("rtol", rtol, *RTOLS, float))
 
 
 def checked_integrator(integrator: object) -> str:

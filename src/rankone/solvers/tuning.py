@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rankone.support.arrays import ACCUMULATED, COINCIDENT, EPSILON, LEAST, LEAST_SQUARED, ROUNDING
+
 
 @dataclass(frozen=True)
 class SolveTuning:
@@ -40,7 +42,7 @@ class SolveTuning:
     """Random left points of the first attempt; each further attempt doubles them."""
     initial_rank: int = 200
     """Largest rank: initial values and states after jumps are smooth functions."""
-    initial_tolerance: float = 1e-13
+    initial_tolerance: float = ACCUMULATED
     """Error of initial values, in their sizes: far below that of any solve."""
     trial_nodes: int = 256
     """Random nodes at which the interpolation is compared with exact values."""
@@ -237,7 +239,7 @@ class CheckTuning:
     """Nodes of an interpolant that resolves smooth pieces."""
     resolved_error: float = 1e-7
     """Interpolation error of resolved pieces, relative to the largest value."""
-    straight_error: float = 1e-13
+    straight_error: float = ACCUMULATED
     """Error of a straight line, relative to the largest value: rounding."""
     smooth_error: float = 1e-3
     """Error over that one below which both halves are smooth, with a cut between."""
@@ -249,7 +251,7 @@ class CheckTuning:
     """Bisections of the interval: down to about a sample."""
     most_rounds: int = 4
     """Rounds of sampling, each between the cuts of those before."""
-    cut_width: float = 1e-15
+    cut_width: float = 4 * EPSILON
     """Width of a piece, relative to the size of its ends, at which a cut is located."""
     factor_size_samples: int = 224
     """Samples that tell the size of a factor."""
@@ -261,7 +263,7 @@ class CheckTuning:
     """Most pairs of such cuts that are checked."""
     pole: float = 1e9
     """A factor this many times larger at a cut than at samples may have a pole there."""
-    pole_distances: tuple[float, ...] = (1e-11, 1e-14)
+    pole_distances: tuple[float, ...] = (8 * COINCIDENT, ROUNDING)
     """Widths of the interval from a cut between which a pole grows."""
     pole_growth: float = 10.0
     """Factor by which a pole grows between them; a narrow peak does not."""
@@ -312,7 +314,7 @@ class CheckTuning:
     """Most of what is left of the budget for finer trajectories by LSODA."""
     most_single_states: int = 200
     """States up to which LSODA, whose matrices are dense, samples again."""
-    least_squared_size: float = 1e-140
+    least_squared_size: float = LEAST_SQUARED
     """Size of a state below which its square is lost."""
     most_checked_cuts: int = 16
     """Most cuts of a parameter that are checked on either side."""
@@ -329,7 +331,7 @@ class CheckTuning:
     """Times at which rounding errors and the growth of small states are estimated."""
     dip_samples: int = 64
     """Times at which states are looked for that fall far below their size."""
-    dip_floor: float = 1e-290
+    dip_floor: float = LEAST
     """Floor of a state that falls far and grows again: it is relative all the way."""
     zero_floor: float = 1e-18
     """That over its size if it starts from zero: no step leaves zero without one."""

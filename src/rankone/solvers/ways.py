@@ -23,7 +23,7 @@ from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.support.budget import OutOfBudgetError, Report, part_of_budget, quiet
 from rankone.support.errors import ConvergenceError
-from rankone.support.options import Options
+from rankone.support.options import RTOL, Options
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.events.sides import (
     AccumulationError,
@@ -277,7 +277,7 @@ class Engine:
     def run(
         self,
         system: System,
-        rtol: float = 1e-6,
+        rtol: float = RTOL,
         *,
         domain: Domain | None = None,
         check: int = USUAL_POINTS,

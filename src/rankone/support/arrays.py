@@ -32,6 +32,10 @@ ACCUMULATED = 512.0 * EPSILON
 """Error of what a long computation makes of them, about 1e-13."""
 COINCIDENT = 4096.0 * EPSILON
 """Difference below which two times or places are one, about 1e-12, in sizes of these."""
+LEAST = TINY / ROUNDING
+"""Smallest size with digits: its rounding errors still are numbers."""
+LEAST_SQUARED = LEAST**0.5
+"""Smallest size whose square has digits."""
 NEGLIGIBLE = 1e-9
 """Share below which a difference counts as none; about the error of the tightest solve."""
 EXACT_DIGITS = 20

@@ -14,6 +14,16 @@ from typing import Any, ClassVar, Self, TypeVar, cast
 
 from rankone.support.errors import OptionError, did_you_mean, shown
 
+RTOL = 1e-6
+"""Relative tolerance unless another is asked for."""
+RTOLS = 1e-10, 0.1
+"""Tolerances of solves: below them rounding spoils references, beyond them a solution says little."""
+STEP_RTOLS = 1e-12, 0.1
+"""Tolerances of trajectories and of smaller models: rounding errors are below them."""
+OUTPUT_RTOLS = 1e-13, 0.999
+"""Tolerances of outputs and of canonical forms."""
+LEVEL = 0.95
+"""Probability that intervals and half-widths hold, unless a user chooses another."""
 INTEGRATORS = ("auto", "stack", "single")
 """How trajectories are integrated, as the option of that name has it."""
 INTEGRATOR_HELP = "how trajectories are integrated: together, or each alone"

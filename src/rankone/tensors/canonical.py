@@ -28,7 +28,7 @@ from numpy.polynomial.legendre import leggauss
 
 from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, Array
 from rankone.support.errors import EvaluationError, listing, warn
-from rankone.support.options import checked_number
+from rankone.support.options import OUTPUT_RTOLS, RTOL, checked_number
 from rankone.tensors import IDENTITY, Basis1D, Scale, legendre_values
 from rankone.tensors.coordinates import Coordinates, name_of, round_off
 from rankone.tensors.slab import SlabTrain
@@ -262,7 +262,7 @@ def canonical_form(
     row: int,
     label: str,
     *,
-    rtol: float = 1e-6,
+    rtol: float = RTOL,
     max_rank: int = 500,
 ) -> CanonicalForm:
     """Write the state in a row of consecutive slabs, whose name is ``label``, in canonical form.
@@ -270,7 +270,7 @@ def canonical_form(
     The names are those of time and the parameters. Tolerance, errors and warnings as in
     :meth:`~rankone.solution.solution.Solution.to_canonical`.
     """
-    rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
+    rtol = checked_number("rtol", rtol, *OUTPUT_RTOLS, float)
     max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)

@@ -20,8 +20,9 @@ import numpy as np
 import scipy
 from scipy.special import ndtr, ndtri
 
-from rankone.support.arrays import EPSILON, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import (EPSILON, NEGLIGIBLE, TINY, Array, SEED)
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
+from rankone.support.options import LEVEL
 from rankone.tensors.coordinates import name_of
 from rankone.tensors.distributions import Distribution, Measure, PointMeasure
 
@@ -358,10 +359,6 @@ class JointDistribution:
 
 SETS = 16
 """Sets of points that are scrambled independently."""
-LEVEL = 0.95
-"""Probability that intervals and half-widths hold, unless a user chooses another."""
-SEED = 20144
-"""Of all points: the same call has the same answer."""
 _FEW = 3.0  # Points that may lie elsewhere at 95 % although no set says so: the rule of three
 
 

@@ -17,11 +17,10 @@ import sympy as sp
 from rankone.problem.expressions.notation import exact
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.forms import Coordinate
-from rankone.support.arrays import NEGLIGIBLE, SEED, Array, spread
+from rankone.support.arrays import ACCUMULATED, NEGLIGIBLE, SEED, Array, spread
 from rankone.tensors.coordinates import LINEAR
 
 _SAMPLES = 128  # Points of the box of which vectors are made, and half as many that compare
-_LEFT_OUT = 1e-13  # Of the largest singular value
 
 
 def shape_terms(
@@ -48,7 +47,7 @@ def shape_terms(
     if not np.isfinite(taken).all():
         return None
     modes, sizes, _ = np.linalg.svd(taken, full_matrices=False)
-    modes = modes[:, sizes > _LEFT_OUT * sizes[0]]
+    modes = modes[:, sizes > ACCUMULATED * sizes[0]]
     _, _, order = scipy.linalg.qr(modes.T, mode="economic", pivoting=True)
     entries = order[: modes.shape[1]]
     interpolating = modes @ np.linalg.inv(modes[entries])

@@ -38,7 +38,7 @@ from rankone.support.errors import (
     shown,
     text_table,
 )
-from rankone.support.options import checked_number, of_keywords, takes_options_of
+from rankone.support.options import STEP_RTOLS, checked_number, of_keywords, takes_options_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -343,7 +343,7 @@ class CalibrationProblem:
         self, values: Mapping[str, float] | None, by: tuple[str, ...], rtol: object
     ) -> experiment_objective.Evaluation:
         point = self.point(values)
-        accuracy = checked_number("rtol", rtol, 1e-12, 0.1, float)
+        accuracy = checked_number("rtol", rtol, *STEP_RTOLS, float)
         return self._objective.evaluated(point, by, accuracy)
 
     # -- text -------------------------------------------------------------------------------------

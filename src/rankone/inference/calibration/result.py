@@ -19,7 +19,7 @@ from rankone.inference.estimation.least_squares import SAME_COST, Descent, Expan
 from rankone.solution.solution import Solution
 from rankone.support.arrays import Array, Table, Variables
 from rankone.support.errors import count, listing, quote, with_remedy
-from rankone.tensors.joint_distribution import LEVEL
+from rankone.support.options import LEVEL
 
 
 class Comparison(NamedTuple):

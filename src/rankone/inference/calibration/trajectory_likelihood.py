@@ -30,7 +30,7 @@ from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
 from rankone.support.arrays import TINY, Array, spread
 from rankone.support.errors import ProblemError, RankoneError, quote
-from rankone.tensors.joint_distribution import LEVEL
+from rankone.support.options import LEVEL
 
 _RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
 _SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly

@@ -44,7 +44,7 @@ from rankone.support.errors import (
     shown,
     with_remedy,
 )
-from rankone.support.options import checked_number
+from rankone.support.options import LEVEL, checked_number
 from rankone.tensors.coordinates import name_of
 
 
@@ -197,7 +197,7 @@ def design(
     fixed: Mapping[Any, float] | None = None,
     interest: object = None,
     criterion: str = "D",
-    level: float = 0.95,
+    level: float = LEVEL,
 ) -> Design:
     """Choose the sampling times that tell the most about the parameters.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, TINY, Array, bisected
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, TINY, Array, bisected
 from rankone.support.budget import limited
 from rankone.support.options import checked_number
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
@@ -146,7 +146,7 @@ def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
         trial = problem.linearised(np.clip(z[going] + step, 0.0, 1.0), kept[going])
         before = cost[going]
         better = trial.cost < before
-        small = np.abs(trial.z - z[going]).max(axis=1) <= 1e-14
+        small = np.abs(trial.z - z[going]).max(axis=1) <= ROUNDING
         ended = (promised <= COINCIDENT * squares) | small
         rounding = promised <= NEGLIGIBLE * squares
         ended |= ~better & (rounding | (damping[going] > TUNING.largest_damping))

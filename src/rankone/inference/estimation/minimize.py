@@ -27,7 +27,15 @@ from rankone.inference.estimation.free_parameters import (
 from rankone.inference.estimation.observations import checked_times, state_name
 from rankone.inference.estimation.search import DISTINCT_DISTANCE
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import DIFFERENCE, Array, Labelled, Table, Variables
+from rankone.support.arrays import (
+    COINCIDENT,
+    DIFFERENCE,
+    NEGLIGIBLE,
+    Array,
+    Labelled,
+    Table,
+    Variables,
+)
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import OptionError, count, quote, shown, with_remedy
 from rankone.support.options import checked_number
@@ -59,7 +67,7 @@ class MinimizeTuning:
     """Of the shifted Sobol sequence and of differential evolution: a call repeats itself."""
     missed_weight: float = 1e3
     """Weight of constraints that are missed, beside the scaled objective."""
-    tolerances: tuple[float, float, float] = (1e-12, 1e-9, 1e-7)
+    tolerances: tuple[float, float, float] = (COINCIDENT, NEGLIGIBLE, 1e-7)
     """Tolerances of the scaled objective, one after the other."""
     most_iterations: int = 300
     """Most iterations of one search with one tolerance."""

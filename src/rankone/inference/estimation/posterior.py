@@ -34,7 +34,7 @@ from rankone.support.arrays import (
     spread,
 )
 from rankone.support.errors import OptionError, listing, quote, shown, with_remedy
-from rankone.support.options import checked_count, checked_number, takes_options_of
+from rankone.support.options import LEVEL, checked_count, checked_number, takes_options_of
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
 from rankone.tensors.distributions import Distribution, Measure, from_text
 from rankone.tensors.joint_distribution import Distributions, by_name, measures_of
@@ -183,7 +183,7 @@ class Posterior(Labelled):
         rows = values.T.reshape(len(columns), *shares.shape)
         return dict(zip(self.parameters, rows, strict=True))
 
-    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+    def interval(self, level: float = LEVEL) -> dict[str, tuple[float, float]]:
         """For each parameter the interval that leaves out equal tails."""
         level = checked_number("level", level, 0.0, 1.0, float)
         ends = self._quantiles(np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level]))

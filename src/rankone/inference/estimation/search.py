@@ -33,7 +33,7 @@ from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import NEGLIGIBLE, Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
-from rankone.support.options import checked_number, of_keywords, takes_options_of
+from rankone.support.options import LEVEL, checked_number, of_keywords, takes_options_of
 from rankone.tensors.joint_distribution import Distributions, by_name, measures_of
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
@@ -51,7 +51,7 @@ class Options:
     prior: Distributions = None
     starts: int = 4
     effort: str | float = "normal"
-    level: float = 0.95
+    level: float = LEVEL
 
 
 _OF_DATA = {each.name for each in fields(Experiment)} - {"data", "times", "fixed"}

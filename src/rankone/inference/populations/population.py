@@ -41,6 +41,7 @@ from rankone.support.errors import (
     shown,
     with_remedy,
 )
+from rankone.support.options import LEVEL
 from rankone.tensors.joint_distribution import by_name
 
 _MOST_NAMED = 4  # Subjects that a message names
@@ -224,7 +225,7 @@ def fit_population(
     doses: Mapping[Any, str] | None = None,
     start: ParameterValues = None,
     subject: str = SUBJECT,
-    level: float = 0.95,
+    level: float = LEVEL,
 ) -> PopulationFit:
     """Means, variances and subjects of a population: nonlinear mixed effects.
 

@@ -21,7 +21,7 @@ from rankone.inference.populations.population_estimates import PopulationEstimat
 from rankone.inference.populations.subjects import Measured
 from rankone.support.arrays import Array, Labelled, Table, Variables
 from rankone.support.errors import OptionError, with_remedy
-from rankone.support.options import checked_count, checked_number
+from rankone.support.options import LEVEL, checked_count, checked_number
 
 _MOST_BINS = 10
 _MOST_REDRAWS = 50  # Rounds in which subjects outside of the box are drawn again
@@ -127,7 +127,7 @@ def predictive_check(
     quantiles: Sequence[float] = (0.05, 0.5, 0.95),
     bins: int | Sequence[float] | None = None,
     corrected: bool = False,
-    level: float = 0.95,
+    level: float = LEVEL,
     seed: int = 0,
 ) -> PredictiveCheck:
     """Compare quantiles of the data with those of data simulated from the fit.

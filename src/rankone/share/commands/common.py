@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from rankone.problem.toml_layout import SHOWN, text_arguments
 from rankone.support.errors import ProblemError, RankoneError, listing
 from rankone.support.files import as_path
+from rankone.support.options import RTOL
 
 if TYPE_CHECKING:
     from rankone.problem.problem import Problem
@@ -110,7 +111,6 @@ BAD_INPUT = 2  # Exit status: an argument or a file is wrong
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
-_DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
 
 PAIRS: dict[str, Any] = {"nargs": "+", "action": "extend"}
 """An option with several values, ``NAME=VALUE``, that may be given again."""
@@ -237,7 +237,7 @@ def solution_of(
         )
     with preparing(None):
         compiled = rankone.compile(problem_of(path, numbers))
-    rtol = _DEFAULT_RTOL if rtol is None else rtol
+    rtol = RTOL if rtol is None else rtol
     engine = "auto" if method is None else method
     return compiled.solve(rtol=rtol, method=engine, effort=effort)  # type: ignore[arg-type]
 

@@ -34,7 +34,7 @@ from rankone.share.export.program import pairs_of
 from rankone.solvers.request import USUAL_POINTS
 from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
 from rankone.support.errors import OptionError, listing, quote
-from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
+from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS, LEVEL, RTOL
 
 if TYPE_CHECKING:
     from rankone.inference.estimation.fit import Fit
@@ -97,7 +97,7 @@ def register_fit(commands: Commands) -> None:
         **PAIRS,
         help="what was known before, as in scipy.stats: k='norm(1, 0.1)'",
     )
-    add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
+    add("--level", type=float, default=LEVEL, help="level of intervals (default: %(default)g)")
     add("--posterior", action="store_true", help="the distribution of the parameters as well")
     add_solve_arguments(parser)
     add("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP)
@@ -356,7 +356,7 @@ def register(commands: Commands) -> None:
     )
     add = solve.add_argument
     add("file", metavar="FILE", type=Path, help=MODEL_HELP)
-    add("--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)")
+    add("--rtol", type=float, default=RTOL, help="relative tolerance (default: %(default)g)")
     add("--save", metavar="PATH", type=Path, help="write the solution (.npz, or .nc for netCDF)")
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--check", metavar="N", type=_count, help=_CHECK_HELP)

@@ -18,7 +18,7 @@ from rankone.solvers.branches import slabs_of_branches
 from rankone.solvers.outcome import with_unit
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
-from rankone.support.options import checked_number
+from rankone.support.options import STEP_RTOLS, checked_number
 from rankone.tensors import IDENTITY, Scale
 from rankone.tensors.coordinates import with_measure
 from rankone.tensors.decisions import looks
@@ -34,9 +34,6 @@ from rankone.trajectories.system.timeline import (
 )
 
 States = Literal["unknowns", "all"]  # What a model evaluates
-
-_SMALLEST_RTOL = 1e-12  # Smallest difference that can be asked for: above rounding errors
-_LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
 
 
 def _timeline_of(solution: SolutionCore, allow_failed: bool) -> Timeline | BranchedTimeline | None:
@@ -258,9 +255,7 @@ def check_states(states: States) -> None:
 
 def checked_rtol(rtol: float | None) -> float | None:
     """The difference from the solution that a model may have, or an OptionError."""
-    return (
-        None if rtol is None else checked_number("rtol", rtol, _SMALLEST_RTOL, _LARGEST_RTOL, float)
-    )
+    return None if rtol is None else checked_number("rtol", rtol, *STEP_RTOLS, float)
 
 
 def _summary(

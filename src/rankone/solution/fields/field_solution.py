@@ -22,7 +22,6 @@ from rankone.solution.fields.field_quantities import (
 from rankone.solution.fields.field_statistics import SobolByUnknown
 from rankone.solution.fields.field_view import FieldView
 from rankone.solution.outputs.interpolation import DEFAULT_MARGIN, LARGEST_DEFAULT
-from rankone.solution.outputs.quantity_solutions import LEAST_RTOL, MOST_RTOL
 from rankone.solution.solution import Solution, load, loaded
 from rankone.solution.statistics.over_box import Times
 from rankone.solution.storage import read_fields
@@ -39,7 +38,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.files import free_target, write_files
-from rankone.support.options import checked_number
+from rankone.support.options import OUTPUT_RTOLS, checked_number
 from rankone.tensors.joint_distribution import Correlations, Under
 from rankone.trajectories.fields.field_system import Unknown
 from rankone.trajectories.system.verdict import Status
@@ -242,7 +241,7 @@ class FieldSolution(FieldCore):
     def _output_tolerance(self, rtol: float | None, functionals: list[Functional]) -> float:
         """The tolerance of sums of functionals."""
         if rtol is not None:
-            return float(checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float))
+            return float(checked_number("rtol", rtol, *OUTPUT_RTOLS, float))
         sizes = largest_values(self.coefficients, functionals)
         pairs = zip(functionals, sizes, strict=True)
         effect = self.rtol * max((each.size / size for each, size in pairs if size), default=1.0)

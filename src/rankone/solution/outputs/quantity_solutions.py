@@ -26,15 +26,13 @@ from rankone.support.errors import (
     listing,
     quote,
 )
-from rankone.support.options import checked_number
+from rankone.support.options import OUTPUT_RTOLS, checked_number
 from rankone.support.tasks import Pool
 from rankone.tensors.coordinates import name_of
 from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import DerivativeOf, EarlyEnd, Status
 
-LEAST_RTOL, MOST_RTOL = 1e-13, 0.999
-"""Tolerances of outputs."""
 _SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
 _SAMPLE_SEED = 1795  # Seed of these points
 
@@ -86,7 +84,7 @@ def with_outputs(
     """Quantities of interest; see :meth:`rankone.Solution.output`."""
     rtol, seconds, units, pool = request.rtol, math.inf, request.units, request.pool
     if rtol is not None:
-        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+        rtol = checked_number("rtol", rtol, *OUTPUT_RTOLS, float)
     if request.max_seconds is not None:
         seconds = checked_number("max_seconds", request.max_seconds, 0.0, 1e9, float)
     asked, metadata = Asked(rtol, operations_for(request.effort), seconds), solution.metadata
@@ -233,7 +231,7 @@ def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome
             remedy="keep it as it is, or solve up to a time at which all trajectories run",
         )
     if rtol is not None:
-        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+        rtol = checked_number("rtol", rtol, *OUTPUT_RTOLS, float)
     if moving := timeline.moving_resets:
         raise ConvergenceError(
             f"values over clock time are not resolved, since {listing(moving)} may reset states at "

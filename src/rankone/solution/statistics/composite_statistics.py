@@ -25,7 +25,7 @@ from rankone.solution.statistics.solution_statistics import (
     warn_of_ends,
     when,
 )
-from rankone.support.arrays import ACCUMULATED, COINCIDENT, Array
+from rankone.support.arrays import ACCUMULATED, COINCIDENT, ROUNDING, Array
 from rankone.support.budget import StepReport, check_time
 from rankone.support.errors import EvaluationError
 from rankone.tensors import Basis1D
@@ -191,7 +191,7 @@ class TimelineStatistics(Statistics):
         def moments(states: Array, weights: Array) -> tuple[Array, Array]:
             apart = _apart(states, weights) if central else states
             size = np.sqrt(apart**2 @ weights)
-            still = size <= 1e-14 * np.abs(states).max(axis=1)
+            still = size <= ROUNDING * np.abs(states).max(axis=1)
             scaled = apart / np.where(still, np.nan, size)[:, None]
             shape = np.stack([size, scaled**3 @ weights, scaled**4 @ weights])
             return shape, np.stack([size, np.ones_like(size), shape[2]])

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solution.statistics.solution_statistics import POINTS_AT_ONCE, quiet
-from rankone.support.arrays import Array
+from rankone.support.arrays import ROUNDING, Array
 from rankone.support.budget import StepReport, check_time
 from rankone.support.errors import warn
 from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
@@ -393,7 +393,7 @@ def _blocks(count: int) -> Iterator[slice]:
 def _interpolation(shares: Array) -> Array:
     """Weights (M, nodes) of values at nodes for polynomials at shares."""
     apart = shares[:, None] - _NODES
-    apart = np.where(np.abs(apart) < 1e-14, 1e-14, apart)
+    apart = np.where(np.abs(apart) < ROUNDING, ROUNDING, apart)
     weights = _BARYCENTRIC / apart
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 

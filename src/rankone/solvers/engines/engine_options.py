@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from rankone.solvers.attempts import LEAST_COST_RATIO
 from rankone.solvers.outcome import SlabRecord
+from rankone.support.arrays import COINCIDENT
 from rankone.support.costs import CALL, Cost
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, choice, integer, integers, number
@@ -262,7 +263,7 @@ class TrainTuning:
     """Largest tolerance of the first sweep, relative to the final one."""
     max_probes: int = 8
     """Largest number of random sums that widen the frame."""
-    unresolved_tail: float = 1e-12
+    unresolved_tail: float = COINCIDENT
     """Relative size of the last modes above which a function counts as unresolved."""
     probe_modes: int = 3
     """Modes of a probe; higher ones would look like a need for more nodes."""
@@ -372,7 +373,7 @@ class GreedyTuning:
     """Rank above which a source is compressed before it is solved for."""
     better_residual: float = 0.98
     """Ratio of residuals below which a mode counts as an improvement."""
-    proximal_weight: float = 1e-12
+    proximal_weight: float = COINCIDENT
     """Weight, relative to the largest diagonal entry, that ties an update to the modes it
     replaces."""
     max_dense_size: int = 1200

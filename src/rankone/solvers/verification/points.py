@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.tuning import CHECK
-from rankone.support.arrays import Array, bisected, corners, spread
+from rankone.support.arrays import TINY, Array, bisected, corners, spread
 from rankone.tensors import Basis1D
 from rankone.tensors.coordinates import IDENTITY, Interval, Logarithm, Scale, on_scale
 from rankone.tensors.slab import SlabTrain, sharing
@@ -258,7 +258,7 @@ def active_points(system: System, domain: Domain) -> Array:
     coverage = Coverage.of_domain(domain)
     grids = [coverage.line(j, CHECK.factor_samples) for j in range(d)]
     sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
-    active = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
+    active = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), TINY) for f in sizes]
     products = {rows[1:] for _, _, rows, _ in system.terms}
     products |= {rows for _, _, rows in system.initial_terms}
     shares = {rows: math.prod(p[r] for p, r in zip(active, rows, strict=True)) for rows in products}

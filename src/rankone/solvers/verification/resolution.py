@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.tuning import CHECK
-from rankone.support.arrays import AT_ONCE, Array
+from rankone.support.arrays import AT_ONCE, LEAST, Array
 from rankone.support.budget import COPIES, OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
@@ -28,7 +28,7 @@ from rankone.trajectories.integrators.diagnosis import (
     logarithmic_norm,
     rounding_errors,
 )
-from rankone.trajectories.integrators.integrator import LEAST_TOLERANCE, DenseTrajectories
+from rankone.trajectories.integrators.integrator import DenseTrajectories
 from rankone.trajectories.system.system import System
 
 NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
@@ -111,7 +111,7 @@ class Resolution:
             unseen = CHECK.unseen * (self.first.max(initial=0.0) or 1.0)
             sizes = np.where(self.asked[:, None], sizes, np.maximum(sizes, unseen))
         sizes = np.where(np.isfinite(self.floor), 0.0, sizes)
-        return np.maximum(self.rtol * NEGLIGIBLE * sizes, LEAST_TOLERANCE)
+        return np.maximum(self.rtol * NEGLIGIBLE * sizes, LEAST)
 
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
@@ -158,7 +158,7 @@ class Resolution:
         growth = min(self._bound_of_growth(dense, largest), CHECK.most_exponent)
         lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
         absolute = self.rtol * np.minimum(lower, self.floor)
-        absolute = np.maximum(absolute, np.maximum(self.rounding.floor, LEAST_TOLERANCE))
+        absolute = np.maximum(absolute, np.maximum(self.rounding.floor, LEAST))
         absolute = np.minimum(absolute, self.absolute)
         if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
             return False
@@ -172,7 +172,7 @@ class Resolution:
         times = np.linspace(self.start, min(finer.end, dense.end), CHECK.resolution_samples)
         change = np.abs(finer(times) - dense.of(slice(CHECK.chain_trajectories))(times)).max(axis=2)
         sizes = np.maximum(finer.largest, np.maximum(self.rounding.floor, self.tolerated))
-        passed_on = (change > CHECK.passed_on * self.rtol * sizes + LEAST_TOLERANCE).any(axis=1)
+        passed_on = (change > CHECK.passed_on * self.rtol * sizes + LEAST).any(axis=1)
         if not (passed_on if self.asked is None else passed_on & self.asked).any():
             return False
         self.floor = np.minimum(self.floor, lower)

@@ -11,7 +11,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import LEAST, Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import Cost, function_cost
 from rankone.tensors.time_grid import insets
@@ -227,7 +227,6 @@ def joined(paths: Sequence[Path]) -> Path:
 
 LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
 EARLY_STEPS = 4  # Steps after which states that start from zero show their size
-LEAST_TOLERANCE = 1e-290  # Least absolute tolerance: floating-point numbers end at 1e-308
 JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that is made or read
 
 
@@ -242,7 +241,7 @@ class Tolerances:
     @classmethod
     def down_to(cls, relative: float, sizes: Array) -> Tolerances:
         """Those of states (n, 1) that are resolved relative to themselves down to ``sizes``."""
-        return cls(relative, np.maximum(relative * sizes, LEAST_TOLERANCE))
+        return cls(relative, np.maximum(relative * sizes, LEAST))
 
     def times(self, factor: float) -> Tolerances:
         """Looser tolerances, for steps of the same length."""

@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, Array
 from rankone.support.errors import OptionError, ProblemError, listing
 from rankone.tensors.coordinates import LINEAR
 from rankone.trajectories.system.features import (
@@ -534,7 +534,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     return tuple(event(k, *each) for k, each in enumerate(listed))
 
 
-AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+AHEAD = (0.0, COINCIDENT, NEGLIGIBLE, 1e-6, 1e-4)
 """Relative changes of states and time over which it is looked what rates are ahead."""
 
 
