@@ -20,7 +20,7 @@ from rankone.problem.expressions.conditions import rate_of
 from rankone.problem.expressions.parsing import syntax_trees
 from rankone.problem.forms import Jump
 from rankone.problem.problem import Problem
-from rankone.support.arrays import ACCUMULATED, EPSILON, SEED, Array
+from rankone.support.arrays import ACCUMULATED, EPSILON, SAME, SEED, Array
 from rankone.support.errors import OptionError, ProblemError, quote
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.bifurcations import before_start
@@ -28,11 +28,9 @@ from rankone.trajectories.system.system import System, pattern_of
 
 POINTS = 20
 """Points of the horizon, the box and plausible states at which a problem is compared."""
-_FEW_POINTS = 3  # Points at which what takes long is compared
+FEW_POINTS = 3  # Points at which what takes long is compared
 AGREED = 1e-10
 """Differences below this share of the largest value are rounding of sums and products."""
-# The same for differences between functions that lose digits: derivatives, and long integrations
-_AGREED_ROUGHLY = 1e-6
 _MOST_OPERATIONS = 12000  # Operations at a hundred digits for all rates: some tenths of a second
 # Shares of the horizon over which states have moved from the start, at their first rate
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
@@ -105,7 +103,7 @@ def disagreeing_rate(lifted: System, system: System) -> int | None:
         rates = np.asarray(lifted.rhs(t, states, p), dtype=float)[: len(u)]
         size = np.abs(points.rates[:, finite]).max(axis=1, initial=0.0)
         errors = np.abs(rates - points.rates)[:, finite]
-        disagreeing = ~(errors <= _AGREED_ROUGHLY * size[:, None]).all(axis=1)
+        disagreeing = ~(errors <= SAME * size[:, None]).all(axis=1)
     return int(np.argmax(disagreeing)) if disagreeing.any() else None
 
 
@@ -152,8 +150,8 @@ class _ProblemCheck:
     def run(self) -> None:
         """Raise a DisagreementError at the first disagreement."""
         operations = sum(len(comparison.program.steps) for comparison in self.compared)
-        count = max(min(POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEW_POINTS)
-        self.few = count > _FEW_POINTS
+        count = max(min(POINTS, _MOST_OPERATIONS // max(operations, 1)), FEW_POINTS)
+        self.few = count > FEW_POINTS
         with np.errstate(all="ignore"):
             self.points = ComparedPoints.of(self.system, count)
             self._check_rates()
@@ -194,7 +192,7 @@ class _ProblemCheck:
         points, highest = self.points, self.highest
         rng = np.random.default_rng(SEED)
         moving = [k for k in _finite(points.states, points.rates) if k % _STILL_PERIOD]
-        for k in moving[: _FEW_POINTS if self.few else 1]:
+        for k in moving[: FEW_POINTS if self.few else 1]:
             t, p = points.time[k], points.parameters[:, k]
             u, f = points.states[:, k], points.rates[highest, k]
             jacobian = np.asarray(self.system.jacobian(t, u, p), dtype=float)
@@ -217,7 +215,7 @@ class _ProblemCheck:
                     slopes = [comparison.slope(here, direction) for direction in along]
                     error = to_float(total(*slopes))
                     scale = sum(map(abs, map(to_float, slopes))) + comparison.residual(here)[1]
-                    if abs(error) <= _AGREED_ROUGHLY * scale + negligible:
+                    if abs(error) <= SAME * scale + negligible:
                         continue
                     spread = comparison.slope_spread(here, along, error)
                 except (NoValueError, OverflowError):
@@ -255,12 +253,12 @@ class _ProblemCheck:
             begun = system.initial(self.points.parameters)
             size = max(size, float(np.abs(begun).max()))
         clock, points = self.first_order.coordinates[0], self.points.parameters.T
-        for k, point in enumerate(points[:_FEW_POINTS]):
+        for k, point in enumerate(points[:FEW_POINTS]):
             at = dict(zip(self.symbols, point.tolist(), strict=True))
             states = self.problem.trajectory({clock.symbol: clock.lower, **at}).states
             for state, start in zip(self.first_order.states, generated[:, k], strict=True):
                 off = abs(float(states[state.name]) - start)
-                if off > _AGREED_ROUGHLY * size:
+                if off > SAME * size:
                     raise DisagreementError(
                         f"the steady state at the start is not where a long integration ends: "
                         f"{quote(state.expression)} differs by {off:.3g} at {self._described(k)}",
@@ -417,7 +415,7 @@ def check_table(problem: Problem, table: TermTable, system: System) -> None:
     A DisagreementError names the first state that is off by more than rounding.
     """
     with np.errstate(all="ignore"):
-        points = ComparedPoints.of(system, _FEW_POINTS)
+        points = ComparedPoints.of(system, FEW_POINTS)
         t, p, u = points.time, points.parameters, points.states
         _check_start(problem, system, p)
         if table.forms:

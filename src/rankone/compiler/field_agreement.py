@@ -17,22 +17,25 @@ import sympy as sp
 from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 
-from rankone.compiler.agreement import REMEDY, DisagreementError
+from rankone.compiler.agreement import FEW_POINTS, POINTS, REMEDY, DisagreementError
 from rankone.problem.field_problem import CheckedFields
 from rankone.problem.fields import Apply, Field, Vector, size_of
-from rankone.support.arrays import NEGLIGIBLE, SEED, TINY, Array
+from rankone.support.arrays import (
+    DIFFERENCE,
+    EXACT_DIGITS,
+    MINOR,
+    NEGLIGIBLE,
+    SAME,
+    SEED,
+    TINY,
+    Array,
+)
 from rankone.support.errors import quote
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.fields.field_system import FieldSystem, Matrix
 
 Extended = NDArray[np.longdouble]
 Places = NDArray[np.intp]
-_ENTRIES = 20  # Compared in all states together
-_FEWEST = 4  # Compared in each state
-_DIGITS = 25  # Of functions that NumPy lacks
-_STEP = 1e-6  # Of difference quotients, whose rounding and curvature both are below 1e-11
-_SLOPE_AGREED = 1e-6  # Relative difference of derivatives along a direction
-_PERTURBATION = 0.1  # Of initial values, relative
 _UFUNCS: dict[str, Callable[[Extended], Extended]] = {
     name: getattr(np, name) for name in ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh")
 }
@@ -48,7 +51,7 @@ def check_field_agreement(
     """
     rng = np.random.default_rng(SEED)
     lower, upper = np.array(system.box).reshape(-1, 2).T
-    many = max(_FEWEST, _ENTRIES // len(places))
+    many = max(FEW_POINTS, POINTS // len(places))
     rows = {state: _sample(where, many, rng) for state, where in places.items()}
     for away in (False, True):
         p = lower + rng.random(lower.size) * (upper - lower)
@@ -63,7 +66,7 @@ def check_field_agreement(
             gap = start[own + places[state].start] - tree.value(value, own)
             size = np.maximum(tree.magnitude(value, own), sizes[places[state]][own])
             _compare(gap, size, NEGLIGIBLE, "initial value", state)
-        u = start * (1.0 + _PERTURBATION * rng.standard_normal(system.size))
+        u = start * (1.0 + MINOR * rng.standard_normal(system.size))
         if away:
             u = sizes * (0.5 + rng.random(system.size))
         direction = sizes * rng.standard_normal(system.size)
@@ -78,7 +81,7 @@ def check_field_agreement(
             _compare(np.where(counted, gap, 0.0), size, NEGLIGIBLE, "rate", state)
             near, far = (
                 _slope(numbers, places, (u, h * direction), rate, own) / np.longdouble(h)
-                for h in (_STEP, 2.0 * _STEP)
+                for h in (DIFFERENCE, 2.0 * DIFFERENCE)
             )
             curvature = np.abs(far - near)  # three times what the step leaves in the nearer one
             gap = np.maximum(np.abs(slopes - near) - curvature, 0.0)
@@ -86,7 +89,7 @@ def check_field_agreement(
             _compare(
                 np.where(counted, gap, 0.0),
                 size + scale,
-                _SLOPE_AGREED,
+                SAME,
                 "derivative of the rate",
                 state,
             )
@@ -311,7 +314,7 @@ def _number(expression: sp.Basic) -> np.longdouble:
     """A number without symbols."""
     if isinstance(expression, sp.Rational):
         return np.longdouble(int(expression.p)) / np.longdouble(int(expression.q))
-    return np.longdouble(str(sp.N(expression, _DIGITS)))
+    return np.longdouble(str(sp.N(expression, EXACT_DIGITS)))
 
 
 def _by_mpmath(function: Callable[..., sp.Expr], arguments: list[Extended]) -> Extended:
@@ -320,12 +323,12 @@ def _by_mpmath(function: Callable[..., sp.Expr], arguments: list[Extended]) -> E
     compiled = sp.lambdify(symbols, function(*symbols), "mpmath")
     columns = np.broadcast_arrays(*arguments)
     values = np.full(columns[0].shape, np.nan, dtype=np.longdouble)
-    with mpmath.workdps(_DIGITS):
+    with mpmath.workdps(EXACT_DIGITS):
         for place in np.ndindex(values.shape):
             entries = (mpmath.mpf(str(column[place])) for column in columns)
             try:
                 outcome = compiled(*entries)
-                values[place] = np.longdouble(mpmath.nstr(mpmath.mpf(outcome), _DIGITS))
+                values[place] = np.longdouble(mpmath.nstr(mpmath.mpf(outcome), EXACT_DIGITS))
             except (ArithmeticError, ValueError, TypeError):
                 continue
     return values

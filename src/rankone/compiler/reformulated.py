@@ -37,7 +37,7 @@ from rankone.problem.problem import Problem
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.request import Domain, Observation, SolveRequest, counted_states
 from rankone.solvers.verification.points import branch_points, check_points
-from rankone.support.arrays import Array
+from rankone.support.arrays import MINOR, SAMPLES, Array
 from rankone.support.budget import limited
 from rankone.support.errors import (
     EvaluationError,
@@ -177,8 +177,6 @@ def lifted_problem(
 # The form of a problem in which each switch of its rates is held on one side of its surface.
 
 
-_POINTS = 64  # Points of the box, besides corners, that show rates and sides of switches
-_BESIDE = 0.1  # Distance from the initial states at which rates are compared
 _COARSE_POINTS, _COARSE_STEPS = 8, 512  # Trajectories, besides corners, that reach levels
 
 
@@ -255,12 +253,12 @@ def _agrees(held: System, system: System) -> bool:
     And whether the factors of the held ones are finite.
     """
     bounds = np.array(system.box, dtype=float).reshape(-1, 2)
-    p = np.ascontiguousarray(check_points(bounds, _POINTS, every_corner=True).T)
+    p = np.ascontiguousarray(check_points(bounds, SAMPLES, every_corner=True).T)
     n, t = system.n_differential, np.full(p.shape[1], system.horizon[0])
     with np.errstate(all="ignore"):
         start = system.initial(p)
         beside = np.random.default_rng(0).standard_normal(start.shape)
-        u = with_sides(held, t, start + beside * _BESIDE, p)
+        u = with_sides(held, t, start + beside * MINOR, p)
         ours = np.broadcast_to(held.rhs(t, u, p), u.shape)[:n]
         theirs = np.broadcast_to(system.rhs(t, u[:n], p), ours.shape)
         factors = (held.parameter_factors(j, values) for j, values in enumerate(p))
@@ -305,7 +303,7 @@ class StretchedProblem:
         coordinates = tuple(replace(c, lower=a, upper=b) for c, (a, b) in moved)
         first_order = replace(self.first_order, coordinates=coordinates)
         bounds = np.array(box, dtype=float).reshape(-1, 2)
-        points = check_points(bounds, _POINTS, every_corner=True)
+        points = check_points(bounds, SAMPLES, every_corner=True)
         form = over_stretches(first_order, self._stretches(clock), np.ascontiguousarray(points.T))
         if form.coupled is not None:
             raise _does_not_separate(form.coupled)

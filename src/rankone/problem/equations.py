@@ -16,7 +16,7 @@ from rankone.problem.expressions.notation import exact, expression_of
 from rankone.problem.shorthand import Shorthand, unsupported, wrong_argument
 from rankone.support.errors import ProblemError, count, did_you_mean, listing, name_defect, quote
 
-_MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
+MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
@@ -178,9 +178,9 @@ def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:
     """Raise if a sum is longer than can be compiled; the first expressions are the equations."""
     for i, expression in enumerate(expressions, 1):
         longest = max((len(total.args) for total in expression.atoms(sp.Add)), default=0)
-        if longest > _MOST_TERMS:
+        if longest > MOST_TERMS:
             raise ProblemError(
-                f"a sum has {longest} terms; at most {_MOST_TERMS} are compiled",
+                f"a sum has {longest} terms; at most {MOST_TERMS} are compiled",
                 equation=i if i <= equations else None,
                 remedy="gather like terms, or give their sum as a table (rankone.table)",
             )

@@ -24,10 +24,10 @@ from sympy.core.function import ArgumentIndexError, FunctionClass
 
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError, quote, shown
+from rankone.support.files import WIDTH
 from rankone.trajectories.system import features
 
 _KINDS = ("linear", "cubic", "previous")
-_LONGEST_LINE = 100  # Characters of a line of generated source
 _NUMBERS_PER_LINE = 8  # Numbers in each line of an array that does not fit into one
 
 
@@ -362,7 +362,7 @@ def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
     """An array bound to a name, several numbers in a line."""
     digits = [repr(value).replace("e+", "e") for value in numbers]
     line = f"{name} = np.array([{', '.join(digits)}])"
-    if len(line) <= _LONGEST_LINE:
+    if len(line) <= WIDTH:
         return [line]
     rows = [digits[k : k + _NUMBERS_PER_LINE] for k in range(0, len(digits), _NUMBERS_PER_LINE)]
     return [

@@ -17,7 +17,17 @@ import scipy
 
 from rankone.problem.forms import Coordinate
 from rankone.problem.numeric import Crossing, NumericEquations, Sides, first_change
-from rankone.support.arrays import COINCIDENT, EPSILON, LEAST_SQUARED, NEGLIGIBLE, ROUNDING, Array
+from rankone.support.arrays import (
+    COARSE,
+    COINCIDENT,
+    EPSILON,
+    LEAST_SQUARED,
+    MOST_ROUNDS,
+    NEGLIGIBLE,
+    ROUNDING,
+    SAME,
+    Array,
+)
 from rankone.support.errors import (
     BlowUpError,
     ConvergenceError,
@@ -32,18 +42,14 @@ from rankone.support.options import STEP_RTOLS, checked_number
 from rankone.tensors.coordinates import Coordinates, name_of
 from rankone.trajectories.system.features import overlap
 
-_SMALL_STATE = 1e-3  # States below this share of their largest value need not be as accurate
 _LEAST_TOLERANCE = 8.0 * ROUNDING  # Of a step, over the largest value: below it rounding counts
 _FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
 _FIRST_TIMES = 9  # Times in it at which rates are taken
-_FIRST_SHARE = 1e-6  # Size of a state that starts at zero, over its change in that time
 _NOISE = 8.0 * EPSILON  # Relative change of the states that tells the noise of rates
 _LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
 _FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
-_MOST_STALLS = 200  # Steps in a row that are shorter than rounding of time; the first ones may be
 _MOST_STEPS = 200_000  # Steps of a trajectory: about a minute
 _MOST_CROSSINGS = 2000  # Places where rates jump with the states: sliding crosses without end
-_MOST_ROUNDS = 100  # Rounds of events at one instant
 _SHARE_BEFORE = 0.98  # Of the time to a jump of the rates, up to which the next step may go
 
 
@@ -158,7 +164,7 @@ class Integration:
         while solver.status == "running" and self._goes_on():
             failure = solver.step()
             stalls = stalls + 1 if solver.t == self._time else 0
-            if failure is not None or stalls > _MOST_STALLS or not np.isfinite(solver.y).all():
+            if failure is not None or stalls > MOST_ROUNDS or not np.isfinite(solver.y).all():
                 if self._time - start <= self._instant:
                     self._reach_event()
                 self._first_step = NEGLIGIBLE * (self._end - self._start)
@@ -238,13 +244,13 @@ class Integration:
         rates = np.abs([self._rates(start + s, state + s * first) for s in ahead])
         change = span * np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0)
         at_zero = sizes == 0.0
-        sizes[at_zero] = _FIRST_SHARE * change[at_zero]
+        sizes[at_zero] = SAME * change[at_zero]
         positive = sizes[sizes > 0.0]
-        sizes[sizes == 0.0] = _FIRST_SHARE * positive.min() if positive.size else COINCIDENT
+        sizes[sizes == 0.0] = SAME * positive.min() if positive.size else COINCIDENT
         beside = self._rates(start, state * (1.0 + _NOISE))
         noise = np.where(np.isfinite(beside), span * np.abs(beside - first), 0.0)
         resolved = np.maximum(noise, np.finfo(float).smallest_subnormal)
-        return np.maximum(max(_SMALL_STATE * self.rtol, _LEAST_TOLERANCE) * sizes, resolved)
+        return np.maximum(max(COARSE * self.rtol, _LEAST_TOLERANCE) * sizes, resolved)
 
     # -- events -----------------------------------------------------------------------------------
 
@@ -333,9 +339,9 @@ class Integration:
             self._rounds = self._rounds + 1 if at_once else 1
             self._interrupted = time
             now = self._started(time, fired)
-            if self._rounds > _MOST_ROUNDS:
+            if self._rounds > MOST_ROUNDS:
                 raise self._stuck(
-                    (*fired, *now)[0], f"more than {_MOST_ROUNDS} times at one instant"
+                    (*fired, *now)[0], f"more than {MOST_ROUNDS} times at one instant"
                 )
             before = events.when(time, self._state, self.point)
             slopes = events.slopes(time, self._rates(time, self._state), self._state, self.point)

@@ -25,15 +25,13 @@ from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.functions import known_applied
 from rankone.problem.jumps import Impulses, Resets, at_end, at_start, system_jumps, without_impulses
 from rankone.problem.user_events import Event, known_time
-from rankone.support.arrays import EPSILON, ROUNDING, Array
+from rankone.support.arrays import EPSILON, HALVINGS, MANY_SAMPLES, ROUNDING, Array
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.system.features import Constraints, VectorLike
 
 Numbers = Callable[[float, Array, Array], Array]
 """Maps time, states (n,) and parameters (d,) to as many numbers as there are expressions."""
 _SIDES = {"rising": 1, "falling": -1, "both": 0}  # To which side an event goes
-_SAMPLES = 4097  # Times at which functions of time that are not linear are looked at for switches
-_ROUNDING = 64.0 * np.finfo(float).eps  # Relative error of what is computed from rounded numbers
 _ROOT_ACCURACY = 4.0 * EPSILON  # Relative accuracy of times: a few roundings
 
 
@@ -54,7 +52,7 @@ class _Switch:
         def height(at: float, level: float = 0.0) -> float:
             return self.surface(at, parameters) - level
 
-        samples = np.linspace(time[1], time[2], 2 if self.linear else _SAMPLES)
+        samples = np.linspace(time[1], time[2], 2 if self.linear else MANY_SAMPLES)
         heights = np.array([height(at) for at in samples])
         taken = self._between(heights, heights)
         times = [float(at) for at, level in zip(samples, taken, strict=True) if level.size]
@@ -174,13 +172,13 @@ class NumericEvents:
         jacobian = self._jacobian(time, states, parameters)
         terms = np.nan_to_num(jacobian) * np.array([1.0, *rates])
         slopes = np.where(np.isnan(jacobian).any(axis=1), np.nan, terms.sum(axis=1))
-        slopes[np.abs(slopes) <= _ROUNDING * np.abs(terms).sum(axis=1)] = 0.0
+        slopes[np.abs(slopes) <= ROUNDING * np.abs(terms).sum(axis=1)] = 0.0
         return np.asarray(slopes)
 
     def noise(self, time: float, states: Array, parameters: Array, sizes: Array) -> Array:
         """What rounding of states of some sizes (n,) may change each ``when`` by (events,)."""
         jacobian = self._jacobian(time, states, parameters)
-        noise = _ROUNDING * (np.abs(jacobian) @ np.array([abs(time), *sizes]))
+        noise = ROUNDING * (np.abs(jacobian) @ np.array([abs(time), *sizes]))
         return np.where(np.isfinite(noise), noise, 0.0)
 
     def _jacobian(self, time: float, states: Array, parameters: Array) -> Array:
@@ -421,7 +419,6 @@ def _of_numbers(function: Callable[..., Array]) -> Callable[..., np.float64]:
 
 SHARES = np.linspace(0.125, 1.0, 8)
 """Shares of a step at which it is looked on which side of a surface it is."""
-_HALVINGS = 60  # Of a sample's distance from the start of a step, in search of a short excursion
 
 
 def first_change(
@@ -577,7 +574,7 @@ class Sides:
             return float(self.events.when(time, state, self.point)[event])
 
         # the left end may be on the surface itself
-        distances = (right - left) * 0.5 ** np.arange(_HALVINGS)
+        distances = (right - left) * 0.5 ** np.arange(HALVINGS)
         for at in (left, *(left + distances[1:]).tolist()):
             if height(at) * side > 0.0:
                 size = _ROOT_ACCURACY * max(abs(at), abs(right), right - left)

@@ -221,7 +221,6 @@ USUAL_HORIZONS = 100.0
 """Horizons of the problem that trajectories may take to settle."""
 _LONGER = 10.0  # How much longer trajectories are followed, to the last digit
 _RTOL = 1e-11  # Of the trajectories that come to rest
-_LOOKS = 2.0  # Factor from one time to the next at which they are looked at
 _SAME = 1e-8  # Relative change of states from one of these times to the next that is rest
 
 
@@ -400,8 +399,8 @@ class SettledStart:
     def __init__(self, equations: NumericEquations, first: float) -> None:
         self.equations = equations
         _, start, end = equations.time
-        count = max(int(np.ceil(np.log((end - start) / first) / np.log(_LOOKS))), 0)
-        looks = [first * _LOOKS**k for k in range(count)]
+        count = max(int(np.ceil(np.log2((end - start) / first))), 0)
+        looks = [first * 2.0**k for k in range(count)]
         self.times = start + np.array([look for look in looks if look < end - start])
         self.times = np.append(self.times, end)
 

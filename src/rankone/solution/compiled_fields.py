@@ -19,7 +19,7 @@ from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.field_solve import FieldRequest, ReducedOutcome, solve_fields
-from rankone.solvers.request import Domain, Limits, checked_rtol
+from rankone.solvers.request import MOST_POINTS, Domain, Limits, checked_rtol
 from rankone.solvers.selection import ENGINES, REDUCED
 from rankone.support import __version__
 from rankone.support.arrays import MANY_STATES
@@ -30,8 +30,6 @@ from rankone.support.tasks import ExecutorLike, checked_executor, one_thread
 from rankone.trajectories.fields.field_system import FieldSystem
 
 logger = logging.getLogger("rankone")
-
-_MOST_TRAJECTORIES = 100_000
 
 
 class SolvesEntries(Protocol):
@@ -210,13 +208,11 @@ class CompiledFields:
         return FieldRequest(
             rtol=checked_rtol(rtol),
             domain=domain,
-            check=checked_number("check", check, 0, _MOST_TRAJECTORIES),
+            check=checked_number("check", check, 0, MOST_POINTS),
             limits=Limits.of(fields, shared["effort"], shared["max_seconds"], shared["max_memory"]),
             options=CrossOptions.of(arguments, **options),
             executor=executor,
-            trajectories=checked_number(
-                "max_trajectories", max_trajectories, 1, _MOST_TRAJECTORIES
-            ),
+            trajectories=checked_number("max_trajectories", max_trajectories, 1, MOST_POINTS),
         )
 
     def _solution(

@@ -154,11 +154,11 @@ def _with_gradients(
     exact = slopes[rows] * widths
     sizes = np.abs(exact).max(axis=(1, 2), keepdims=True)
     at = dict(zip(solution.parameters, points.T, strict=True))
-    while finer > RTOLS[0]:
+    while finer > min(RTOLS):
         off = np.abs(solution.gradient(at) * widths - exact)
         if (off <= rtol * sizes).all():
             break
-        finer = max(finer * _FINER, RTOLS[0])
+        finer = max(finer * _FINER, min(RTOLS))
         closer = solved(finer)
         if not closer.success:
             break

@@ -53,7 +53,7 @@ SOLVE_ARGUMENTS = (
 _MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memory is given
 USUAL_POINTS = 96
 """Interior check points: a twentieth of the box is missed with probability below 1 %."""
-_MOST_POINTS = 100_000  # Most interior check points, so that their trajectories fit into memory
+MOST_POINTS = 100_000  # Most interior check points, so that their trajectories fit into memory
 _COVERS = ("interior", "box")
 # Factor on the budget of work where functions of the user are called, which may be slow
 _USER_FUNCTION_FACTOR = 10.0
@@ -235,7 +235,7 @@ class Check:
         unknowns: object = None,
     ) -> Check:
         """The check for arguments of ``solve``, or an OptionError."""
-        points = checked_number("check", check, 0, _MOST_POINTS)
+        points = checked_number("check", check, 0, MOST_POINTS)
         if cover is not None and (not isinstance(cover, str) or cover not in _COVERS):
             raise OptionError(
                 f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover

@@ -38,12 +38,24 @@ LEAST_SQUARED = LEAST**0.5
 """Smallest size whose square has digits."""
 NEGLIGIBLE = 1e-9
 """Share below which a difference counts as none; about the error of the tightest solve."""
+SAME = 1e-6
+"""Difference below which two outcomes of a computation are one, in sizes of these."""
+COARSE = 1e-3
+"""Relative tolerance of what only has to show its shape, and share of a size that is small."""
+MINOR = 0.1
+"""Share of a tolerance, a budget or a length that hardly shows beside the whole."""
 EXACT_DIGITS = 20
 """Decimal digits of numbers that stand for exact ones: a few more than floats hold."""
 MANY_STATES = 64
 """States from which on tables and sparse matrices serve better than a line and a row for each."""
 AT_ONCE = 1 << 19
 """Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
+SAMPLES = 64
+"""Points, or times, that show what is smooth: its size, its sign, and whether it holds."""
+MANY_SAMPLES = 4096
+"""Those among which changes of sign, narrow places and quantiles are looked for."""
+MOST_ROUNDS = 100
+"""Repetitions after which what ends in a few has failed."""
 SEED = 20140
 """Of points that only have to be spread: the same call always has the same ones."""
 DIFFERENCE = EPSILON ** (1.0 / 3.0)

@@ -21,9 +21,10 @@ Subject = TypeVar("Subject")
 _LONGEST = 1000  # Characters of a message that is shown: about ten lines
 _LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
 _LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
-_LISTED = 6  # Those of a longer list that are shown
+LISTED = 6  # Those of a longer list that are shown
 _MOST_ROWS = 40  # Rows of a table that fit on one screen
 _ENDS = 8  # Lines of a longer list that are shown at its beginning, and at its end
+SIMILAR = 0.75  # Least similarity of names where one that is new is possible, or many are alike
 _WIDEST_CELL = 32  # Characters of a cell, so that a row of three stays on one line
 _RIGHT = "coefficient"  # The column that is aligned on the right
 
@@ -69,10 +70,10 @@ def listing(subjects: Iterable[object], near: str | None = None) -> str:
     """
     listed = list(subjects)
     if len(listed) > 2 * _ENDS:
-        first = listed[:_LISTED]
+        first = listed[:LISTED]
         if near is not None:
             by_text = {written(subject): subject for subject in listed}
-            closest = difflib.get_close_matches(near, by_text, n=_LISTED, cutoff=0.0)
+            closest = difflib.get_close_matches(near, by_text, n=LISTED, cutoff=0.0)
             first = [by_text[text] for text in closest]
         return f"{', '.join(map(quote, first))} and {len(listed) - len(first)} others"
     quoted = [quote(subject) for subject in listed]

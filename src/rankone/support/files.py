@@ -23,6 +23,8 @@ from rankone.support.errors import RankoneError
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+WIDTH = 100
+"""Characters of a line of generated code."""
 # Characters of a name that its temporary file keeps: file systems limit names to 255 bytes
 _KEPT_CHARACTERS = 48
 _OTHER_NAME = "choose another name, or overwrite=True"

@@ -17,7 +17,7 @@ from rankone.support.errors import OptionError, did_you_mean, shown
 RTOL = 1e-6
 """Relative tolerance unless another is asked for."""
 RTOLS = 1e-10, 0.1
-"""Tolerances of solves: below them rounding spoils references, beyond them a solution says little."""
+"""Tolerances of solves: rounding spoils references of tighter ones, looser ones say little."""
 STEP_RTOLS = 1e-12, 0.1
 """Tolerances of trajectories and of smaller models: rounding errors are below them."""
 OUTPUT_RTOLS = 1e-13, 0.999

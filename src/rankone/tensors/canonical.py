@@ -26,7 +26,7 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, Array
+from rankone.support.arrays import COINCIDENT, MINOR, NEGLIGIBLE, ROUNDING, Array
 from rankone.support.errors import EvaluationError, listing, warn
 from rankone.support.options import OUTPUT_RTOLS, RTOL, checked_number
 from rankone.tensors import IDENTITY, Basis1D, Scale, legendre_values
@@ -34,7 +34,6 @@ from rankone.tensors.coordinates import Coordinates, name_of, round_off
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train, block_diagonal
 
-_ROUNDING_SHARE = 0.1  # Share of the tolerance spent on rounding the train of the horizon
 _MAX_SWEEPS = 400  # Most sweeps of least squares: slower convergence is not worth the time
 _MAX_TERM_SWEEPS = 20_000  # Most sweeps times terms: a sweep costs in proportion to the terms
 
@@ -273,11 +272,11 @@ def canonical_form(
     rtol = checked_number("rtol", rtol, *OUTPUT_RTOLS, float)
     max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
-    train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
+    train, norm, rounding = _horizon_train(slabs, row, axes, MINOR * rtol)
     if norm == 0.0:
         nothing = {axis.name: np.ones((axis.nodes.size, 0)) for axis in axes}
         return CanonicalForm(label, np.empty(0), nothing, axes, 0.0, rtol)
-    tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
+    tolerance = (1.0 - 1.1 * MINOR) * rtol * norm
     amplitudes, modes = _branches(train, tolerance, max_rank)
     error = _distance(train, amplitudes, modes)
     if len(axes) > 2 and rtol >= NEGLIGIBLE:

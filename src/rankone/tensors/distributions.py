@@ -18,7 +18,16 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from rankone.support.arrays import ACCUMULATED, EPSILON, HALVINGS, NEGLIGIBLE, ROUNDING, TINY, Array
+from rankone.support.arrays import (
+    ACCUMULATED,
+    COARSE,
+    EPSILON,
+    HALVINGS,
+    NEGLIGIBLE,
+    ROUNDING,
+    TINY,
+    Array,
+)
 from rankone.support.errors import OptionError, did_you_mean, quote, warn
 from rankone.tensors import Basis1D, Scale
 from rankone.tensors.coordinates import LINEAR, LOG, written_scale
@@ -33,8 +42,6 @@ _PANEL_NODES = 24
 _PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 0.5)
 # Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
 _SHARE_RANGE = (TINY, 1.0 - 0.5 * EPSILON)
-# Probability outside the box above which a user is warned: it shows in three digits
-_WARNED_OUTSIDE = 1e-3
 # Weight, relative to the largest, of points that a Gauss rule leaves out
 _NEGLIGIBLE_WEIGHT = 1e-40
 
@@ -216,7 +223,7 @@ class Measure:
                 remedy="choose one that fits the box, or solve on another box",
             )
         outside = 1.0 - self.mass
-        if outside > _WARNED_OUTSIDE and not math.isfinite(distribution.var()):
+        if outside > COARSE and not math.isfinite(distribution.var()):
             raise OptionError(
                 f"the distribution of {quote(self.name)} has no finite mean and variance, and "
                 f"{100 * outside:.3g} % of it is outside [{self.lower:g}, {self.upper:g}]: "
@@ -224,7 +231,7 @@ class Measure:
                 term=distribution,
                 remedy=_FINITE_MOMENTS,
             )
-        if outside > _WARNED_OUTSIDE and not self.from_problem:
+        if outside > COARSE and not self.from_problem:
             warn(
                 f"{100 * outside:.3g} % of the distribution of {quote(self.name)} is outside "
                 f"[{self.lower:g}, {self.upper:g}] and left out",

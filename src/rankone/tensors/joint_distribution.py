@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from scipy.special import ndtr, ndtri
 
-from rankone.support.arrays import (EPSILON, NEGLIGIBLE, TINY, Array, SEED)
+from rankone.support.arrays import EPSILON, NEGLIGIBLE, SEED, TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, shown
 from rankone.support.options import LEVEL
 from rankone.tensors.coordinates import name_of

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqp3, dtrtrs
 
-from rankone.support.arrays import ACCUMULATED, Array
+from rankone.support.arrays import ACCUMULATED, MOST_ROUNDS, Array
 from rankone.support.budget import charge
 from rankone.support.costs import COPY, product, qr, svd
 
@@ -25,7 +25,6 @@ from rankone.support.costs import COPY, product, qr, svd
 _ROWS_RATIO, _MORE_ROWS = 1.25, 8
 _DIRECT_RATIO = 1.5  # Rows over combinations up to which the rows themselves are taken
 _QR_BLOCK = 32  # Columns that a QR decomposition takes together
-_MAX_EXCHANGES = 100  # Most exchanges of columns; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 
 
@@ -119,7 +118,7 @@ def _of_larger_volume(skeleton: Skeleton) -> Skeleton:
     Goreinov et al., How to find a good submatrix, 2010.
     """
     columns, coefficients = skeleton.columns.copy(), skeleton.coefficients.copy()
-    for _ in range(_MAX_EXCHANGES):
+    for _ in range(MOST_ROUNDS):
         i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
         if abs(coefficients[i, j]) < _VOLUME_GAIN:
             break

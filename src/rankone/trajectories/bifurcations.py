@@ -17,17 +17,15 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from rankone.support.arrays import DIFFERENCE, EPSILON, NEGLIGIBLE, ROUNDING, Array, bisected
-from rankone.support.errors import BlowUpError, ConvergenceError
+from rankone.support.arrays import DIFFERENCE, EPSILON, NEGLIGIBLE, ROUNDING, SAME, Array, bisected
+from rankone.support.errors import LISTED, BlowUpError, ConvergenceError
 from rankone.trajectories.rest import EXACT, MOST_NEWTON_STEPS, SteadyStates
 from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
 from rankone.trajectories.system.system import Rest, System
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
 _NEAR = 0.3  # Growth rate over that at the centre, from which on Newton's method may change branch
-_SAME = 1e-6  # Relative distance of steady states that are the same
 _HALVINGS = 24  # Of a line on which a branch ends
-_SHOWN = 5  # States that a message names
 
 
 def check_one_branch(steady: SteadyStates, points: Array) -> None:
@@ -164,7 +162,7 @@ def _reached(steady: SteadyStates, start: Array, centre: Array, points: Array) -
     """Whether trajectories at points (m, d) reach the branch of the centre."""
     *_, (states, _) = _on_way(steady, start, centre, points)
     sizes = np.maximum(np.abs(states), steady.sizes[:, None]).max(axis=0)
-    return np.asarray((np.abs(steady.reached(points.T) - states) <= _SAME * sizes).all(axis=0))
+    return np.asarray((np.abs(steady.reached(points.T) - states) <= SAME * sizes).all(axis=0))
 
 
 def _border(inside: Array, outside: Array, holds: Callable[[Array], NDArray[np.bool_]]) -> Array:
@@ -180,8 +178,8 @@ def _border(inside: Array, outside: Array, holds: Callable[[Array], NDArray[np.b
 def _described(steady: SteadyStates, start: Array) -> str:
     """The branch by its states at the centre of the box."""
     pairs = list(zip(steady.system.states, start[:, 0].tolist(), strict=False))
-    texts = [f"{name} = {at:.4g}" for name, at in pairs[:_SHOWN]]
-    more = "" if len(pairs) <= _SHOWN else f" and {len(pairs) - _SHOWN} more"
+    texts = [f"{name} = {at:.4g}" for name, at in pairs[:LISTED]]
+    more = "" if len(pairs) <= LISTED else f" and {len(pairs) - LISTED} more"
     return f"the branch of steady states with {', '.join(texts)}{more} at the centre of the box"
 
 

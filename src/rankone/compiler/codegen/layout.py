@@ -25,14 +25,13 @@ from threadpoolctl import threadpool_limits
 
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, check_kind, number, quote
+from rankone.support.files import WIDTH
 from rankone.support.tasks import KEPT
 from rankone.trajectories.bifurcations import started
 from rankone.trajectories.system.system import System, UserFunction, system_of
 
 MOST_TERMS = 200
 """Terms of a sum in one expression: Python compiles longer sums by deep recursion."""
-WIDTH = 100
-"""Characters of a line."""
 INDENT = "    "
 """One level of indentation."""
 

@@ -11,7 +11,6 @@ from sympy.core.function import AppliedUndef
 from rankone.compiler.codegen.kernels import general_header, header, kernel_blocks, sum_text
 from rankone.compiler.codegen.law_code import FormWriter, constraint_blocks, rest_blocks
 from rankone.compiler.codegen.layout import (
-    WIDTH,
     Formula,
     ModuleSpecification,
     constants_table,
@@ -46,6 +45,7 @@ from rankone.problem.functions import known_applied
 from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import timed
 from rankone.support.errors import check_kind, number
+from rankone.support.files import WIDTH
 from rankone.tensors.coordinates import LINEAR
 
 Block = Sequence[str]

@@ -16,11 +16,12 @@ from typing import Literal, Protocol, TypeAlias
 
 import sympy as sp
 
-from rankone.compiler.codegen.layout import INDENT, WIDTH, Names, assignment, docstring, unpacking
+from rankone.compiler.codegen.layout import INDENT, Names, assignment, docstring, unpacking
 from rankone.compiler.codegen.printer import common_subexpressions
 from rankone.problem.expressions.conditions import unknown_of
 from rankone.problem.forms import Coordinate, Jump, State
 from rankone.problem.functions import nodes_of
+from rankone.support.files import WIDTH
 
 Index: TypeAlias = "tuple[int, ...]"
 """Where an entry is in the array that a function returns: (row,) or (row, column)."""

@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.compiler.codegen.layout import WIDTH, Names, assignment, docstring, literal, table
+from rankone.compiler.codegen.layout import Names, assignment, docstring, literal, table
 from rankone.compiler.codegen.printer import common_subexpressions, factor_text
 from rankone.problem.expressions.admissible import known_functions
 from rankone.problem.forms import (
@@ -25,6 +25,7 @@ from rankone.problem.forms import (
 )
 from rankone.solvers.outcome import Role
 from rankone.support.errors import SeparationError, check_kind
+from rankone.support.files import WIDTH
 
 _LEAST_STATES = 16  # Shorter sums are evaluated term by term
 

@@ -38,15 +38,12 @@ from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries, pe
 from rankone.problem.expressions.conditions import slope
 from rankone.problem.expressions.notation import text_of
 from rankone.problem.forms import Coordinate
-from rankone.support.arrays import EPSILON, TINY, Array
+from rankone.support.arrays import EPSILON, EXACT_DIGITS, MANY_SAMPLES, TINY, Array
 from rankone.support.budget import check_time
 from rankone.support.errors import quote, written
 from rankone.trajectories.system.verdict import SwitchingTerm
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
-_COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
-SAMPLES = 4096
-"""Samples of a boundary equation that is not solved, or of a condition over a box."""
 _MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are solved for
 # A function that changes over the interval divided by this is narrow: samples would miss it
 _NARROW_PARTS = 3e4
@@ -409,7 +406,7 @@ def _polynomial_roots(equation: sp.Expr, x: sp.Symbol) -> list[float]:
     polynomial = sp.Poly(equation, x)
     if polynomial.degree() > _MAX_DEGREE:
         raise _Unsolved
-    floats = (c if c.is_Float else sp.Float(c, _COEFFICIENT_DIGITS) for c in polynomial.coeffs())
+    floats = (c if c.is_Float else sp.Float(c, EXACT_DIGITS) for c in polynomial.coeffs())
     exact = map(sp.Rational, floats)
     rational = sp.Poly.from_dict(dict(zip(polynomial.monoms(), exact, strict=True)), x)
     return [float(root) for root in sp.real_roots(rational)]
@@ -491,7 +488,7 @@ _INVERSES: dict[str, Callable[[float], float]] = {
 def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
     """Changes of sign on the interval of the coordinate."""
     function = numeric(equation, coordinate)
-    points = np.linspace(coordinate.lower, coordinate.upper, SAMPLES)
+    points = np.linspace(coordinate.lower, coordinate.upper, MANY_SAMPLES)
     heights = function(points)
     changes = np.flatnonzero(heights[:-1] * heights[1:] < 0.0)
     roots = {float(x) for x in points[heights == 0.0]} if np.any(heights) else set()
@@ -504,7 +501,7 @@ def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
 
 def _integers(boundary: sp.Expr, coordinate: Coordinate) -> list[float]:
     """The integers between the least and the largest value on the interval."""
-    points = np.linspace(coordinate.lower, coordinate.upper, SAMPLES)
+    points = np.linspace(coordinate.lower, coordinate.upper, MANY_SAMPLES)
     heights = numeric(boundary, coordinate)(points)
     heights = heights[np.isfinite(heights)]
     if not heights.size or np.ptp(heights) > _MAX_LEVELS:

@@ -17,10 +17,8 @@ import sympy as sp
 from rankone.problem.expressions.notation import exact
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.forms import Coordinate
-from rankone.support.arrays import ACCUMULATED, NEGLIGIBLE, SEED, Array, spread
+from rankone.support.arrays import ACCUMULATED, NEGLIGIBLE, SAMPLES, SEED, Array, spread
 from rankone.tensors.coordinates import LINEAR
-
-_SAMPLES = 128  # Points of the box of which vectors are made, and half as many that compare
 
 
 def shape_terms(
@@ -42,7 +40,7 @@ def shape_terms(
         return np.broadcast_to(compiled(*columns, *points), (rows, points.shape[1]))
 
     rng = np.random.default_rng(SEED)
-    samples, others = (_points(coordinates, n, rng) for n in (_SAMPLES, _SAMPLES // 2))
+    samples, others = (_points(coordinates, n, rng) for n in (2 * SAMPLES, SAMPLES))
     taken = values(samples)
     if not np.isfinite(taken).all():
         return None

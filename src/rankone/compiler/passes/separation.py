@@ -24,6 +24,7 @@ from rankone.compiler.passes.well_posed import check_gaps, check_known, check_ta
 from rankone.problem.algebra.term_table import Entry, TermTable
 from rankone.problem.expressions.admissible import known_functions, located_defect
 from rankone.problem.expressions.notation import NamedConstant, exact
+from rankone.problem.expressions.stable import HIGH_POWER
 from rankone.problem.forms import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.problem.problem import Problem
 from rankone.support.arrays import Deferred
@@ -198,8 +199,6 @@ def _ordered(terms: list[Term]) -> tuple[Term, ...]:
 # Largest coefficient of a separated term, and with its reciprocal the smallest: the product of two
 # is still a floating-point number
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
-# Least power that explains an extreme coefficient; units of lower powers do not reach it
-_HIGH_POWER = 8
 
 
 def separate(form: WeakForm | Problem) -> SeparatedForm:
@@ -326,7 +325,7 @@ class _Separation:
         if not coefficient.is_comparable or 1 / largest < abs(coefficient) < largest:
             return
         powers = (p.exp for f in monomial.factors for p in f.atoms(sp.Pow) if p.exp.is_Integer)
-        if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= _HIGH_POWER:
+        if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= HIGH_POWER:
             raise Indivisible(term, "out of range")
 
     def _explained(

@@ -25,7 +25,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from enum import IntEnum, auto
 from functools import cached_property, reduce
 from typing import TypeAlias
 
@@ -140,12 +140,12 @@ def _with_switches(
 class _Kind(IntEnum):
     """What an expression changes with along a trajectory, the least of it first."""
 
-    CONSTANT = 0
-    FIXED = 1
+    CONSTANT = auto()
+    FIXED = auto()
     """With the clock alone: it is the same for all parameters."""
-    MOVING = 2
+    MOVING = auto()
     """With the clock and parameters."""
-    STATES = 3
+    STATES = auto()
 
 
 class _Replacement:

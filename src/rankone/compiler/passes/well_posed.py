@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from rankone.compiler.passes.feature_pass import SAMPLES, cuts_of
+from rankone.compiler.passes.feature_pass import cuts_of
 from rankone.compiler.passes.first_order import FirstOrderSystem
 from rankone.problem.algebra.algebraic import no_consistent_values
 from rankone.problem.expressions.admissible import gaps, known_functions, located_defect, numeric
@@ -29,7 +29,17 @@ from rankone.problem.forms import Coordinate, SeparatedForm, State
 from rankone.problem.functions import Table, known_applied
 from rankone.problem.problem import Problem
 from rankone.solvers.request import Domain
-from rankone.support.arrays import COINCIDENT, HALVINGS, SEED, Array, bisected, corners, spread
+from rankone.support.arrays import (
+    COINCIDENT,
+    HALVINGS,
+    MANY_SAMPLES,
+    SAMPLES,
+    SEED,
+    Array,
+    bisected,
+    corners,
+    spread,
+)
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning, number, quote
 from rankone.trajectories.system.features import GAP_REMEDY
 from rankone.trajectories.system.system import System, refuse_gap
@@ -37,7 +47,6 @@ from rankone.trajectories.system.system import System, refuse_gap
 NamedExpression: TypeAlias = "tuple[str, int | None, sp.Expr]"
 """What an expression is, the user's equation it comes from, and the expression."""
 _MAX_CELLS = 1 << 18  # Cells between boundaries of coordinates: a few megabytes
-_STARTS = 64  # Corners of the box at which the start is evaluated, and random points
 
 
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
@@ -50,7 +59,7 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
             continue
         coordinate = coordinate_of[next(iter(symbols))]
         lower, upper = coordinate.lower, coordinate.upper
-        points = np.linspace(lower, upper, SAMPLES)
+        points = np.linspace(lower, upper, MANY_SAMPLES)
         arguments = numeric(argument, coordinate)(points)
         first, last = table.points[0], table.points[-1]
         outside = (arguments < first) | (arguments > last)
@@ -91,8 +100,8 @@ def check_known(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> 
 def _starting_points(parameters: Sequence[Coordinate]) -> Array:
     """The centre of the box, random points and corners, (d, N)."""
     generator = np.random.default_rng(SEED)
-    at_corners = corners(len(parameters), _STARTS, generator)
-    inside = generator.random((_STARTS, len(parameters)))
+    at_corners = corners(len(parameters), SAMPLES, generator)
+    inside = generator.random((SAMPLES, len(parameters)))
     unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
     lower = np.array([c.lower for c in parameters])
     upper = np.array([c.upper for c in parameters])
@@ -303,7 +312,7 @@ def _point_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | Non
     def pattern(points: Array) -> Array:
         return np.array([side(points) for side in sides])
 
-    unit = spread(SAMPLES, len(involved), np.random.default_rng(SEED)).T
+    unit = spread(MANY_SAMPLES, len(involved), np.random.default_rng(SEED)).T
     points = lower + (upper - lower) * unit
     a, b = points[:, ::2], points[:, 1::2]
     samples, at_start = [points], pattern(a)

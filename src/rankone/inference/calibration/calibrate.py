@@ -12,19 +12,18 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from rankone.inference.calibration import result
-from rankone.inference.calibration.experiment_objective import COARSE
 from rankone.inference.calibration.records import Interval
 from rankone.inference.calibration.trajectory_likelihood import OfExperiments, profile_reaches
 from rankone.inference.estimation import least_squares
 from rankone.inference.estimation.experiments import Experiment
 from rankone.inference.estimation.fit import Fit
-from rankone.inference.estimation.free_parameters import SAME, Bounds, FreeParameters
+from rankone.inference.estimation.free_parameters import Bounds, FreeParameters
 from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
-from rankone.support.arrays import Array
+from rankone.support.arrays import COARSE, SAME, Array
 from rankone.support.errors import (
     OptionError,
     RankoneError,

@@ -32,7 +32,7 @@ from rankone.inference.estimation.likelihood import Likelihood
 from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.support import errors
-from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.arrays import COARSE, NEGLIGIBLE, SAMPLES, Array
 from rankone.support.errors import listing, quote
 from rankone.tensors.coordinates import Coordinates
 from rankone.trajectories.integrators.integrator import Spans, Tolerances
@@ -264,10 +264,6 @@ def check_bounds(parameters: Sequence[Parameter]) -> None:
 _SPREAD = 2.0  # Around a nominal value, of the box that the problem is compiled over
 _SETTLE = 1e8  # Longest time to a steady state, in horizons
 _LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same
-COARSE = 1e-3
-"""Relative tolerance of trajectories of searches, and of those that tell sizes of states."""
-_SMALL_STATE = 1e-3  # Share of its size down to which a state has relative accuracy
-_LOOKS = 64  # Times at which coarse trajectories are looked at
 _MOST_WORK = (
     1e9  # Operations of all trajectories of a search's point: far more than a good one takes
 )
@@ -393,11 +389,11 @@ class ExperimentSolution(IntegratedSolution):
         edges = self.edges(here.inputs, last)
         tolerances = _relative_to(start.state, self.tolerance)
         if self.exact:
-            looks = np.linspace(0.0, last, _LOOKS)
+            looks = np.linspace(0.0, last, SAMPLES)
             still = Start(start.state, np.empty((start.state.size, 0)))
             coarse = here.path(edges, _relative_to(start.state, COARSE), looks, still)
             sizes = np.nanmax(np.abs(coarse.states), axis=0)
-            tolerances = Tolerances.down_to(self.tolerance, _SMALL_STATE * sizes[:, None])
+            tolerances = Tolerances.down_to(self.tolerance, COARSE * sizes[:, None])
         followed = here.path(edges, tolerances, times, start)
         reached = np.isfinite(followed.states).all(axis=1)
         if not reached.all():
@@ -527,7 +523,7 @@ def _relative_to(state: Array, accuracy: float) -> Tolerances:
     """Relative to each state's size, to the largest one for those that are zero."""
     sizes = np.abs(state)
     sizes = np.where(sizes > 0.0, sizes, sizes.max(initial=0.0) or 1.0)
-    return Tolerances.down_to(accuracy, _SMALL_STATE * sizes[:, None])
+    return Tolerances.down_to(accuracy, COARSE * sizes[:, None])
 
 
 def _interval(records: Records, settings: Settings, name: str) -> tuple[float, ...]:

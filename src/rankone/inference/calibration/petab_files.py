@@ -22,6 +22,7 @@ from rankone.inference.estimation.formulas import Formula, formula_of
 from rankone.problem.models.model import Model
 from rankone.problem.models.sbml import read_with_starts
 from rankone.support.errors import (
+    LISTED,
     OptionError,
     ProblemError,
     clip,
@@ -48,7 +49,6 @@ _PRIORS = {
 }
 """For each type of prior its shape, and the coordinate; None is the scale of the parameter."""
 _DISTRIBUTIONS = ("normal", "laplace")
-_MOST_FAULTS = 5  # Faults of the files that a message lists
 _LONGEST_FAULT = 400  # Characters of them
 _LOADERS = "petab"  # Logger of the package
 
@@ -81,7 +81,7 @@ def open_petab(path: str | PathLike[str]) -> Any:
         except Exception as error:  # the linter stops at what it does not expect
             raise _broken(file, "valid", str(error)) from None
     if faulty:
-        faults = [text for text in messages if text != "Not OK"][:_MOST_FAULTS]
+        faults = [text for text in messages if text != "Not OK"][:LISTED]
         raise _broken(file, "valid", "; ".join(faults) or "the model is not valid SBML")
     for name in ("measurement_df", "condition_df", "observable_df", "parameter_df", "model"):
         if getattr(problem, name) is None:

@@ -27,6 +27,7 @@ from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import formula_of
 from rankone.inference.estimation.posterior import Posterior, posterior_of
 from rankone.inference.estimation.search import fit_experiments
+from rankone.problem.models.model import LARGEST_SPREAD
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
@@ -151,7 +152,6 @@ class CalibrationSolutions:
 
 
 _MOST_FREE = 10  # Parameters of a box that nobody named: with more no solve ends in hours
-_LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond a value
 
 
 def free_of(
@@ -210,7 +210,7 @@ def box_of(
 
 def _around(value: float, spread: object) -> Interval:
     """The interval from a value over the spread to the value times the spread."""
-    factor = checked_number("spread", spread, 1.0, _LARGEST_SPREAD, float)
+    factor = checked_number("spread", spread, 1.0, LARGEST_SPREAD, float)
     lower, upper = sorted((value / factor, value * factor))
     return lower, upper
 

@@ -16,7 +16,7 @@ from rankone.inference.estimation import least_squares
 from rankone.inference.estimation.experiments import Experiment, trials_of
 from rankone.inference.estimation.fitted_models import IntegratedSolution
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import SAME, Bounds, ends_at_bounds
+from rankone.inference.estimation.free_parameters import Bounds, ends_at_bounds
 from rankone.inference.estimation.identification import MOST_REFINEMENTS, between
 from rankone.inference.estimation.intervals import quantile_of
 from rankone.inference.estimation.likelihood import (
@@ -28,12 +28,11 @@ from rankone.inference.estimation.likelihood import (
 )
 from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
-from rankone.support.arrays import TINY, Array, spread
+from rankone.support.arrays import MINOR, SAME, SAMPLES, TINY, Array, spread
 from rankone.support.errors import ProblemError, RankoneError, quote
 from rankone.support.options import LEVEL
 
 _RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
-_SCREENED = 32  # Points that tell the ranges of parameters that enter observables linearly
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class OfExperiments:
                 remedy=f"fix it, fixed={{{name!r}: ...}}, or fit a solution on a box: "
                 "solution.fit(...)",
             )
-        points = spread(_SCREENED, len(likelihood.free.names), np.random.default_rng(7))
+        points = spread(SAMPLES, len(likelihood.free.names), np.random.default_rng(7))
         return cls(tuple(integrated.parameters), with_linear_ranges(likelihood, points))
 
     @property
@@ -289,7 +288,6 @@ def _finite(z: Array, cost: float, residuals: Array, jacobian: Array) -> least_s
 
 _CLOSE = 1e-2  # How close an end comes to the limit, in shares of half the interval: two digits
 _MOST_GROWTH = 3.0  # Most growth of a distance in one step outwards
-_HELD = 0.1  # Share of the rise at an end that bounds of others make, from which they are named
 
 
 class _End(NamedTuple):
@@ -413,7 +411,7 @@ def _beyond_bounds(
         np.linalg.inv(result.covariance_at(at, variance))[np.ix_(rest, rest)]
     )
     step = -covariance @ slope / variance
-    if -float(slope @ step) <= _HELD * limit:
+    if -float(slope @ step) <= MINOR * limit:
         return ()
     ends = ends_at_bounds(problem.names, at.z)
     sides = {"lower": -1.0, "upper": 1.0}

@@ -19,7 +19,7 @@ from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import Trial, held_parameters, trial_of
 from rankone.inference.estimation.fit import Fit
 from rankone.inference.estimation.formulas import Formula, value_of
-from rankone.inference.estimation.free_parameters import SAME, Range, free_parameters
+from rankone.inference.estimation.free_parameters import Range, free_parameters
 from rankone.inference.estimation.intervals import checked_level, quantile_of
 from rankone.inference.estimation.likelihood import Likelihood, vanishing_noise
 from rankone.inference.estimation.noise import Noise
@@ -34,7 +34,7 @@ from rankone.inference.estimation.observations import (
 )
 from rankone.inference.estimation.tables import Doses
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import NEGLIGIBLE, TINY, Array, Labelled, Table, Variables
+from rankone.support.arrays import NEGLIGIBLE, SAME, TINY, Array, Labelled, Table, Variables
 from rankone.support.errors import (
     OptionError,
     count,

@@ -14,9 +14,8 @@ import scipy
 from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import Trial, failures_of
 from rankone.inference.estimation.formulas import formula_of
-from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.intervals import Intervals
-from rankone.support.arrays import COINCIDENT, Array, Table, Variables
+from rankone.support.arrays import COINCIDENT, MINOR, SAME, Array, Table, Variables
 from rankone.support.errors import count, listing, quote, with_remedy
 from rankone.tensors.distributions import Distribution
 from rankone.tensors.joint_distribution import Known
@@ -164,7 +163,6 @@ class Fit(Intervals, results.Judged):
 # thousand fits.
 
 
-_NEGLIGIBLE = 0.1  # Residuals below this, in standard deviations, are no noise
 _LEAST = 8  # Least number of data of an observable for patterns among them
 
 
@@ -200,7 +198,7 @@ def residual_checks(
 def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterator[str]:
     """Experiments on different sides of the curve (Kruskal & Wallis 1952)."""
     together = np.concatenate(series)
-    if len(series) < 2 or together.size < _LEAST or not np.abs(together).max() > _NEGLIGIBLE:
+    if len(series) < 2 or together.size < _LEAST or not np.abs(together).max() > MINOR:
         return
     if scipy.stats.kruskal(*series).pvalue < _UNLIKELY:
         means = [float(r.mean()) for r in series]
@@ -216,7 +214,7 @@ def _of_observable(
     name: str, series: Sequence[tuple[Array, ...]], heavy: bool, known: bool
 ) -> Iterator[str]:
     r, p, times, spare = (np.concatenate(column) for column in zip(*series, strict=True))
-    if not np.isfinite(r).all() or r.size < 3 or not np.abs(r).max() > _NEGLIGIBLE:
+    if not np.isfinite(r).all() or r.size < 3 or not np.abs(r).max() > MINOR:
         return
     if not heavy:
         yield from _outlier(name, r, times) if known else _apart(name, r, times, spare)

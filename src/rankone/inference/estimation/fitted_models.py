@@ -26,7 +26,7 @@ from rankone.inference.estimation.tables import Response
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Outcome, SolutionMetadata
-from rankone.support.arrays import AT_ONCE, COINCIDENT, DIFFERENCE, Array
+from rankone.support.arrays import AT_ONCE, COARSE, COINCIDENT, DIFFERENCE, Array
 from rankone.support.budget import OutOfBudgetError, charge, limited
 from rankone.support.costs import function_cost
 from rankone.support.errors import OptionError
@@ -42,7 +42,6 @@ from rankone.trajectories.system.verdict import Status
 
 # Radau nodes of a step: order five, and three where tolerances are loose
 _STAGES, _FEW_STAGES = 3, 2
-_LOOSE = 1e-3  # Relative tolerance from which on fewer nodes are enough
 
 RateSlopes = Callable[[Array, Array], Array]
 """Derivatives (n, w, N) of rates along w directions, at times (N,) and states (n, N)."""
@@ -85,7 +84,7 @@ def sensitive_path(
     """
     (n, w), count = start.slopes.shape, times.size
     at = Sensitive(np.full((count, n), np.nan), np.full((count, n, w), np.nan))
-    stages = _FEW_STAGES if tolerances.relative >= _LOOSE else _STAGES
+    stages = _FEW_STAGES if tolerances.relative >= COARSE else _STAGES
     along = _Along(system, point, variation.rates, stages)
     for a, b in itertools.pairwise(edges):
         if variation.after_jump is not None:

@@ -21,9 +21,6 @@ ParameterValues = Mapping[Any, float] | None
 Bounds = Mapping[Any, tuple[float | str, ...]] | None
 """Intervals by parameter, a name or a symbol; ``(lower, upper, "log")`` over decades."""
 
-SAME = 1e-6
-"""Difference of what is compared, in its own unit, that counts as none."""
-
 
 class Range(NamedTuple):
     """The interval of a parameter, and whether its logarithm is the coordinate of a search."""

@@ -21,10 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.least_squares import minima
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
-from rankone.support.arrays import COINCIDENT, HALVINGS, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import COINCIDENT, HALVINGS, NEGLIGIBLE, SAME, TINY, Array
 
 # Points of a profile, in shares of the way to the bound: closer where it begins
 _PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])

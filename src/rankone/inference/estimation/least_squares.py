@@ -17,9 +17,8 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, TINY, Array, bisected
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, SAME, TINY, Array, bisected
 from rankone.support.budget import limited
 from rankone.support.options import checked_number
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
@@ -449,10 +448,9 @@ def _usable(
 # residuals make the matrix the Fisher information, which has no negative directions.
 
 
-FIRST_RADIUS = 0.05
-"""Half the width of the first box of trust, in widths of the bounds."""
 LARGEST_RADIUS = 0.1
-"""The same of the largest one."""
+"""Half the width of the largest box of trust, in widths of the bounds."""
+FIRST_RADIUS = 0.5 * LARGEST_RADIUS
 LEAST_RADIUS = 1e-7
 """Half a width below which nothing moves any more."""
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import Predicted, Seeds, Trial, failures_of
 from rankone.inference.estimation.formulas import linear_names, value_of, with_shape
-from rankone.inference.estimation.free_parameters import SAME, FreeParameters, Range
+from rankone.inference.estimation.free_parameters import FreeParameters, Range
 from rankone.inference.estimation.noise import Terms, log_likelihood, terms
-from rankone.inference.estimation.observations import MISSPELT, check_levels
-from rankone.support.arrays import NEGLIGIBLE, TINY, Array
-from rankone.support.errors import OptionError, did_you_mean, listing, quote
+from rankone.inference.estimation.observations import check_levels
+from rankone.support.arrays import NEGLIGIBLE, SAME, TINY, Array
+from rankone.support.errors import SIMILAR, OptionError, did_you_mean, listing, quote
 from rankone.tensors.distributions import Measure
 
 # Rounds of linear parameters and levels of noise in turn, where states are known
@@ -543,7 +543,7 @@ def _level_range(name: str, trials: Sequence[Trial]) -> Range:
 
 def _check_spelling(name: str, trial: Trial) -> None:
     own = [*trial.solution.states, *trial.solution.parameters, trial.solution.metadata.time]
-    near = did_you_mean(name, own, MISSPELT)
+    near = did_you_mean(name, own, SIMILAR)
     if near:
         raise OptionError(
             f"an observable has {quote(name)}, which the solution has not{near}",

@@ -18,7 +18,6 @@ from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import failure_of
 from rankone.inference.estimation.fitted_models import model_of
 from rankone.inference.estimation.free_parameters import (
-    SAME,
     Bounds,
     FreeParameters,
     ParameterValues,
@@ -28,9 +27,11 @@ from rankone.inference.estimation.observations import checked_times, state_name
 from rankone.inference.estimation.search import DISTINCT_DISTANCE
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import (
+    AT_ONCE,
     COINCIDENT,
     DIFFERENCE,
     NEGLIGIBLE,
+    SAME,
     Array,
     Labelled,
     Table,
@@ -395,8 +396,6 @@ ObjectiveFunction = Callable[[dict[str, Any], dict[str, float]], float]
 Limits = Mapping[Any, Sequence[ArrayLike | None]] | None
 """For unknowns, names or symbols, lower and upper limits, and perhaps times."""
 
-_NUMBERS_AT_ONCE = 2_000_000  # Numbers of states that are held together, 16 MB
-
 
 class States:
     """Some states at times, for one point z of the cube, with derivatives."""
@@ -419,7 +418,7 @@ class States:
 
     def many(self, z: Array) -> Iterator[Array]:
         """Values (states, times) at points (N, n), one after the other."""
-        size = max(_NUMBERS_AT_ONCE // max(math.prod(self._shape), 1), 1)
+        size = max(AT_ONCE // max(math.prod(self._shape), 1), 1)
         for begin in range(0, len(z), size):
             points = self.free.points(z[begin : begin + size])
             yield from self._model.values(points).reshape(-1, *self._shape)

@@ -14,6 +14,7 @@ from rankone.inference.estimation.noise import Noise, noise_of, usual_levels
 from rankone.solution.evaluation.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import (
+    SIMILAR,
     EvaluationError,
     OptionError,
     count,
@@ -28,9 +29,6 @@ Measurements = ArrayLike | Mapping[Any, ArrayLike]
 """Numbers for all observables, or for each by name or symbol."""
 Sigma = Measurements | str | Mapping[Any, Any] | None
 """Standard deviations: numbers, or expressions as text or symbols; perhaps by observable."""
-
-MISSPELT = 0.75
-"""A new name more similar than this to a state or a parameter counts as a misspelling of it."""
 
 
 @dataclass(frozen=True)
@@ -371,7 +369,7 @@ def check_levels(
         for name in noise.levels:
             if name in declared or name in usual_levels(observable):
                 continue
-            near = did_you_mean(name, names, MISSPELT)
+            near = did_you_mean(name, names, SIMILAR)
             if near:
                 raise OptionError(
                     f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",

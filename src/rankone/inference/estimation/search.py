@@ -30,7 +30,7 @@ from rankone.inference.estimation.noise import noise_of
 from rankone.inference.estimation.observations import Measurements, Observations
 from rankone.inference.estimation.tables import is_table
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import NEGLIGIBLE, Array, spread
+from rankone.support.arrays import COARSE, NEGLIGIBLE, Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
 from rankone.support.options import LEVEL, checked_number, of_keywords, takes_options_of
@@ -38,7 +38,6 @@ from rankone.tensors.joint_distribution import Distributions, by_name, measures_
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
 _MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort
-_MOST_STARTS = 128  # Most starts, whatever the effort
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +212,7 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
     least = 0 if options.start is not None else 1
     starts = checked_number("starts", options.starts, least, _SCREENED_POINTS)
     factor = operations_for(options.effort) / NORMAL
-    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    starts = min(math.ceil(factor * starts), _SCREENED_POINTS)
     screened = max(min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS), starts, 1)
     problem = problem_of(trials, options)
     points = spread(screened, len(problem.free.names), np.random.default_rng(7))
@@ -337,8 +336,6 @@ def _starts(problem: likelihood.Likelihood, starts: int, points: Array) -> Array
 
 DISTINCT_DISTANCE = 1e-2
 """Distance in the cube above which minima are different ones."""
-_EQUAL_COST_SHARE = 1e-3  # Difference of costs, in shares of the mean square, that counts as none
-_SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 _LEAST_FREEDOM = 0.5  # Least degrees of freedom of a level of noise that is corrected for them
 
 
@@ -346,10 +343,10 @@ def chosen(problem: likelihood.Likelihood, ends: least_squares.Minima) -> int:
     """The best minimum; among equally good ones the farthest from the bounds."""
     best = int(ends.cost.argmin())
     mean = float(least_squares.squares_of(ends.residuals[best : best + 1])[0]) / problem.size
-    good = np.flatnonzero(ends.cost <= ends.cost.min() + _EQUAL_COST_SHARE * mean)
+    good = np.flatnonzero(ends.cost <= ends.cost.min() + COARSE * mean)
     inside = np.minimum(ends.z[good], 1.0 - ends.z[good]).min(axis=1)
     apart = np.abs(ends.z[good] - ends.z[best]).max(axis=1)
-    if apart.max() <= _SAME_DISTANCE:
+    if apart.max() <= COARSE:
         return best
     return int(good[np.argmax(inside)])
 

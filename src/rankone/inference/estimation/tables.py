@@ -298,7 +298,7 @@ def _is_number(cell: object) -> bool:
 # Doses of subjects at times of their own, from tables and as curves.
 
 
-_MEASUREMENT, _DOSE, _OTHER = 0.0, 1.0, 2.0  # What `evid` says of a row
+_MEASUREMENT, _DOSE, _OTHER = range(3)  # What `evid` says of a row
 _AS_EQUATION = "write the input into the equations, such as dose/T*Heaviside(T - t)"
 # Columns of such tables that are not supported unless they are empty, and what to do instead
 _REFUSED = {

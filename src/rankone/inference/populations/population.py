@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.experiments import Experiment, failure_of
-from rankone.inference.estimation.free_parameters import SAME, ParameterValues
+from rankone.inference.estimation.free_parameters import ParameterValues
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.likelihood import UNNOTICED
 from rankone.inference.estimation.observations import Sigma
@@ -31,8 +31,9 @@ from rankone.inference.populations.marginal import (
 from rankone.inference.populations.population_estimates import PopulationEstimates
 from rankone.inference.populations.subjects import SUBJECT, Subjects, subjects_of
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import Array, Table, Variables
+from rankone.support.arrays import SAME, Array, Table, Variables
 from rankone.support.errors import (
+    LISTED,
     OptionError,
     count,
     did_you_mean,
@@ -44,7 +45,6 @@ from rankone.support.errors import (
 from rankone.support.options import LEVEL
 from rankone.tensors.joint_distribution import by_name
 
-_MOST_NAMED = 4  # Subjects that a message names
 # Standard deviations of the random effects that a box should hold to either side
 _BOX_SPREADS = 3.0
 _HIGH_SHRINKAGE = 0.3  # Above it the estimates of subjects say little of the population
@@ -89,7 +89,7 @@ class PopulationFit(PopulationEstimates, results.Judged):
                 end = self.solution.parameters[name][max(side, 0)]
                 where = ""
                 if e in self._layout.random:
-                    names = [self.subjects[i] for i in at[:_MOST_NAMED]]
+                    names = [self.subjects[i] for i in at[:LISTED]]
                     more = f" and {at.size - len(names)} more" if at.size > len(names) else ""
                     noun = "subject" if at.size == 1 else "subjects"
                     where = f" of {noun} {', '.join(names)}{more}"

@@ -12,7 +12,6 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.free_parameters import SAME
 from rankone.inference.estimation.identification import BOX_SHARE, UNIFORM_PRECISION
 from rankone.inference.estimation.intervals import checked_level
 from rankone.inference.estimation.noise import terms
@@ -22,11 +21,8 @@ from rankone.inference.populations.marginal import Marginal, Optimum, standard_s
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Measured, Subjects
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import COINCIDENT, DIFFERENCE, TINY, Array
+from rankone.support.arrays import COINCIDENT, DIFFERENCE, MINOR, SAME, TINY, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote
-
-# Share of the largest component of a flat direction from which a parameter moves along it
-_FLAT_SHARE = 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,7 +154,7 @@ class PopulationEstimates:
         for j, name in enumerate(self._spread_names):
             if name.startswith("correlation"):
                 moves[layout.factors.start + j] *= 1.0 - self.x[name] ** 2
-        unseen = (np.abs(moves) > _FLAT_SHARE * np.abs(flat).max(axis=0)).any(axis=1)
+        unseen = (np.abs(moves) > MINOR * np.abs(flat).max(axis=0)).any(axis=1)
         return dict(zip(names, (~unseen).tolist(), strict=True)) | dict.fromkeys(self.idle, True)
 
     @cached_property

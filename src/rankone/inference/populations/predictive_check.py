@@ -19,12 +19,11 @@ from rankone.inference.estimation.noise import noise_draws
 from rankone.inference.populations.individuals import EmpiricalBayes
 from rankone.inference.populations.population_estimates import PopulationEstimates
 from rankone.inference.populations.subjects import Measured
-from rankone.support.arrays import Array, Labelled, Table, Variables
+from rankone.support.arrays import MOST_ROUNDS, Array, Labelled, Table, Variables
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import LEVEL, checked_count, checked_number
 
 _MOST_BINS = 10
-_MOST_REDRAWS = 50  # Rounds in which subjects outside of the box are drawn again
 _MOST_OUTSIDE = 0.2  # Largest share of subjects that may be outside of the box
 _NOTED_OUTSIDE = 0.005  # Share above which it is said
 
@@ -203,7 +202,7 @@ def simulated_subjects(
     places = np.repeat(typical, count, axis=0)
     waiting = np.ones(places.shape[:2], dtype=bool)
     drawn = outside = 0
-    for _ in range(_MOST_REDRAWS):
+    for _ in range(MOST_ROUNDS):
         draws = generator.standard_normal((int(waiting.sum()), len(random))) @ factor.T
         fresh = np.broadcast_to(typical, places.shape)[waiting]
         fresh[:, random] += draws

@@ -17,7 +17,7 @@ from rankone.inference.estimation.noise import Noise, log_likelihood
 from rankone.inference.estimation.observations import Observations, check_levels
 from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
-from rankone.support.arrays import Array
+from rankone.support.arrays import MINOR, Array
 from rankone.support.errors import OptionError, did_you_mean, listing, quote
 from rankone.tensors.branch_evaluator import BranchEvaluator
 from rankone.tensors.slab import SlabTrain, slab_positions
@@ -25,9 +25,6 @@ from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline
 
 _POINTS_AT_ONCE = 4096  # Points that are evaluated together, to bound memory
-# Change of states at the times of the data that nobody notices, in shares of the tolerance of the
-# solution: the ranks are smaller after it
-_UNNOTICED_SHARE = 0.1
 
 
 class OwnTimes(Protocol):
@@ -54,7 +51,7 @@ def own_times(
         )
     if outcome.timeline is not None:
         return _OnTimeline(timeline_evaluator(outcome.slabs, outcome.timeline), rows, response)
-    return _OnSlabs(outcome.slabs, rows, response, _UNNOTICED_SHARE * solution.rtol)
+    return _OnSlabs(outcome.slabs, rows, response, MINOR * solution.rtol)
 
 
 class _OnSlabs:

@@ -32,6 +32,7 @@ from rankone.problem.algebra.term_table import (
     written_rates,
 )
 from rankone.problem.box import Box
+from rankone.problem.equations import MOST_TERMS
 from rankone.problem.expressions.notation import exact, expression_of
 from rankone.problem.expressions.parsing import parse_expression, syntax_trees
 from rankone.support.budget import check_time
@@ -138,7 +139,6 @@ class _ExpressionReader:
 # general way.
 
 
-_MOST_TERMS = 2000  # Terms of one right-hand side; longer ones are for the general way to judge
 _OTHER_NAMES = {"arctan": "atan", "ln": "log"}
 
 
@@ -174,7 +174,7 @@ class _TextReader(ast.NodeVisitor):
         total: TermSum = {}
         for self._source, tree in syntax_trees(text):
             added(total, self.visit(tree))
-        if len(total) > _MOST_TERMS:
+        if len(total) > MOST_TERMS:
             raise NotTabulated
         return without_zeros(total)
 

@@ -23,9 +23,9 @@ from rankone.problem.algebra.term_table import (
     Value,
     rational,
 )
+from rankone.problem.expressions.stable import HIGH_POWER
 from rankone.support.arrays import EXACT_DIGITS
 
-_HIGHEST_POWER = 8  # Of an unknown; higher ones of numbers of any size are for the general way
 _LONG = 4  # Arguments of this many terms and more are searched for what cancels
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)
@@ -122,7 +122,7 @@ class TermSums:
     def power(self, base: TermSum, exponent: TermSum) -> TermSum:
         """A power of unknowns; the exponent has none."""
         degree = self.expression(exponent)
-        if degree.is_number and not (degree.is_Rational and abs(degree) <= _HIGHEST_POWER):
+        if degree.is_number and not (degree.is_Rational and abs(degree) <= HIGH_POWER):
             raise NotTabulated
         if degree.is_Integer and degree < 0:
             positive: TermSum = {(0, ()): Fraction(int(-degree))}

@@ -21,7 +21,7 @@ from rankone.support.arrays import EXACT_DIGITS
 
 # Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied
 _ORDINARY_RATIO = sp.Integer(10) ** 30
-_HIGH_POWER = 8  # From this power on a quotient of powers is written as the power of a quotient
+HIGH_POWER = 8  # From this power on a quotient of powers is written as the power of a quotient
 _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
 # Numerators and denominators up to this stay exact; larger ones are rounded to EXACT_DIGITS
 _LARGEST_INTEGER = 10**EXACT_DIGITS
@@ -257,7 +257,7 @@ def _with_logistic(product: sp.Expr) -> sp.Expr:
     logistic = [f for f in product.args if isinstance(f.as_base_exp()[0], expit)]
     for exponential, power in itertools.product(exponentials, logistic):
         base, count = power.as_base_exp()
-        if not count.is_Integer or not 1 <= count <= _HIGH_POWER:
+        if not count.is_Integer or not 1 <= count <= HIGH_POWER:
             continue
         for turned in range(1, int(count) + 1):
             exponent = _without(exponential.exp, -turned * base.args[0])
@@ -285,7 +285,7 @@ def _with_quotients(product: sp.Expr) -> sp.Expr:
         return product
     high: dict[sp.Expr, list[sp.Expr]] = {}
     for factor in product.args:
-        if factor.is_Pow and factor.exp.is_Integer and abs(factor.exp) >= _HIGH_POWER:
+        if factor.is_Pow and factor.exp.is_Integer and abs(factor.exp) >= HIGH_POWER:
             high.setdefault(abs(factor.exp), []).append(factor)
     for exponent, powers in high.items():
         above = [p.base for p in powers if p.exp > 0]

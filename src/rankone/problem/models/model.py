@@ -18,7 +18,7 @@ from rankone.support.errors import ProblemError, count, did_you_mean, listing, q
 from rankone.support.options import checked_number
 from rankone.tensors.coordinates import name_of
 
-_LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond the nominal value
+LARGEST_SPREAD = 1e6  # Factor by which an interval goes beyond the nominal value
 _FACTOR_REMEDY = "give an interval: parameters={name: (lower, upper)}"
 
 
@@ -309,7 +309,7 @@ class Model:
 
     def _spread(self, symbol: sp.Symbol, spread: float | None) -> tuple[float, float]:
         """The interval around a nominal value."""
-        factor = checked_number("spread", spread, 1.0, _LARGEST_SPREAD, float)
+        factor = checked_number("spread", spread, 1.0, LARGEST_SPREAD, float)
         nominal = self.parameters[symbol.name]
         if math.isnan(nominal) or nominal == 0.0 or factor == 1.0:
             what = "spread is 1" if factor == 1.0 else f"{quote(symbol)} is {nominal:g} in the file"

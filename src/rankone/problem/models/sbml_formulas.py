@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import sympy as sp
 from sympy.logic.boolalg import Boolean
 
-from rankone.support.errors import ProblemError, did_you_mean, listing, optional_module, quote
+from rankone.support.errors import (
+    LISTED,
+    ProblemError,
+    did_you_mean,
+    listing,
+    optional_module,
+    quote,
+)
 from rankone.support.files import as_path
 
 if TYPE_CHECKING:
@@ -26,7 +33,6 @@ ANTIMONY_SUFFIXES = (".ant", ".antimony")
 _LEVEL, _VERSION = 3, 1  # Earlier levels are raised to this one
 _HARMLESS = ("comp", "l3v2extendedmath", "layout", "render", "groups", "fbc", "distrib")
 """Packages that are understood, or that leave the meaning of equations as it is."""
-_PARTS_READ = 3  # Errors of a file that a message quotes
 
 
 def sbml_library() -> ModuleType:
@@ -98,7 +104,7 @@ def _check_errors(document: libsbml.SBMLDocument, libsbml: ModuleType, file: Pat
     if grave:
         texts = [
             f"line {error.getLine()}: {' '.join(error.getMessage().split())}"
-            for error in grave[:_PARTS_READ]
+            for error in grave[:LISTED]
         ]
         raise ProblemError(
             f"`{file}` is not readable SBML: {'; '.join(texts)}",

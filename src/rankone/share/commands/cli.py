@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from rankone.share.commands import solve_files, solved_files
 from rankone.share.commands.common import BAD_INPUT, FAILURE, complain, spelled
+from rankone.support.errors import SIMILAR
 
 _INTERRUPTED = 130  # Exit status after an interrupt, as shells have it: 128 and the signal
 _BROKEN_PIPE = 141  # Exit status when the reader of the output has gone
@@ -47,9 +48,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILURE if isinstance(error, ConvergenceError) else BAD_INPUT
 
 
-_SIMILAR = 0.75  # Least similarity of an option that is meant: all begin with the same dashes
-
-
 class _Parser(argparse.ArgumentParser):
     """Errors in one line; unknown options are told the one that is like them."""
 
@@ -60,7 +58,7 @@ class _Parser(argparse.ArgumentParser):
 
             options = [option for action in self._actions for option in action.option_strings]
             named = (each.partition("=")[0] for each in unknown if each.startswith("--"))
-            hint = next(filter(None, (did_you_mean(each, options, _SIMILAR) for each in named)), "")
+            hint = next(filter(None, (did_you_mean(each, options, SIMILAR) for each in named)), "")
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return arguments, unknown
 

@@ -105,9 +105,9 @@ def _from_toml(file: Path) -> Problem:
 # Shared by all commands: parsers, problem files and saved solutions, summaries, exit status.
 
 
-SUCCESS = 0  # Exit status: the measured error is within the tolerance
-FAILURE = 1  # Exit status: it is not, or is not known
-BAD_INPUT = 2  # Exit status: an argument or a file is wrong
+# Exit status: the measured error is within the tolerance; it is not, or is not known; an argument
+# or a file is wrong
+SUCCESS, FAILURE, BAD_INPUT = range(3)
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 MODEL_HELP = f"{PROBLEM_HELP}, or a model: SBML (.xml, .sbml) or Antimony (.ant)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"

@@ -18,11 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from rankone.share.export.model_c import c_identifier
+from rankone.share.export.standalone import LINE
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.support.errors import ExportError, quote
 from rankone.support.files import Content, as_path
-
-_LINE = 96  # Characters of a line of numbers
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class FieldModel:
         return [
             f"Fields of the solved model in {self.stem}{suffix}: modes times coefficients.",
             "",
-            *textwrap.wrap(" ".join(self.remarks), _LINE),
+            *textwrap.wrap(" ".join(self.remarks), LINE),
             "On rankone's part this file may be used, changed and passed on without restriction.",
             "",
             *(f"    {name}: {rows} entries, {count} modes" for name, rows, count in self.blocks),
@@ -213,7 +212,7 @@ def _c(model: FieldModel, path: Path) -> dict[Path, Content]:
     source = [*about, f'#include "{header.name}"', ""]
     body = [f"{declared} {{", "    int i, j;"]
     for k, ((_, rows, count), own) in enumerate(zip(model.blocks, model.modes.modes, strict=True)):
-        numbers = textwrap.wrap(", ".join(repr(x) for x in own.ravel().tolist()), _LINE)
+        numbers = textwrap.wrap(", ".join(repr(x) for x in own.ravel().tolist()), LINE)
         source += [f"static const {real} modes_{k}[{rows * count}] = {{", *numbers, "};", ""]
         body += [
             f"    for (i = 0; i < {rows}; i++) {{",
@@ -235,7 +234,7 @@ def _encoded(model: FieldModel) -> list[list[str]]:
         base64.b64encode(np.ascontiguousarray(own, dtype="<f8").tobytes()).decode()
         for own in model.modes.modes
     )
-    return [[text[k : k + _LINE] for k in range(0, len(text), _LINE)] for text in texts]
+    return [[text[k : k + LINE] for k in range(0, len(text), LINE)] for text in texts]
 
 
 _WRITERS: Mapping[str, Callable[[FieldModel, Path], dict[Path, Content]]] = {

@@ -37,7 +37,7 @@ from rankone.share.export.pages import (
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Role
 from rankone.solvers.reduced.field_modes import FieldModes
-from rankone.support.arrays import Array, corners, spread
+from rankone.support.arrays import AT_ONCE, SAMPLES, SEED, Array, corners, spread
 from rankone.support.errors import ExportError
 from rankone.support.files import write_files
 
@@ -48,10 +48,6 @@ _SCRIPTS = (
     *("values", "looks", "events", "legend", "curves", "palette", "raster", "controls", "state"),
     *("frames", "fields", "picture", "moves", "field_main"),
 )
-_SAMPLED = 64  # Corners of the box and as many points inside, at which colours are ranged
-_SAMPLED_TIMES = 33  # Times of each of them
-_MOST_NUMBERS = 2**22  # Numbers of a field that are made at once: 32 MB
-_SEED = 20241
 
 
 def export_field_page(
@@ -239,11 +235,11 @@ class BoxSample:
     @classmethod
     def of(cls, solved: Solution, modes: FieldModes) -> BoxSample:
         """Evaluate them; the same points each time."""
-        d, generator = len(solved.metadata.parameters), np.random.default_rng(_SEED)
-        shares = np.concatenate([corners(d, _SAMPLED, generator), spread(_SAMPLED, d, generator)])
+        d, generator = len(solved.metadata.parameters), np.random.default_rng(SEED)
+        shares = np.concatenate([corners(d, SAMPLES, generator), spread(SAMPLES, d, generator)])
         ends = np.array(solved.metadata.box, dtype=float).reshape(d, 2)
         points = ends[:, :1] * (1.0 - shares.T) + ends[:, 1:] * shares.T
-        times = np.linspace(*solved.time, _SAMPLED_TIMES)
+        times = np.linspace(*solved.time, SAMPLES)
         at = {solved.metadata.time: times[:, None]} if d else {solved.metadata.time: times}
         for name, axis in zip(solved.metadata.parameters, points, strict=True):
             at[name] = axis[None, :]
@@ -257,7 +253,7 @@ class BoxSample:
 
     def values(self, *weights: tuple[Array, slice]) -> Iterator[tuple[Array, ...]]:
         """Entries (n, ...) of weights (n, r), which multiply their own coefficients, in blocks."""
-        step = max(1, _MOST_NUMBERS // max(len(rows) for rows, _ in weights))
+        step = max(1, AT_ONCE // max(len(rows) for rows, _ in weights))
         for start in range(0, self.size, step):
             block = self.coefficients[:, start : start + step]
             yield tuple(rows @ block[own] for rows, own in weights)

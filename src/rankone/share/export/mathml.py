@@ -12,7 +12,7 @@ import keyword
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from enum import IntEnum
+from enum import IntEnum, auto
 
 from rankone.solvers.outcome import Role, SolutionMetadata
 
@@ -39,12 +39,12 @@ _LOGIC: dict[type[ast.operator], str] = {ast.BitAnd: "and", ast.BitOr: "or"}
 class _Binding(IntEnum):
     """How tightly a formula binds, from the loosest to the tightest."""
 
-    CASES = 0
-    SUM = 1
-    PRODUCT = 2
-    SIGN = 3
-    POWER = 4
-    ATOM = 5
+    CASES = auto()
+    SUM = auto()
+    PRODUCT = auto()
+    SIGN = auto()
+    POWER = auto()
+    ATOM = auto()
 
 
 class _NoFormulaError(Exception):

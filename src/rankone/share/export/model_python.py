@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from rankone.compiler.codegen.layout import (
-    WIDTH,
     Names,
     Nested,
     docstring,
@@ -26,7 +25,7 @@ from rankone.compiler.codegen.layout import (
 from rankone.share.export.packing import PackedChoice, PackedModel
 from rankone.share.export.standalone import TERMS, banner, source_text
 from rankone.support import __version__
-from rankone.support.files import Content, npz
+from rankone.support.files import WIDTH, Content, npz
 from rankone.tensors.coordinates import round_off
 
 _LONGEST_DATA = 200_000  # Characters of coefficients in the file: editors open it at once

@@ -26,7 +26,7 @@ from rankone.share.export.standalone import filled
 from rankone.solution.statistics.over_box import CENTRAL
 from rankone.solvers.outcome import SolutionMetadata
 from rankone.support import __version__
-from rankone.support.arrays import Array
+from rankone.support.arrays import MANY_SAMPLES, Array
 from rankone.support.errors import ExportError, OptionError, RankoneWarning, is_text, shown
 from rankone.support.files import as_path, free_target
 from rankone.tensors.coordinates import LINEAR, with_measure
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "explorer"
 ENDED = ".* still running"
 """A warning that pages ignore: they say themselves that some trajectories have ended."""
-_BOX_POINTS = 2**12  # Points over the box from which quantiles are taken
 _CURVE_DIGITS = 7  # Significant digits of bands
 _MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
 _VENDOR = _FOLDER.parent / "vendor"
@@ -206,7 +205,7 @@ def over_box(solution: DistributionOverBox, times: Array) -> Array:
     probabilities = (0.0, *CENTRAL, 1.0)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ENDED, RankoneWarning)
-        return np.asarray(solution.quantile(probabilities, times, count=_BOX_POINTS))
+        return np.asarray(solution.quantile(probabilities, times, count=MANY_SAMPLES))
 
 
 def unknown_entries(

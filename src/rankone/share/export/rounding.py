@@ -20,7 +20,7 @@ from rankone.solution.evaluation.core import timeline_evaluator
 from rankone.solvers.branches import evaluator_of_branches
 from rankone.solvers.verification.measure import undecided_share
 from rankone.solvers.verification.points import Climb, Coverage, climbed
-from rankone.support.arrays import Array
+from rankone.support.arrays import HALVINGS, Array
 from rankone.tensors.branch_evaluator import BranchEvaluator
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
@@ -263,7 +263,6 @@ def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[S
 # the model has a somewhat larger part of the box in which values are NaN.
 
 
-_BISECTIONS = 40  # Of the way between two points, to a change of order
 _BESIDE = 4.0  # Distance of points from a change of order, at most, over ``rtol`` and the box
 
 Branches = Sequence[Sequence[SlabTrain]]
@@ -399,7 +398,7 @@ class _BranchComparison:
         chosen = self._before.decided(here).chosen
         changing = np.flatnonzero(chosen != np.roll(chosen, 1))
         low, high, own = here[:, changing], there[:, changing], chosen[changing]
-        for _ in range(_BISECTIONS):
+        for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             still = self._before.decided(middle).chosen == own
             low, high = np.where(still, middle, low), np.where(still, high, middle)

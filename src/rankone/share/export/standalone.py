@@ -24,7 +24,6 @@ from pathlib import Path
 
 from rankone.compiler.codegen.layout import (
     INDENT,
-    WIDTH,
     docstring,
     is_identifier,
     literal,
@@ -38,6 +37,7 @@ from rankone.solvers.selection import engines_for
 from rankone.solvers.ways import Engine
 from rankone.support import __version__, errors
 from rankone.support.errors import ExportError
+from rankone.support.files import WIDTH
 from rankone.tensors import Logarithm, Reciprocal, Scale
 
 BLOCK = 8  # Rows of a core contracted together; the same in the templates

@@ -15,14 +15,12 @@ from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Measured, Outcome, Piece, Role, SolutionMetadata
 from rankone.solvers.reduced.functionals import Functional
 from rankone.solvers.verification.points import check_points
-from rankone.support.arrays import Array
+from rankone.support.arrays import SAMPLES, Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline
 from rankone.trajectories.system.verdict import OutputError, Status
 
-_SAMPLE_COUNT = 48  # Points at which the size of a functional is measured, beside corners
-_SAMPLE_TIMES = 65  # Times of these points
 _MEASURED = (Status.CONVERGED, Status.TOLERANCE)  # What the measured error alone decides
 
 
@@ -79,10 +77,10 @@ def relative_errors(functionals: list[Functional], sizes: Array) -> list[float]:
 def largest_values(coefficients: Solution, functionals: list[Functional]) -> Array:
     """The largest absolute value of each functional over the horizon and points of the box."""
     box = np.array(coefficients.metadata.box, dtype=float).reshape(-1, 2)
-    points = check_points(box, _SAMPLE_COUNT, every_corner=True)
+    points = check_points(box, SAMPLES, every_corner=True)
     at: dict[str, object] = dict(zip(coefficients.metadata.parameters, points.T, strict=True))
     if not coefficients.metadata.timeless:
-        at[coefficients.metadata.time] = np.linspace(*coefficients.time, _SAMPLE_TIMES)[:, None]
+        at[coefficients.metadata.time] = np.linspace(*coefficients.time, SAMPLES)[:, None]
     sampled = coefficients(at).reshape(len(coefficients.unknowns), -1)
     weights = np.array([functional.weights for functional in functionals])
     values = np.abs(weights @ sampled)

@@ -21,7 +21,7 @@ from rankone.solution.fields.field_quantities import (
 )
 from rankone.solution.fields.field_statistics import SobolByUnknown
 from rankone.solution.fields.field_view import FieldView
-from rankone.solution.outputs.interpolation import DEFAULT_MARGIN, LARGEST_DEFAULT
+from rankone.solution.outputs.interpolation import DEFAULT_MARGIN
 from rankone.solution.solution import Solution, load, loaded
 from rankone.solution.statistics.over_box import Times
 from rankone.solution.storage import read_fields
@@ -38,7 +38,7 @@ from rankone.support.errors import (
     shown,
 )
 from rankone.support.files import free_target, write_files
-from rankone.support.options import OUTPUT_RTOLS, checked_number
+from rankone.support.options import OUTPUT_RTOLS, RTOLS, checked_number
 from rankone.tensors.joint_distribution import Correlations, Under
 from rankone.trajectories.fields.field_system import Unknown
 from rankone.trajectories.system.verdict import Status
@@ -246,7 +246,7 @@ class FieldSolution(FieldCore):
         pairs = zip(functionals, sizes, strict=True)
         effect = self.rtol * max((each.size / size for each, size in pairs if size), default=1.0)
         default = DEFAULT_MARGIN * max(self.rtol, effect)
-        return float(min(default, max(LARGEST_DEFAULT, self.rtol)))
+        return float(min(default, max(max(RTOLS), self.rtol)))
 
     def fit(
         self, times: object, data: Any = None, *, observe: Observed = None, **options: Any

@@ -21,14 +21,13 @@ from rankone.solution.statistics.over_box import (
     checked_probabilities,
 )
 from rankone.solution.statistics.solution_statistics import changed_shares, quantiles_of
-from rankone.support.arrays import ACCUMULATED, Array, Labelled, Table, Variables
+from rankone.support.arrays import ACCUMULATED, AT_ONCE, Array, Labelled, Table, Variables
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote
 from rankone.support.options import checked_count
 from rankone.tensors.coordinates import name_of
 from rankone.tensors.joint_distribution import Correlations, Under
 
 _MOST_COVARIANCES = 10**8  # Numbers of a matrix of covariances, 0.8 GB
-_NUMBERS_AT_ONCE = 2**23  # Values of entries at points that are held at once, 64 MB
 
 
 @dataclass(frozen=True, repr=False)
@@ -229,6 +228,6 @@ class EntryStatistics:
 
     def _blocks(self, points: int) -> Iterator[Array]:
         """Rows of the weights whose values at all points fit in memory together."""
-        step = max(_NUMBERS_AT_ONCE // points, 1)
+        step = max(AT_ONCE // points, 1)
         starts = range(0, max(len(self.weights), 1), step)
         return (self.weights[start : start + step] for start in starts)

@@ -22,7 +22,7 @@ from rankone.solvers.outcome import Measured, Outcome, Role
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.measure import MOST_UNDECIDED, undecided_share
 from rankone.solvers.verification.points import Coverage
-from rankone.support.arrays import Array
+from rankone.support.arrays import SAMPLES, Array
 from rankone.support.budget import Report, quiet
 from rankone.support.errors import EvaluationError, OptionError, listing, quote
 from rankone.support.tasks import Pool
@@ -36,7 +36,6 @@ OfBranch = Callable[[SolutionCore, Timeline | None], Quantities]
 
 _ROOT_POINTS = 1024  # Points that tell errors of roots of heights
 _HELD_POINTS = 2**14  # Points that tell whether a branch holds anywhere
-_SIZE_POINTS, _SIZE_TIMES = 256, 25  # Points and times that tell the sizes of quantities
 
 
 class BranchPart(SolutionCore):
@@ -257,7 +256,7 @@ def _errors_of_roots(
         if not branch.roots or not here.size:
             continue
         end = branch.slabs[-1].end
-        pseudo = np.linspace(0.0, np.nextafter(end, 0.0), _SIZE_TIMES)[:, None]
+        pseudo = np.linspace(0.0, np.nextafter(end, 0.0), SAMPLES)[:, None]
         ours, theirs = (
             branch.trains.curves(pseudo, each.own(here), rows)
             for each in (branch, exact.branches[k])
@@ -278,8 +277,8 @@ def _sizes(
     """The largest values (count,) of quantities in the branches that hold."""
     everything = replace(timeline, tolerances=(np.inf,) * count)
     evaluator = branch_evaluator(slabs, everything).likeliest()
-    points = np.ascontiguousarray(spread_over(domain, _SIZE_POINTS).T)
-    times = np.linspace(*domain.horizon, _SIZE_TIMES)[:, None]
+    points = np.ascontiguousarray(spread_over(domain, SAMPLES).T)
+    times = np.linspace(*domain.horizon, SAMPLES)[:, None]
     states = np.abs(evaluator.curves(times, points, slice(0, count)))
     return np.asarray(np.nan_to_num(states).max(axis=(1, 2)))
 

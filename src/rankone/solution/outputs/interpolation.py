@@ -28,7 +28,7 @@ from rankone.solution.outputs.stretch_sampling import ClockSampler, StretchSampl
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Measured, Outcome
 from rankone.solvers.request import Domain
-from rankone.support.arrays import COINCIDENT, TINY, Array
+from rankone.support.arrays import AT_ONCE, COINCIDENT, MINOR, TINY, Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
@@ -40,6 +40,7 @@ from rankone.support.budget import (
     seconds_left,
 )
 from rankone.support.errors import ConvergenceError
+from rankone.support.options import RTOLS
 from rankone.support.tasks import Pool
 from rankone.tensors import BASES
 from rankone.tensors.adaptive import (
@@ -67,11 +68,7 @@ _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _HARDLY = "what jumps or kinks as parameters change is hardly resolved"
 _OF_INTERPOLATION = Remedy(f"raise effort, loosen rtol or restrict the solution; {_HARDLY}")
 
-# Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up
-_AIMED_SHARE = 0.1
 DEFAULT_MARGIN = 1.5  # Default tolerance over the effect of errors of the solution's tolerance
-LARGEST_DEFAULT = 0.1  # Largest default tolerance
-_BASIS_SHARE = 0.1  # Error of the basis of the columns, relative to the error aimed at
 # Tolerances are tightened only when no nodes are added: attempts are cheap
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
 _MAX_ATTEMPTS = 8  # Most interpolations: errors that do not fall by then belong to jumps
@@ -82,7 +79,6 @@ _TIME_PROBES = 12  # Points whose functions of time are resolved, besides the co
 _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
 _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
-_HELD_NUMBERS = 2**22  # Integrands at several points and times that are held at once
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
 _CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
 
@@ -153,7 +149,8 @@ class OutputInterpolation:
         solution, domain, rtol = self.solution, self.domain, asked.rtol
         points = CheckPoints.of(domain, self.quantities)
         with _limited(asked.operations, asked.seconds):
-            grid = self._resolving_grid(_AIMED_SHARE * (rtol or solution.rtol), points)
+            # the error of the solution adds up with that of the interpolation
+            grid = self._resolving_grid(MINOR * (rtol or solution.rtol), points)
             sampler, finer = self._sampler(grid), self._sampler(split(grid))
             points = points.where(sampler.holds)
             critical = critical_points(sampler, domain)
@@ -164,10 +161,10 @@ class OutputInterpolation:
             if rtol is None:
                 effect = float(amplified.sum(axis=0).max(initial=0.0))
                 default = DEFAULT_MARGIN * max(solution.rtol, effect)
-                rtol = min(default, max(LARGEST_DEFAULT, solution.rtol))
+                rtol = min(default, max(max(RTOLS), solution.rtol))
             target = self._check(sampler, np.concatenate([points.aimed, critical]))
             with limited(_TRAIN_SHARE * budget_left(), _TRAIN_SHARE * seconds_left()):
-                slabs, hopeless = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
+                slabs, hopeless = self._best_trains(sampler, target, MINOR * rtol)
         from_solution = np.tensordot(shares, amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
         if domain.box:
@@ -296,7 +293,7 @@ class OutputInterpolation:
             exact = coarse.at(times, points) / units
             return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
 
-        most, held = max(_MAX_SLABS, 2 * len(edges)), max(_HELD_NUMBERS // sampled[:, 0].size, 1)
+        most, held = max(_MAX_SLABS, 2 * len(edges)), max(AT_ONCE // sampled[:, 0].size, 1)
         breaks = resolving_breaks(in_units, edges, count, level, most, held)
         return TimeGrid(tuple(edges) if breaks is None else breaks, count)
 
@@ -317,7 +314,7 @@ class OutputInterpolation:
         And whether they were left because no effort would reach the level.
         """
         options, domain = self.options, self.domain
-        columns = QuantityColumns(sampler, check.sizes, _BASIS_SHARE * level)
+        columns = QuantityColumns(sampler, check.sizes, MINOR * level)
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
         scales = [basis.scale for basis in self.solution.outcome.slabs[0].bases]
         adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING, scales)
@@ -398,7 +395,7 @@ def _with_honest_remedy(outcome: Outcome) -> Outcome:
     if outcome.measured is None or _OF_INTERPOLATION not in outcome.notes:
         return outcome
     enough = _ROUNDED_UP * outcome.measured.error
-    looser = f"give rtol={enough:.1e}, or " if enough <= LARGEST_DEFAULT else ""
+    looser = f"give rtol={enough:.1e}, or " if enough <= max(RTOLS) else ""
     remedy = Remedy(f"{looser}restrict the solution to where it is smooth; {_HARDLY}")
     notes = (remedy if note is _OF_INTERPOLATION else note for note in outcome.notes)
     return replace(outcome, notes=tuple(notes))

@@ -13,7 +13,7 @@ from rankone.compiler.codegen.layout import Quantities
 from rankone.solution.outputs.sampling import Sampler
 from rankone.solvers.request import USUAL_POINTS, Domain
 from rankone.solvers.verification.points import Climb, Coverage, climbed
-from rankone.support.arrays import ACCUMULATED, Array, bisected, corners, spread
+from rankone.support.arrays import ACCUMULATED, SAME, SEED, Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.tensors.time_grid import TimeGrid
 
@@ -26,11 +26,6 @@ _TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)  # The wa
 # Where slabs are split for the check, so that its nodes differ from the nodes of the grid
 _SPLIT_RATIO = 0.55
 _MAX_BREAKS = 32  # Most breaks of a parameter, and most points on a surface, that are looked at
-_BREAK_DISTANCE = 1e-6  # Distance of points beside a break, in widths of the interval
-_HALVINGS = 60  # Bisections of a segment across a surface: to the last digit
-_SPREAD_SEED = 20145  # Seed of evenly spread points
-_FURTHER_SEED = 20147  # Seed of further ones
-_CORNER_SEED = 20146  # Seed of the choice of corners
 
 
 @dataclass(frozen=True)
@@ -135,7 +130,7 @@ class CheckPoints:
         at_corners = _corners(domain)
         special = [_beside(domain, quantities.cuts[1:]), _on_surfaces(domain, quantities)]
         count = USUAL_POINTS if domain.box else 1
-        halves = (spread_over(domain, count, seed) for seed in (_SPREAD_SEED, _FURTHER_SEED))
+        halves = (spread_over(domain, count, seed) for seed in (SEED, SEED + 1))
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
 
@@ -148,7 +143,7 @@ class CheckPoints:
         return CheckPoints(corners, self.aimed[at_aimed], self.further[at_further])
 
 
-def spread_over(domain: Domain, count: int, seed: int = _SPREAD_SEED) -> Array:
+def spread_over(domain: Domain, count: int, seed: int = SEED) -> Array:
     """Points of the box, evenly spread, the centre first: (count, d)."""
     shares = spread(count, len(domain.box), np.random.default_rng(seed))
     shares = np.concatenate([np.full((1, len(domain.box)), 0.5), shares[1:]])
@@ -169,7 +164,7 @@ def _beside(domain: Domain, breaks: Sequence[Sequence[float]]) -> Array:
         lower, upper = domain.box[j]
         chosen = list(places)[:_MAX_BREAKS]
         points = spread_over(domain, 2 * len(chosen) + 1)[1:]
-        distance = _BREAK_DISTANCE * (upper - lower)
+        distance = SAME * (upper - lower)
         beside = [x + side * distance for x in chosen for side in (-1.0, 1.0)]
         points[:, j] = np.clip(beside, lower, upper)
         blocks.append(points)
@@ -193,7 +188,7 @@ def _on_surfaces(domain: Domain, quantities: Quantities) -> Array:
             def like_left(at: Array, on_left: Array = on_left) -> NDArray[np.bool_]:
                 return np.asarray(sign(at) == on_left)[:, None]
 
-            blocks.append(bisected(left[across], right[across], like_left, _HALVINGS)[0])
+            blocks.append(bisected(left[across], right[across], like_left)[0])
     return np.concatenate(blocks)
 
 
@@ -202,5 +197,5 @@ def _corners(domain: Domain) -> Array:
     if not domain.box:
         return np.zeros((0, 0))
     lower, upper = domain.bounds.T
-    unit = corners(lower.size, _MAX_CORNERS, np.random.default_rng(_CORNER_SEED))
+    unit = corners(lower.size, _MAX_CORNERS, np.random.default_rng(SEED))
     return np.asarray(np.where(unit == 1.0, upper, lower))

@@ -16,7 +16,7 @@ from rankone.solution.outputs.interpolation import Asked, OutputInterpolation
 from rankone.solution.outputs.output_check import CheckPoints
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.verification.points import check_points
-from rankone.support.arrays import Array
+from rankone.support.arrays import SAMPLES, SEED, Array
 from rankone.support.budget import Report, operations_for, quiet
 from rankone.support.errors import (
     ConvergenceError,
@@ -33,17 +33,14 @@ from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 from rankone.trajectories.system.verdict import DerivativeOf, EarlyEnd, Status
 
-_SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
-_SAMPLE_SEED = 1795  # Seed of these points
-
 
 def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
     """Some times (m,), parameters (d, m) and the states there (n, m)."""
-    rng = np.random.default_rng(_SAMPLE_SEED)
+    rng = np.random.default_rng(SEED)
     box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
-    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), _SAMPLE_COUNT))
+    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), SAMPLES))
     start, end = solution.time
-    t = start + (end - start) * rng.random(_SAMPLE_COUNT)
+    t = start + (end - start) * rng.random(SAMPLES)
     named = dict(zip(solution.parameters, p, strict=True))
     at = () if solution.metadata.timeless else (t,)
     states = [np.broadcast_to(solution[s](*at, **named), t.shape) for s in solution.states]
@@ -57,7 +54,7 @@ def met_before_end(solution: SolutionCore, timeline: Timeline) -> Timeline:
     evaluator = solution._evaluator
     assert isinstance(evaluator, TimelineEvaluator)
     box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
-    points = check_points(box, _SAMPLE_COUNT, every_corner=True)
+    points = check_points(box, SAMPLES, every_corner=True)
     inside = evaluator.borders(points.T)[1 : len(timeline.met) + 1] <= timeline.horizon[1]
     return timeline.up_to(int(inside.any(axis=1).sum()))
 

@@ -25,20 +25,14 @@ from rankone.solution.statistics.solution_statistics import (
     warn_of_ends,
     when,
 )
-from rankone.support.arrays import ACCUMULATED, COINCIDENT, ROUNDING, Array
+from rankone.support.arrays import ACCUMULATED, AT_ONCE, COINCIDENT, ROUNDING, SEED, Array
 from rankone.support.budget import StepReport, check_time
 from rankone.support.errors import EvaluationError
 from rankone.tensors import Basis1D
 from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.coordinates import round_off
 from rankone.tensors.distributions import Measure
-from rankone.tensors.joint_distribution import (
-    SEED,
-    SETS,
-    JointDistribution,
-    even_shares,
-    half_width,
-)
+from rankone.tensors.joint_distribution import SETS, JointDistribution, even_shares, half_width
 from rankone.tensors.slab import SlabTrain, sharing, slab_positions
 from rankone.tensors.timeline_evaluator import TimelineEvaluator
 
@@ -47,7 +41,6 @@ _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 _EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 20
 _FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
 _FEWEST_OF_FACE = 2**3  # Points of a set where one parameter has a value
-_HELD = 2**22  # Numbers of states that are held together for them
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
 
@@ -116,7 +109,7 @@ class TimelineStatistics(Statistics):
         else:
             each = -(-count // SETS)
         of_sets = np.empty((SETS, n, 1 + d * (d + 2), times.size))
-        at_once = max(_HELD // (n * (2 * d + 2) * each), 1)
+        at_once = max(AT_ONCE // (n * (2 * d + 2) * each), 1)
         for k in range(SETS):
             shares = _sharing_pairs(even_shares(each, 2 * d, (SEED, k)))
             for begin in range(0, times.size, at_once):

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.arrays import AT_ONCE, MINOR, NEGLIGIBLE, Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.joint_distribution import Copula, JointDistribution
@@ -31,7 +31,6 @@ from rankone.tensors.train import Train
 # of the finer one is far below it, with kinks it is about as large.
 _SETTLED_CHANGE = 1e-6
 _WARNED_CHANGE = 1e-4  # Relative change above which a user is warned: it shows in four digits
-_NUMBERS_AT_ONCE = 8_000_000  # Numbers that are formed at once, 64 MB
 
 
 class TrainMoments:
@@ -291,7 +290,7 @@ class ConditionalMoments(TrainMoments):
 
 def _blocks(count: int, size: int) -> Iterator[slice]:
     """Slices of points whose numbers, ``size`` for each point, fit in memory together."""
-    step = max(_NUMBERS_AT_ONCE // max(size, 1), 1)
+    step = max(AT_ONCE // max(size, 1), 1)
     return (slice(start, start + step) for start in range(0, count, step))
 
 
@@ -309,7 +308,6 @@ def _sandwich(core: Array, inner: Array) -> Array:
 # v = y^2, of rank r (r + 1)/2, the moments are E[y^3] = <v, y> and E[y^4] = <v, v>.
 
 
-_LARGEST_TOLERANCE = 0.1  # Largest tolerance of the truncation: one digit of the moments is left
 # Tolerance above which a user is warned, unless it was asked for: it shows in five digits
 _WARNED_TOLERANCE = 1e-5
 # Largest rank of a train that is squared. The square has the rank 528, and each point of a
@@ -390,7 +388,7 @@ class HigherMoments:
         if len(rows) > 1 and max(train.ranks) > _LARGEST_COMMON_RANK:
             half = len(rows) // 2
             return np.hstack([self._normed(rows[:half]), self._normed(rows[half:])])
-        while max(train.ranks) > _LARGEST_RANK and tolerance < _LARGEST_TOLERANCE:
+        while max(train.ranks) > _LARGEST_RANK and tolerance < MINOR:
             tolerance *= 3.0
             train, _ = Train((rows, *self.cores)).truncated(tolerance)
         if tolerance > max(_WARNED_TOLERANCE, self.tolerance):

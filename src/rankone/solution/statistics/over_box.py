@@ -23,7 +23,7 @@ from rankone.solution.statistics.solution_statistics import (
     quiet,
     warn_of_ends,
 )
-from rankone.support.arrays import ACCUMULATED, Array
+from rankone.support.arrays import ACCUMULATED, MINOR, SAMPLES, Array
 from rankone.support.budget import StepReport, counting_bar
 from rankone.support.errors import EvaluationError, OptionError, shown, warn
 from rankone.support.options import checked_count, checked_number
@@ -52,9 +52,6 @@ CENTRAL = (0.025, 0.975)
 """Probabilities between which 95 % lie: the ends of bands."""
 # Half-widths of main effects, in shares of the spread, above which a user is told
 _VISIBLE_HALF_WIDTH = 1e-2
-_SIZE_TIMES = 25  # Times at which the size of an unknown is measured: a size need not be exact
-# Truncation of a train for higher moments, in shares of the tolerance of the solution
-_TRUNCATION_SHARE = 0.1
 
 
 def checked_probabilities(q: ArrayLike) -> Array:
@@ -421,7 +418,7 @@ class StatisticsOverBox(SolutionCore):
             remedy="take moments of samples: solution(t=t, **solution.sample(10**5, "
             "under=..., correlation=...))",
         )
-        tolerance = _TRUNCATION_SHARE * self.rtol
+        tolerance = MINOR * self.rtol
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
     def _indices(
@@ -495,7 +492,7 @@ class StatisticsOverBox(SolutionCore):
 
     def _sizes_and_errors(self, statistics: Statistics) -> tuple[Array, Array]:
         """Sizes of the unknowns, and the errors of the solution in them."""
-        ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
+        ends = None if self.metadata.timeless else np.linspace(*self.time, SAMPLES)
         squares = self._at(ends, statistics.root_mean_squares)
         largest = squares.reshape(len(squares), -1)
         sizes = np.asarray(np.fmax.reduce(largest, axis=1))  # all may have ended at the last times

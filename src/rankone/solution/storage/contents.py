@@ -37,11 +37,9 @@ from rankone.trajectories.system.verdict import NarrowBox, Status
 
 FORMAT = "rankone-solution"
 FIELD_FORMAT = "rankone-fields"  # Of files with a solution of coefficients, and modes
-FORMAT_VERSION = 6  # Newest version that is read: it came with openings of branches
-_FIFTH_VERSION = 5  # It came with solutions joined of pieces
-_FOURTH_VERSION = 4  # It came with timelines of several branches
-_THIRD_VERSION = 3  # It came with timelines
-_FIRST_VERSION, _SECOND_VERSION = 1, 2  # Versions of files that hold nothing of what came later
+# Versions of files: the third came with timelines, the fourth with those of several branches, the
+# fifth with solutions joined of pieces, the newest one that is read with openings of branches
+_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, FORMAT_VERSION = range(1, 7)
 _SECOND_NOTES = (NarrowBox.__name__,)  # Notes that came with version 2, as did scales of bases
 # Fields of an outcome that the header holds as they are
 _PLAIN = ("status", "cause", "notes", "measured", "timings", "work", "blow_up")
@@ -105,16 +103,16 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     scaled = any(not basis.scale.is_identity for basis in bases)
     is_second = scaled or _has_new_notes(plain((outcome.cause, outcome.notes)))
-    version = _SECOND_VERSION if is_second else _FIRST_VERSION
+    version = _SECOND if is_second else _FIRST
     timeline: dict[str, Timeline | BranchedTimeline] = {}
     if isinstance(outcome.timeline, BranchedTimeline):
-        version = FORMAT_VERSION if outcome.timeline.openings else _FOURTH_VERSION
+        version = FORMAT_VERSION if outcome.timeline.openings else _FOURTH
         timeline = {"branches": outcome.timeline}
     elif outcome.timeline is not None:
-        version, timeline = _THIRD_VERSION, {"timeline": outcome.timeline}
+        version, timeline = _THIRD, {"timeline": outcome.timeline}
     pieces = {"pieces": len(outcome.pieces)} if outcome.pieces else {}
     if pieces:
-        version = _FIFTH_VERSION
+        version = _FIFTH
     header = {
         "format": FORMAT,
         "format_version": version,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import EPSILON, ROUNDING, TINY, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
+from rankone.support.costs import CALL
 from rankone.trajectories.events.event_crossings import Crossings
 from rankone.trajectories.events.event_trajectory import SAME_INSTANT, EventTrajectory, Instants
 from rankone.trajectories.integrators.defects import roots
@@ -243,8 +244,6 @@ def guard_heights(
 # together.
 
 
-_EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
-_OCCURRENCE_COST = 3e3  # Operations of keeping an event that changes nothing
 _COPIES = 2  # Copies of a path: alone, and joined with those before it
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
@@ -429,7 +428,7 @@ class _Search:
         A stack ends early where one of its trajectories leaves where rates are finite. If an event
         interrupted some of them before that, the others may go on without those.
         """
-        charge(_EVENT_COST * len(paths))
+        charge(150 * CALL * len(paths))
         for each, path in zip(trajectories, paths, strict=True):
             each.ends |= not path.steps
         moved = [k for k, path in enumerate(paths) if path.steps]
@@ -517,7 +516,7 @@ class _Search:
         most = max(map(len, passed))
         if not most:
             return
-        charge(_OCCURRENCE_COST * sum(map(len, passed)))
+        charge(3 * CALL * sum(map(len, passed)))
         times = np.stack([np.full(most, path.breaks[0]) for path in paths])
         for row, each in zip(times, passed, strict=True):
             row[: len(each)] = [time for time, _ in each]

@@ -11,14 +11,12 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import COINCIDENT, ROUNDING, Array
+from rankone.support.arrays import COINCIDENT, MINOR, MOST_ROUNDS, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
 from rankone.support.errors import ProblemError, quote
 from rankone.trajectories.integrators.integrator import NODES, Path, joined
 from rankone.trajectories.system.features import BOTH, CROSSINGS, SystemEvent, overlap
-
-_MARGIN = 0.1  # Of gaps between events, beyond the last one that is asked for
 
 
 @dataclass(frozen=True)
@@ -132,10 +130,10 @@ class EventTrajectory:
         ahead = self.marks_ahead(count + 1)
         if ahead is None:
             gap = (self.end - float(self.paths[0].breaks[0])) / len(self.occurrences)
-            return gap * (count + _MARGIN)
-        until = float(ahead[-2] + _MARGIN * (ahead[-1] - ahead[-2])) - self.end
+            return gap * (count + MINOR)
+        until = float(ahead[-2] + MINOR * (ahead[-1] - ahead[-2])) - self.end
         period = self.occurrences[-1].time - self.occurrences[-1 - self._marks_per_period].time
-        return max(until, _MARGIN * period)
+        return max(until, MINOR * period)
 
     def marks_ahead(self, count: int) -> Array | None:
         """About when it passes so many further marks, as over the last period; None without one."""
@@ -279,8 +277,6 @@ def sides_of_surface(
 # What events do to trajectories at one instant: resets, what these trigger, and ends.
 
 
-MOST_ROUNDS = 100
-"""Events of a trajectory at one instant, after which it ends."""
 SAME_INSTANT = COINCIDENT
 """Part of the horizon within which times along a trajectory are the same."""
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import DIFFERENCE, Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.trajectories.system.features import (
@@ -76,7 +76,6 @@ class PseudoTimeTrajectories(ABC):
 
 
 Answer = TypeVar("Answer")
-_STEP = 1e-6  # Step over which clearances are differentiated, in horizons
 
 
 def fixed_times(system: System, cuts: Sequence[float]) -> list[float]:
@@ -254,7 +253,7 @@ class _StretchFunctions:
         rates = np.broadcast_to(self.system.rhs(time, states, p), states.shape)
         of_guards = np.zeros((self.clock.n_guards, *length.shape))
         for row, each in enumerate(self.clearances, len(of_guards) - len(self.clearances)):
-            when, step = self.system.events[each.event].when, _STEP * self.clock.length
+            when, step = self.system.events[each.event].when, DIFFERENCE * self.clock.length
             ahead, behind = (
                 when(time + h, states + h * rates, np.asarray(p)) for h in (step, -step)
             )

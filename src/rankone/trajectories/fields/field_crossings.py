@@ -15,9 +15,8 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as ss
 
-from rankone.support.arrays import COINCIDENT, EPSILON, ROUNDING, TINY, Array
+from rankone.support.arrays import COINCIDENT, EPSILON, MOST_ROUNDS, ROUNDING, TINY, Array
 from rankone.support.budget import charge
-from rankone.trajectories.events.event_trajectory import MOST_ROUNDS
 from rankone.trajectories.fields.field_system import FieldSystem, Matrix
 from rankone.trajectories.system.features import BOTH
 

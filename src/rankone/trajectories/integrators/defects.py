@@ -12,7 +12,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import EPSILON, ROUNDING, Array
+from rankone.support.arrays import COARSE, EPSILON, MOST_ROUNDS, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.system.system import System
@@ -275,10 +275,6 @@ def _tolerated(solver: Steps, states: Array) -> Array:
 # Roots of functions that change sign: many at once, however steep the functions are.
 
 
-_MOST_ITERATIONS = 120  # About ten suffice, and about sixty where a function jumps
-_JUMP = 1e-3  # Value at a root, over those at the ends, from which the function jumps there
-
-
 def roots(
     function: Callable[[Array], Array], start: Array, end: Array, accuracy: Array | float = ROUNDING
 ) -> Array:
@@ -289,7 +285,7 @@ def roots(
 def roots_or_jumps(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """The same; where the function jumps to the other sign, the place is behind the jump."""
     around = _around(function, start, end, ROUNDING)
-    jumps = around.height > _JUMP * np.minimum(np.abs(start), np.abs(end))
+    jumps = around.height > COARSE * np.minimum(np.abs(start), np.abs(end))
     return np.where(jumps, np.maximum(around.a, around.b), around.nearest)
 
 
@@ -323,7 +319,7 @@ def _around(
     """
     around = _Interval(np.zeros_like(start), np.ones_like(end), start, end)
     share = np.where(end == start, 0.5, end / np.where(end == start, 1.0, end - start))
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(MOST_ROUNDS):
         a, b, at_a, at_b = around.a, around.b, around.at_a, around.at_b
         width = np.abs(a - b)
         done = (width <= accuracy) | (around.height == 0.0)

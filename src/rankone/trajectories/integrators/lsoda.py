@@ -22,9 +22,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import COARSE, SAME, Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost, function_cost, inverse, scalar_cost
+from rankone.support.costs import CALL, Cost, function_cost, inverse, scalar_cost
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.features import AT_THE_ENDS, POINTS, PREFIX, VALUES
 from rankone.trajectories.system.system import PointRates, System, pattern_of
@@ -256,11 +256,7 @@ def _is_integer(node: ast.expr) -> bool:
 
 _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
 _LOOKED_CALLS = 3000  # Calls after which progress is looked at
-_TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
-_SLOW_PROGRESS = 1e-3  # Way in as many, below which an integration begins anew
 _CALL_COST = Cost(600.0, 0.02)  # Operations of LSODA for a call: once, and for each cube of states
-_FACTORS_OF_INVERSE = 1.0 / 3.0  # What the factors of a matrix cost, over its inverse
-_MATRIX_COST = 5e3  # Operations of a matrix of the entries of a Jacobian
 _FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
 
 # Rates (n,) at a time and a state (n,), and their Jacobian (n, n)
@@ -308,8 +304,8 @@ def called_by_lsoda(
         jacobian = _jacobian(system, point, span, differences)
         each += _CALL_COST.each * system.n_differential**3
     (first, last), numbers, column = span, point.tolist(), point[:, None]
-    tiny, calls, looked_at = _TINY_PROGRESS * horizon, 0, -math.inf
-    slow = _SLOW_PROGRESS * horizon if restarts else tiny
+    tiny, calls, looked_at = SAME * horizon, 0, -math.inf
+    slow = COARSE * horizon if restarts else tiny
 
     def stacked(t: float, u: Array) -> Array:
         if function is not None:  # others are counted some calls at a time
@@ -347,7 +343,7 @@ def _jacobian(
     entries = scalar_jacobian(system)
     if entries is None:
         return None
-    cost = _MATRIX_COST + scalar_cost(entries.function)
+    cost = 5 * CALL + scalar_cost(entries.function)
     if cost >= differences:
         return None
     (first, last), numbers, n = span, point.tolist(), system.n_differential
@@ -368,7 +364,7 @@ def _jacobian(
 
 def _counted(alone: PointRates, n: int) -> Jacobian:
     """The Jacobian at a point, of a system that has it; each is factored once."""
-    cost = 2.0 * alone.cost + _FACTORS_OF_INVERSE * inverse(n, real=True)
+    cost = 2.0 * alone.cost + inverse(n, real=True) / 3.0  # factors are a third
 
     def jacobian(t: float, u: Array) -> Array:
         charge(cost)

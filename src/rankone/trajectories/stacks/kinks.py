@@ -15,7 +15,7 @@ import numpy as np
 import scipy.integrate
 from numpy.typing import NDArray
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import DIFFERENCE, SAME, Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, function_cost
 from rankone.trajectories.integrators.defects import Interpolant
@@ -27,9 +27,6 @@ _E3, _E5 = scipy.integrate.DOP853.E3, scipy.integrate.DOP853.E5
 _EXTRA = tuple(zip(scipy.integrate.DOP853.A_EXTRA, scipy.integrate.DOP853.C_EXTRA, strict=True))
 _STAGES = len(_B)
 _MOST_TRIED = 12  # Lengths that are tried for a step to a crossing; three or four suffice
-# Accuracy of a crossing, in steps: a kink that a step meets within this is not seen in its error
-_CROSSING = 1e-6
-_SLOPE_SHARE = 1e-4  # Share of a step over which the slope of a height is taken
 
 RatesThere = Callable[[Array, Array], Array]
 """Rates (n, c), or heights above surfaces (k, c), at times (c,) and states (n, c)."""
@@ -257,10 +254,10 @@ def divided_steps(
         before = SingleSteps(rates, begin, start, f, shares * h)
         there = begin + shares * h
         height = heights(there, before.end)
-        beyond = before.end + _SLOPE_SHARE * h * before.end_rates
-        slope = (heights(there + _SLOPE_SHARE * h, beyond) - height) / _SLOPE_SHARE
+        beyond = before.end + DIFFERENCE * h * before.end_rates
+        slope = (heights(there + DIFFERENCE * h, beyond) - height) / DIFFERENCE
         change = -height / np.where(slope == 0.0, np.nan, slope)
-        if np.all(np.abs(change) <= _CROSSING):
+        if np.all(np.abs(change) <= SAME):
             after = SingleSteps(rates, there, before.end, before.end_rates, (1.0 - shares) * h)
             return DividedSteps.of(columns, before, after, shares, tolerances)
         same = height * first > 0.0

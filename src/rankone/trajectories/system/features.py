@@ -10,7 +10,16 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rankone.support.arrays import COINCIDENT, EPSILON, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import (
+    COINCIDENT,
+    EPSILON,
+    HALVINGS,
+    MINOR,
+    MOST_ROUNDS,
+    NEGLIGIBLE,
+    TINY,
+    Array,
+)
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, pseudo_inverse
 from rankone.support.errors import ProblemError, quote, warn
@@ -412,9 +421,6 @@ class GuardedFunction:
 
 
 _CALLS = 30  # Of NumPy in a step of Newton's method
-_MOST_STEPS = 100  # Steps of Newton's method; damped ones from far away are many
-_MOST_HALVINGS = 30  # Of a step that does not lower the residual
-_LEAST_FALL = 0.1  # Part of the residual by which a step lowers it, at least, for its length
 _SHORT = EPSILON**0.5  # Relative length of steps from which rounding decides on the residual
 _MOST_PROJECTIONS = 20  # Steps of Newton's method towards all constraints, from close by
 
@@ -434,7 +440,7 @@ class Constraints:
     slopes: OfStates = no_rows
 
     def consistent(
-        self, t: float, u: Array, p: Array, steps: int = _MOST_STEPS, sizes: Array | None = None
+        self, t: float, u: Array, p: Array, steps: int = MOST_ROUNDS, sizes: Array | None = None
     ) -> Array:
         """States u (n, m) at p (d, m) with the guessed ones such that constraints hold.
 
@@ -456,7 +462,7 @@ class Constraints:
                 states[:, open_], changes = self._stepped(
                     t, states[:, open_], p[:, open_], least[:, open_]
                 )
-                rounding = (changes <= _SHORT) & (changes >= (1.0 - _LEAST_FALL) * before[open_])
+                rounding = (changes <= _SHORT) & (changes >= (1.0 - MINOR) * before[open_])
                 converged[open_] = (changes <= COINCIDENT) | rounding
                 before[open_] = changes
             states[rows] = np.where(
@@ -483,10 +489,10 @@ class Constraints:
         before, shares = np.linalg.norm(residuals / scale, axis=0), np.ones(u.shape[1])
         short = np.abs(steps).max(axis=0) <= _SHORT  # rounding decides on the residual
         stepped = u.copy()
-        for _ in range(_MOST_HALVINGS):
+        for _ in range(HALVINGS):
             stepped[rows] = u[rows] + shares * sizes * steps
             after = np.linalg.norm(self._at(t, stepped, p)[0] / scale, axis=0)
-            worse = np.logical_not((after <= before * (1.0 - _LEAST_FALL * shares)) | short)
+            worse = np.logical_not((after <= before * (1.0 - MINOR * shares)) | short)
             if not worse.any():
                 break
             shares = np.where(worse, 0.5 * shares, shares)

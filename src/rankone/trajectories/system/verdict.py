@@ -16,12 +16,11 @@ import numpy as np
 
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, OutOfMemoryError, OutOfWorkError
-from rankone.support.errors import listing, quote
+from rankone.support.errors import LISTED, listing, quote
 from rankone.support.files import Tagged
 from rankone.support.options import in_words
 from rankone.trajectories.system.system import SHARED_UNIT, System
 
-_MOST_NAMES = 4  # Unknowns that a message names; a longer list is not read
 _LEAST_SHARE = 0.005  # Share of the budget from which a stage is named: it rounds to one percent
 # What messages call the stages of a solve
 _STAGES = {
@@ -366,12 +365,12 @@ class AccurateUnknowns(Note):
     inaccurate: tuple[str, ...]
 
     def sentence(self, status: Status) -> str:
-        if len(self.accurate) <= _MOST_NAMES:
+        if len(self.accurate) <= LISTED:
             names = [*self.accurate]
             are, them = ("is", "it") if len(names) == 1 else ("are", "them")
             return f"{listing(names)} {are} within it: unknowns={names!r} asks for {them} alone"
-        worst = listing(self.inaccurate[:_MOST_NAMES])
-        hidden = len(self.inaccurate) - _MOST_NAMES
+        worst = listing(self.inaccurate[:LISTED])
+        hidden = len(self.inaccurate) - LISTED
         more = f" and {hidden} more" if hidden > 0 else ""
         return f"all but {worst}{more} are within it: unknowns= asks for some alone"
 
@@ -547,7 +546,7 @@ class TinyUnknowns(Note):
         return (cls(names, float(sizes[tiny[0]]), tolerance),)
 
     def sentence(self, status: Status) -> str:
-        first = self.unknowns[:_MOST_NAMES]
+        first = self.unknowns[:LISTED]
         more = len(self.unknowns) - len(first)
         names = listing(first) + (f" and {more} more" if more else "")
         return (
@@ -604,7 +603,7 @@ class SteadyBranch(Note):
     settled: float
 
     def sentence(self, status: Status) -> str:
-        shown = self.centre[:_MOST_NAMES]
+        shown = self.centre[:LISTED]
         names = ", ".join(f"{name} = {at:.4g}" for name, at in shown)
         more = f" and {len(self.centre) - len(shown)} more" if len(shown) < len(self.centre) else ""
         way = f"reached from the initial values by t = {self.settled:.4g}"
@@ -647,8 +646,8 @@ class SwitchingTerm(Note):
         boundary = quote(self.boundary)
         if self.levels is None:
             return f"wherever {boundary} is a whole number"
-        shown = ", ".join(f"{level:.4g}" for level in self.levels[:_MOST_NAMES])
-        hidden = len(self.levels) - _MOST_NAMES
+        shown = ", ".join(f"{level:.4g}" for level in self.levels[:LISTED])
+        hidden = len(self.levels) - LISTED
         return f"at {boundary} = {shown}" + (f" and {hidden} more" if hidden > 0 else "")
 
 
@@ -715,8 +714,8 @@ class FailedPieces(Note):
     first: Verdict
 
     def sentence(self, status: Status) -> str:
-        shown = ", ".join(map(str, self.failed[:_MOST_NAMES]))
-        hidden = len(self.failed) - _MOST_NAMES
+        shown = ", ".join(map(str, self.failed[:LISTED]))
+        hidden = len(self.failed) - LISTED
         more = f" and {hidden} more" if hidden > 0 else ""
         return (
             f"no success: pieces {shown}{more} of {self.pieces} (piece {self.failed[0]}: "
