@@ -20,7 +20,7 @@ from rankone.problem.expressions.conditions import rate_of
 from rankone.problem.expressions.parsing import syntax_trees
 from rankone.problem.forms import Jump
 from rankone.problem.problem import Problem
-from rankone.support.arrays import ACCUMULATED, EPSILON, SAME, SEED, Array
+from rankone.support.arrays import ACCUMULATED, COARSE, EPSILON, NEGLIGIBLE, SAME, SEED, Array
 from rankone.support.errors import OptionError, ProblemError, quote
 from rankone.tensors.coordinates import name_of
 from rankone.trajectories.bifurcations import before_start
@@ -33,8 +33,8 @@ AGREED = 1e-10
 """Differences below this share of the largest value are rounding of sums and products."""
 _MOST_OPERATIONS = 12000  # Operations at a hundred digits for all rates: some tenths of a second
 # Shares of the horizon over which states have moved from the start, at their first rate
-_DRIFTS = (0.0, 1e-3, 0.03, 0.3)
-_NOISE = (1e-9, 1e-5, 0.01, 0.3)  # Relative distances of states from there; zeros move too
+_DRIFTS = (0.0, COARSE, 0.03, 0.3)
+_NOISE = (NEGLIGIBLE, 1e-5, 0.01, 0.3)  # Relative distances of states from there; zeros move too
 # One point of this many is still: its states are those at the start, apart from the noise
 _STILL_PERIOD = len(_DRIFTS)
 _LARGEST_DRIFT = 10.0  # Of a state over its largest initial value: a first rate may be a short peak

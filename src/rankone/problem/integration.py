@@ -42,10 +42,10 @@ from rankone.support.options import STEP_RTOLS, checked_number
 from rankone.tensors.coordinates import Coordinates, name_of
 from rankone.trajectories.system.features import overlap
 
-_LEAST_TOLERANCE = 8.0 * ROUNDING  # Of a step, over the largest value: below it rounding counts
+_LEAST_TOLERANCE = 8 * ROUNDING  # Of a step, over the largest value: below it rounding counts
 _FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
 _FIRST_TIMES = 9  # Times in it at which rates are taken
-_NOISE = 8.0 * EPSILON  # Relative change of the states that tells the noise of rates
+_NOISE = 8 * EPSILON  # Relative change of the states that tells the noise of rates
 _LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
 _FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
 _MOST_STEPS = 200_000  # Steps of a trajectory: about a minute

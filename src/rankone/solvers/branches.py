@@ -20,7 +20,6 @@ from rankone.solvers.tuning import SOLVE
 from rankone.solvers.verification.measure import (
     BEYOND,
     MOST_UNDECIDED,
-    SAFE_QUANTILE,
     BranchErrors,
     branch_errors,
     points_near_changes,
@@ -36,6 +35,7 @@ from rankone.solvers.verification.points import (
 from rankone.solvers.verification.reference import reference_accuracy
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import OutOfBudgetError, budget_left, limited, seconds_left
+from rankone.support.options import LEVEL
 from rankone.tensors.branch_evaluator import BranchEvaluator
 from rankone.tensors.coordinates import LINEAR, Interval
 from rankone.tensors.decisions import Decider
@@ -269,7 +269,7 @@ def _measured(
         points=len(points),
         method="DOP853",
         cover="box" if whole_box else "interior",
-        quantile=float(np.quantile(of_points, SAFE_QUANTILE, method="higher")),
+        quantile=float(np.quantile(of_points, LEVEL, method="higher")),
         worst=tuple(points[counts][np.argmax(of_points)].tolist()),
         counted=counted,
         time_error=errors.time,
@@ -520,7 +520,7 @@ def _largest_orders(search: OrderSearch) -> str:
 
 def _percent(places: NDArray[np.intp], search: OrderSearch) -> str:
     """The share of the points of a search at some positions."""
-    return f"{100.0 * len(places) / len(search.points):.0f} %"
+    return f"{100 * len(places) / len(search.points):.0f} %"
 
 
 def _joined(outcomes: Sequence[Outcome], timeline: BranchedTimeline) -> Outcome:

@@ -251,7 +251,7 @@ def _of_propagators(reference_set: ReferenceSet) -> Array:
     largest = np.ones(CHECK.growth_steps + 1)
     for first in range(0, count, together):
         some = reference.of(slice(first, min(first + together, count)))
-        reserve(8.0 * COPIES * n * n * CHECK.growth_steps * len(some.points))
+        reserve(8 * COPIES * n * n * CHECK.growth_steps * len(some.points))
         step = _cayley_steps(reference_set, some, width)
         propagator = step
         for gap in range(1, CHECK.growth_steps + 1):
@@ -276,7 +276,7 @@ def _of_columns(reference_set: ReferenceSet, pattern: PatternJacobian) -> Array:
         n * CHECK.growth_columns
     )
     largest = np.ones(CHECK.growth_steps + 1)
-    reserve(8.0 * COPIES * n * CHECK.growth_columns * CHECK.growth_steps)
+    reserve(8 * COPIES * n * CHECK.growth_columns * CHECK.growth_steps)
     for point in range(min(CHECK.growth_trajectories, len(reference.points))):
         some = reference.of(slice(point, point + 1))
         entries = pattern.entries(middle, some(middle)[:, 0], some.points[0][:, None])

@@ -4,7 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rankone.support.arrays import ACCUMULATED, COINCIDENT, EPSILON, LEAST, LEAST_SQUARED, ROUNDING
+from rankone.support.arrays import (
+    ACCUMULATED,
+    COARSE,
+    COINCIDENT,
+    DIFFERENCE,
+    EPSILON,
+    LEAST,
+    LEAST_SQUARED,
+    MINOR,
+    NEGLIGIBLE,
+    RESOLVED,
+    ROUNDING,
+)
+from rankone.support.budget import WAITING
+from rankone.support.options import RTOL
 
 
 @dataclass(frozen=True)
@@ -22,7 +36,7 @@ class SolveTuning:
     train_parameters: int = 1
     """Most parameters for which train comes first: it is as fast as cross there, and more exact.
     Where trajectories have sparse factors, cross takes a quarter to three quarters of its time."""
-    train_operations: float = 2e9
+    train_operations: float = WAITING
     """Most operations of train if cross follows: a system that suits train needs fewer."""
     train_share: float = 0.4
     """Largest share of the budget for train if cross follows."""
@@ -32,7 +46,7 @@ class SolveTuning:
     least_remedy_share: float = 0.06
     """Share of the budget that remedies may take where the solve itself took less."""
     # ways
-    loose_rtol: float = 1e-3
+    loose_rtol: float = COARSE
     """Tolerance from which on kinks cost less as they are than stretches between them."""
     most_more_events: int = 2
     """Most events before the end that some trajectories meet, beyond those that the first ones
@@ -55,7 +69,7 @@ class SolveTuning:
     # stretches_by_markers
     order_pilots: int = 16
     """Trajectories, besides corners, that tell the order of events."""
-    order_pilot_rtol: float = 1e-6
+    order_pilot_rtol: float = RTOL
     """Their relative tolerance."""
     pilot_floor: float = 1e-6
     """Size of a state, over its largest, below which accuracy is absolute."""
@@ -64,12 +78,12 @@ class SolveTuning:
     trajectories that are out of phase take many common steps."""
     marker_pilot_rtol: float = 1e-4
     """Relative tolerance of the pilots."""
-    pilot_shares: tuple[float, ...] = (0.15, 0.4, 1.0)
+    pilot_shares: tuple[float, ...] = (1 / 8, 1 / 2, 1)
     """Parts of the horizon after which they may be enough."""
     marked_share: float = 0.3
     """Part of the budget that a reference over stretches may take where one over clock time is
     there: its samples take several times as much."""
-    late_share: float = 0.1
+    late_share: float = MINOR
     """Part of the budget in which a front after the horizon is looked for."""
     path_copies: int = 3
     """Copies of the paths of trajectories while crossings are looked for: one by one, together,
@@ -79,11 +93,11 @@ class SolveTuning:
     """Trajectories that tell the orders."""
     most_solves: int = 4
     """Solves of all branches: the check may meet further orders, or ask for accuracy."""
-    branch_share: float = 0.08
+    branch_share: float = MINOR
     """Share of the budget for one branch: where more is asked for, it is not smooth."""
-    branch_tolerances: tuple[float, ...] = (0.4, 0.1)
+    branch_tolerances: tuple[float, ...] = (0.5, MINOR)
     """Tolerances of the branches over that of the solve."""
-    branch_floor: float = 1e-3
+    branch_floor: float = COARSE
     """Size of a state, over that at the start, below which accuracy is absolute."""
     branch_inset: float = 1e-4
     """Distance of points from the faces of the box, in widths."""
@@ -92,9 +106,9 @@ class SolveTuning:
     """Most orders of events that are solved, each as a branch."""
     most_grazed: float = 0.03
     """Share of the trajectories, about, with an order that cannot be continued."""
-    same_time: float = 0.1
+    same_time: float = MINOR
     """Difference of lengths of stretches that end at once, in horizons, over rtol."""
-    same_root: float = 1e-3
+    same_root: float = COARSE
     """Most that stretches differ which end at one root, in horizons."""
     # remedies
     narrowing_aim: float = 0.3
@@ -114,7 +128,7 @@ class SolveTuning:
     twice as much."""
     slowest_decay: float = 0.97
     """Largest ratio of successive modes: slower decay looks like none."""
-    fastest_decay: float = 0.1
+    fastest_decay: float = MINOR
     """Smallest ratio of successive modes: rounding errors hide faster decay."""
     rank_share: float = 0.5
     """Ranks over the largest possible ones for the nodes on either side."""
@@ -124,7 +138,7 @@ class SolveTuning:
     """Significant digits of the ends that are told."""
     part_step: float = 0.02
     """Of a face, outwards, over the width of the whole box."""
-    part_inset: float = 0.1
+    part_inset: float = MINOR
     """Distance of the faces that are told from points of other orders, over the part."""
     part_points: int = 48
     """Trajectories inside of a part that have to be of one order as well."""
@@ -132,7 +146,7 @@ class SolveTuning:
     """Parts that are tried: each leaves out what the check of the one before met."""
     least_units: float = 20.0
     """Units of the last digit in an interval that is told, at least."""
-    part_search_share: float = 0.1
+    part_search_share: float = MINOR
     """Of what is left of the budget, for the search for a part."""
     worst_offered: float = 0.02
     """Largest error of a solution that is offered."""
@@ -150,7 +164,7 @@ class SolveTuning:
     """Times this part, in turn up to a failure."""
     end_digits: int = 3
     """Significant digits of an end."""
-    shrunk_parts: tuple[float, ...] = (1.0, 0.5, 0.25)
+    shrunk_parts: tuple[float, ...] = (1, 1 / 2, 1 / 4)
     """Parts of predicted intervals, around their middles."""
     front_distances: tuple[float, ...] = (0.35, 0.65)
     """Distances from a front, over the interval beside it."""
@@ -178,7 +192,7 @@ class CheckTuning:
     """Corners where they do not count: all of three parameters."""
     most_corners: int = 256
     """Corners where they count: all of eight parameters."""
-    cut_distance: float = 4e-9
+    cut_distance: float = 4 * NEGLIGIBLE
     """Distance from cuts, in widths of the interval: at a jump the state is ambiguous."""
     factor_samples: int = 1025
     """Samples of a factor over its interval."""
@@ -198,13 +212,13 @@ class CheckTuning:
     """Parameters with several cuts from which their cells are looked at."""
     steep_nodes: float = 3.0
     """Nodes in one of several parameters, over those of a smooth function."""
-    steep_nodes_alone: float = 9.0
+    steep_nodes_alone: float = 3 * steep_nodes
     """The same for a single parameter: its random points lie close."""
     most_elements: int = 16
     """Elements of a parameter in which the error is measured."""
     steep_points: int = 12
     """Points chosen on each slab."""
-    steep_shift: float = 2e-3
+    steep_shift: float = COARSE
     """Change of parameters, in widths of their intervals, that shows steepness."""
     # worst_points
     most_candidates: int = 2560
@@ -219,7 +233,7 @@ class CheckTuning:
     """Power of the distance from the centre: draws points to corners."""
     corner_error: float = 5.0
     """Factor on the error tolerated there unless corners count: points are few."""
-    negligible_error: float = 1e-3
+    negligible_error: float = COARSE
     """Smaller errors and residuals count as this part of the tolerance."""
     doubtful_error: float = 1.5
     """Expected error over the tolerance from which a point is doubtful. On smooth problems expected
@@ -237,13 +251,13 @@ class CheckTuning:
     """Fine samples over the interval: narrower pieces may be missed."""
     cut_nodes: int = 14
     """Nodes of an interpolant that resolves smooth pieces."""
-    resolved_error: float = 1e-7
+    resolved_error: float = RESOLVED
     """Interpolation error of resolved pieces, relative to the largest value."""
     straight_error: float = ACCUMULATED
     """Error of a straight line, relative to the largest value: rounding."""
-    smooth_error: float = 1e-3
+    smooth_error: float = COARSE
     """Error over that one below which both halves are smooth, with a cut between."""
-    narrow_piece: float = 1.0 / 64.0
+    narrow_piece: float = 1 / 64
     """Width of a narrow piece, relative to the interval: its ends are cuts."""
     rare_piece_share: float = 0.25
     """Narrow pieces count if they make up less than this part of the interval."""
@@ -261,7 +275,7 @@ class CheckTuning:
     """Most cuts that repeat with a period."""
     most_close_pairs: int = 100
     """Most pairs of such cuts that are checked."""
-    pole: float = 1e9
+    pole: float = 1 / NEGLIGIBLE
     """A factor this many times larger at a cut than at samples may have a pole there."""
     pole_distances: tuple[float, ...] = (8 * COINCIDENT, ROUNDING)
     """Widths of the interval from a cut between which a pole grows."""
@@ -276,9 +290,9 @@ class CheckTuning:
     """Most times that are kept, evenly spread over those that are found."""
     reference_accuracy: float = 3e-3
     """Tolerance of the reference over the tolerance of the solve."""
-    least_reference_accuracy: float = 3e-13
+    least_reference_accuracy: float = 2 * ACCUMULATED
     """Tightest tolerance of the reference: rounding errors are larger."""
-    longest_step: float = 0.1
+    longest_step: float = MINOR
     """Longest step, in horizons, if narrow functions may hide between its stages."""
     blow_up_growth: float = 1e3
     """Growth of a state from which it blows up, and meets no pole or border."""
@@ -291,13 +305,13 @@ class CheckTuning:
     """Trajectories that show the sizes of such states before all are integrated."""
     many_numbers: int = 3000
     """States times trajectories from which on these pilots cost little."""
-    face_rtol: float = 1e-3
+    face_rtol: float = COARSE
     """Relative tolerance of trajectories that only show whether they reach the end."""
     face_points: int = 8
     """Trajectories that begin inside of a face of the box."""
     face_halvings: int = 7
     """Halvings between a face and the early end: 1 % of the box is enough."""
-    face_work: float = 1.5e9
+    face_work: float = WAITING
     """Most operations for all faces: about two seconds."""
     face_work_share: float = 0.5
     """Most of what is left of the budget for them."""
@@ -306,7 +320,7 @@ class CheckTuning:
     """Part of the way to a blow-up that is still solved."""
     loss_samples: int = 16
     """Times at which it is measured how many digits quantities lose."""
-    loss_shift: float = 1e-6
+    loss_shift: float = DIFFERENCE
     """Relative change of the states by which that is measured."""
     loss_share: float = 0.03
     """Error of the reference, in quantities, over the tolerance."""
@@ -319,13 +333,13 @@ class CheckTuning:
     most_checked_cuts: int = 16
     """Most cuts of a parameter that are checked on either side."""
     # resolution
-    lingering: float = 1e-3
+    lingering: float = COARSE
     """Part of its early size that resolves a negligible state that is amplified."""
-    begun: float = 0.1
+    begun: float = MINOR
     """Part of the time in which a state grows by a factor e, after which it has begun to."""
     small_state: float = 10.0
     """Negligible parts of its presumed size below which a state is small."""
-    pilot_margin: float = 0.1
+    pilot_margin: float = MINOR
     """Absolute tolerances of all trajectories over those that a few of them need."""
     resolution_samples: int = 8
     """Times at which rounding errors and the growth of small states are estimated."""
@@ -335,7 +349,7 @@ class CheckTuning:
     """Floor of a state that falls far and grows again: it is relative all the way."""
     zero_floor: float = 1e-18
     """That over its size if it starts from zero: no step leaves zero without one."""
-    eigenvector_part: float = 1e-10
+    eigenvector_part: float = NEGLIGIBLE
     """Least part of a state in an eigenvector: others are rounding."""
     least_kept_size: float = 1e-250
     """Size below which a small state is lost: floating-point numbers end at 1e-308."""
@@ -343,7 +357,7 @@ class CheckTuning:
     """Size of a state that nobody asks for, over the largest, that is not resolved."""
     long_chain: int = 25
     """States from which a chain may amplify what is negligible: binomial coefficients."""
-    most_exponent: float = 250.0
+    most_exponent: float = 250
     """Largest exponent of e by which a floor is lowered."""
     chain_trajectories: int = 3
     """Trajectories on which the growth along a chain is measured."""
@@ -351,7 +365,7 @@ class CheckTuning:
     """Most work for these trajectories, over that for all before."""
     chain_end: float = 0.5
     """Part of the way that they have to come, to tell anything."""
-    chain_share: float = 0.05
+    chain_share: float = MINOR
     """Most of what is left of the budget for them."""
     passed_on: float = 10.0
     """Differences from there on, in tolerances, are errors that were passed on."""

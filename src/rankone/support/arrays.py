@@ -40,6 +40,8 @@ NEGLIGIBLE = 1e-9
 """Share below which a difference counts as none; about the error of the tightest solve."""
 SAME = 1e-6
 """Difference below which two outcomes of a computation are one, in sizes of these."""
+RESOLVED = 1e-7
+"""Share of a size down to which trajectories, and what is made of them, have relative accuracy."""
 COARSE = 1e-3
 """Relative tolerance of what only has to show its shape, and share of a size that is small."""
 MINOR = 0.1
@@ -100,6 +102,11 @@ def spread(count: int, d: int, generator: np.random.Generator) -> Array:
         return sequence(count, d, generator)
     order = np.tile(np.arange(count, dtype=float), (d, 1))
     return np.asarray((generator.permuted(order, axis=1).T + generator.random((count, d))) / count)
+
+
+def lobatto(count: int) -> Array:
+    """Chebyshev-Lobatto points of [0, 1]: both ends, and closer together there, (count,)."""
+    return np.asarray(0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, count)))
 
 
 def corners(d: int, most: int, generator: np.random.Generator) -> Array:

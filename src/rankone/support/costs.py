@@ -53,20 +53,20 @@ class Cost:
 
 
 # A generated function without any term: it looks at shapes and makes the array it returns
-_ENTRY = Cost(3e3, 0.0)
-_TERM = Cost(500.0, 0.5)  # An arithmetic operation on arrays
-_FUNCTION = Cost(900.0, 7.0)  # A call of a NumPy function such as exp
-_SLOW_FUNCTION = Cost(900.0, 1e3)  # A call of one of those of SciPy that take about as long
+_ENTRY = Cost(3 * CALL, 0.0)
+_TERM = Cost(0.5 * CALL, 0.5)  # An arithmetic operation on arrays
+_FUNCTION = Cost(CALL, 7)  # A call of a NumPy function such as exp
+_SLOW_FUNCTION = Cost(CALL, 1000)  # A call of one of those of SciPy that take about as long
 _SLOW_FUNCTIONS = frozenset(
     ["airy", "expn", "iv", "jv", "kv", "lambertw", "polygamma", "yv", "gammainc", "gammaincc"]
 )
-_POWER = Cost(900.0, 14.0)  # A power
+_POWER = Cost(CALL, 14)  # A power
 _STORED = 0.8  # A number of a sparse matrix, for each column, and what is gathered for it
-_USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
+_USER_FUNCTION = Cost(500 * CALL, 2000)  # A call of a function of the user, which may be slow
 _TABLE_PREFIX = "f_"  # Begins the names of tables in generated functions
-_SCALAR_ENTRY = 200.0  # A function of floats: it unpacks them, and makes the list it returns
-_SCALAR_TERM = 25.0  # An arithmetic operation on floats
-_SCALAR_CALL = 60.0  # A call of a function of floats
+_SCALAR_ENTRY = 200  # A function of floats: it unpacks them, and makes the list it returns
+_SCALAR_TERM = 25  # An arithmetic operation on floats
+_SCALAR_CALL = 60  # A call of a function of floats
 
 
 @lru_cache(32)
@@ -111,7 +111,7 @@ def scalar_cost(function: Callable[..., object]) -> float:
     if not isinstance(function, FunctionType):
         return _SCALAR_ENTRY
     terms, powers, calls = _operations(function)
-    total = _SCALAR_ENTRY + _SCALAR_TERM * (terms + powers) + _SCALAR_CALL * calls
+    total: float = _SCALAR_ENTRY + _SCALAR_TERM * (terms + powers) + _SCALAR_CALL * calls
     for table in _tables_of(function):
         on_arrays = "np" in table.__code__.co_names  # which take as long for one number
         total += function_cost(table).once if on_arrays else scalar_cost(table)
@@ -160,50 +160,50 @@ def in_pieces(stack: Array, each: float) -> list[Array]:
     return [stack[first : first + count] for first in range(0, len(stack), count)]
 
 
+READ = Cost(60 * CALL, 15)
+"""Evaluating a step of an integrator, or an interpolant: once, and for each number."""
 # SuperLU: for each entry of the factors
-SPARSE_FACTORS = Cost(80e3, 45.0)
-SPARSE_SOLUTION = Cost(22e3, 2.0)
+SPARSE_FACTORS = Cost(80 * CALL, 45)
+SPARSE_SOLUTION = Cost(22 * CALL, 2)
+_MULTIPLY = 0.04  # A multiplication in a product of large matrices, which works in blocks
 
 
 def product(rows: float, inner: float, columns: float) -> float:
     """A product of matrices."""
-    return CALL + rows * columns * (1.0 + 0.04 * inner)
+    return CALL + rows * columns * (1.0 + _MULTIPLY * inner)
 
 
 def qr(rows: float, columns: float) -> float:
     """A QR decomposition."""
     size = rows * columns
-    return 15e3 + size * (12.0 + 0.12 * min(rows, columns))
+    return 15 * CALL + size * (12 + 3 * _MULTIPLY * min(rows, columns))
 
 
 def svd(rows: float, columns: float) -> float:
     """A thin singular value decomposition."""
     size = rows * columns
-    return 20e3 + size * (40.0 + 0.25 * min(rows, columns))
+    return 20 * CALL + size * (40 + 6 * _MULTIPLY * min(rows, columns))
 
 
 def inverse(size: int, real: bool) -> float:
     """The inverse of one matrix of a stack."""
-    return (100.0 + size**2 * (20.0 + 0.3 * size)) * (1.0 if real else 2.0)
+    return (100 + size**2 * (20 + 8 * _MULTIPLY * size)) * (1 if real else 2)
 
 
 def pseudo_inverse(rows: float, columns: float) -> float:
     """The pseudo-inverse of one matrix of a stack."""
-    return 400.0 * min(rows, columns) + 90.0 * rows * columns
+    return 400 * min(rows, columns) + 90 * rows * columns
 
 
 def eigenvalues(size: int) -> float:
     """The eigenvalues of one matrix of a stack."""
-    return size**2 * (150.0 + 0.7 * size)
+    return size**2 * (150 + 18 * _MULTIPLY * size)
 
 
 # -----------------------------------------------------------------------------
 # Factors of one sparse matrix, counted as work and memory.
 #
 # SuperLU factors it (Demmel et al., SIAM J. Matrix Anal. Appl. 20 (1999), 720).
-
-
-_MULTIPLICATION = 0.1  # One of about filled^2 / n of the factorisation, measured
 
 
 class SparseFactors:
@@ -214,7 +214,7 @@ class SparseFactors:
         self.filled = int(self._factors.nnz)
         self._weight = 2.0 if np.iscomplexobj(matrix) else 1.0
         reserve(8 * (self._weight + 1.0) * self.filled)
-        multiplications = _MULTIPLICATION * self.filled**2 / matrix.shape[0]
+        multiplications = 2 * _MULTIPLY * self.filled**2 / matrix.shape[0]  # about
         charge(self._weight * (SPARSE_FACTORS(self.filled) + multiplications))
 
     def solve(self, x: Array) -> Array:

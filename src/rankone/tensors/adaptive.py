@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rankone.support.arrays import EPSILON, NEGLIGIBLE, SEED, TINY, Array
+from rankone.support.arrays import EPSILON, MINOR, NEGLIGIBLE, SEED, TINY, Array
 from rankone.tensors import Basis1D, Scale, first_scale
 from rankone.tensors.basis import nodes_for
 from rankone.tensors.cross import (
@@ -43,12 +43,12 @@ class InterpolationTuning:
     first_batches: tuple[int, ...] = (8, 10, 12, 15, 18, 22, 26)
     """Left points with which it begins and goes on: few show that those it began with
     suffice."""
-    later_batches: tuple[float, ...] = (2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    later_batches: tuple[float, ...] = (2 / 3, 1, 3 / 2, 2, 3, 4, 6, 8)
     """The same for later attempts, over the left points that they take at least."""
     skeleton_share: float = 0.04
     """Tolerance of skeletons, relative to the level of an attempt: an error there is
     amplified."""
-    highest_modes_share: float = 0.1
+    highest_modes_share: float = MINOR
     """Size of the highest modes, relative to the level, above which there are more nodes."""
     rounding_share: float = 0.005
     """Error of rounding the train, relative to the level: at corners it is amplified."""

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.support.arrays import COINCIDENT, EPSILON, Array
+from rankone.support.arrays import EPSILON, Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
 
 # Ratio of the ends of an interval above which its decades are all looked at: its logarithm is the
@@ -276,7 +276,7 @@ _MISSING = object()
 
 def round_off(lower: float, upper: float) -> float:
     """How far outside an interval a value still counts as its end."""
-    return float(max(COINCIDENT * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper)))))
+    return float(max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper)))))
 
 
 def name_of(key: object, time: str | None = None) -> str:

@@ -37,7 +37,7 @@ _EXTRA_RANK = 16  # Added to the expected rank of a bond
 # Error of a skeleton at left points that it was not made for, over the tolerance, that shows that
 # the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
 _SPANNED = 5.0
-_LOOKUP_COST = 250.0  # Operations of looking a node up
+_LOOKUP_COST = 250  # Operations of looking a node up
 # Columns for which a basis grows at a time: those between them hardly add to what these span
 _MOST_SPANNED = 400
 # Remainders that add nothing to the basis, and the norm that it misses of all others together, over

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from rankone.support.arrays import (
     ACCUMULATED,
@@ -39,7 +39,7 @@ _FINITE_MOMENTS = "give one with finite moments, or one that is cut, such as sci
 # Gauss nodes on each panel: exact for smooth densities to rounding on the panels below
 _PANEL_NODES = 24
 # Ends of panels, together with their complements: densities vary on the scale of quantiles
-_PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 0.5)
+_PANEL_QUANTILES = np.append(0.0, ndtr(np.linspace(ndtri(ROUNDING), 0.0, 11)))
 # Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
 _SHARE_RANGE = (TINY, 1.0 - 0.5 * EPSILON)
 # Weight, relative to the largest, of points that a Gauss rule leaves out
@@ -328,7 +328,7 @@ class Measure:
             enough += basis.scale.slope_modes(self.lower, self.upper, inverse=True) // 2
         if self.distribution is None:
             return _panels(basis.edges, enough, 1.0 / (self.upper - self.lower), basis.scale)
-        shares = np.array([*_PANEL_QUANTILES, *(1.0 - q for q in _PANEL_QUANTILES)])
+        shares = np.concatenate([_PANEL_QUANTILES, 1.0 - _PANEL_QUANTILES])
         quantiles = map(float, self.distribution.ppf(shares))
         inside = [q for q in quantiles if math.isfinite(q) and self.lower < q < self.upper]
         edges = sorted({*basis.edges.tolist(), *inside})
@@ -346,8 +346,8 @@ class Measure:
         """
         lower, upper = self._ends
         shares = (np.asarray(self._cumulative(basis.edges)) - lower) / (upper - lower)
-        tails = np.array(_PANEL_QUANTILES)
-        edges = np.unique(np.clip([*shares, *tails, *(1.0 - tails)], 0.0, 1.0))
+        edges = np.concatenate([shares, _PANEL_QUANTILES, 1.0 - _PANEL_QUANTILES])
+        edges = np.unique(np.clip(edges, 0.0, 1.0))
         waiting = np.stack([edges[:-1], edges[1:]], axis=1)
         rules: list[tuple[Array, Array]] = []
         for level in range(HALVINGS):

@@ -60,7 +60,7 @@ Under = Distributions | Fitted
 _LARGEST_NORMAL = 6.5  # Largest normal number of the quadrature; the probability beyond is 1e-10
 _MOST_GRID_DIMENSIONS = 3  # Most correlated parameters for a grid; more take evenly spread points
 # Steps of grids in normal numbers, finer and finer
-_GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
+_GRID_STEPS = 0.5 ** (np.arange(9) / 2)
 _MOST_GRID_POINTS = 2**17  # Most points of a grid, to bound time and memory
 _EVEN_POINTS = 2**14  # Evenly spread points, which are good to about 1e-3 of the standard deviation
 

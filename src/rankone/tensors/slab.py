@@ -30,8 +30,8 @@ from rankone.tensors.time_grid import TimeGrid
 from rankone.tensors.train import Train
 
 # Operations of multiplying a core: once, and for each of its entries at a point
-_CORE_COST = Cost(10.0 * CALL, 0.1)
-_MODE_COST = 15.0  # Operations of evaluating a mode at a point
+_CORE_COST = Cost(10 * CALL, 0.1)
+_MODE_COST = 15  # Operations of evaluating a mode at a point
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import COARSE, COINCIDENT, NEGLIGIBLE, TINY, Array
 from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import integrator_for
@@ -143,7 +143,7 @@ _SETTLING = _Settling(
     accuracy=1e-5,  # Relative tolerance of trajectories that only have to come close
     least_size=1e-6,  # Of a state beside the largest one, for its absolute tolerance
     # Distance from a steady state, in sizes of the states, that counts as having settled
-    close=1e-3,
+    close=COARSE,
     noise=1e-18,  # A state below this share of the largest one on the way is zero
     lengthened=4.0,  # Factor from one time to the next at which trajectories are looked at
 )

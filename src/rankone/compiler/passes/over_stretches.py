@@ -31,7 +31,7 @@ from rankone.problem.expressions.notation import exact
 from rankone.problem.expressions.stable import NUMPY, in_floats
 from rankone.problem.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, State
 from rankone.problem.functions import Table, namespace_of, table
-from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.arrays import NEGLIGIBLE, Array, lobatto
 from rankone.support.errors import ProblemError
 
 _STAIRS = (sp.floor, sp.ceiling, sp.frac, sp.Mod)
@@ -151,7 +151,7 @@ def _nothing_beyond(argument: sp.Expr, lower: float, upper: float) -> sp.Expr:
 # one side throughout a stretch.
 
 
-_SHARES = (0.02, 0.3, 0.5, 0.7, 0.98)  # Times of a stretch at which switches are looked at
+_SHARES = lobatto(7)[1:-1]  # Times of a stretch at which switches are looked at
 _SWITCHES = (
     *(Relational, sp.Heaviside, sp.sign, sp.Abs, sp.Max, sp.Min),
     *(sp.floor, sp.ceiling, sp.Mod, sp.frac),

@@ -23,7 +23,7 @@ from rankone.inference.estimation.search import fit_experiments
 from rankone.problem.problem import Problem
 from rankone.solution.compiled import compile_problem
 from rankone.solution.solution import Solution
-from rankone.support.arrays import COARSE, SAME, Array
+from rankone.support.arrays import COARSE, MINOR, SAME, Array
 from rankone.support.errors import (
     OptionError,
     RankoneError,
@@ -216,11 +216,11 @@ class BoxTuning:
     """Half the width of the box."""
     largest_factor: float = 3.0
     """From the middle to an end, on logarithmic scales."""
-    largest_share: float = 0.1
+    largest_share: float = MINOR
     """From the middle to an end in widths of the bounds, on linear scales."""
     least_share: float = 1e-4
     """Least half width, in widths of the bounds."""
-    first_share: float = 0.125
+    first_share: float = 1 / 8
     """Width of the first box in widths of the bounds, without logarithms."""
     least_factor: float = 0.02
     """Factor on the first width from which on boxes are not smaller."""
@@ -230,7 +230,7 @@ class BoxTuning:
     """Factor on a box that is not solved, or holds the optimum."""
     growing: float = 1.5
     """Factor on a box at whose side the fit ended."""
-    tightening: float = 0.1
+    tightening: float = MINOR
     """Factor on the tolerance where they differ by more."""
     least_tolerance: float = 1e-8
     """Least tolerance of a solution on a box."""
@@ -238,7 +238,7 @@ class BoxTuning:
     """Most boxes of one start."""
     most_end_boxes: int = 6
     """Boxes around an optimum that are tried."""
-    insensitive: float = 1e-3
+    insensitive: float = COARSE
     """Share of the largest sensitivity below which a parameter is not in a box."""
     far: float = 2.0
     """Side of the box around the optimum, in lengths to a close end of the interval."""
@@ -248,7 +248,7 @@ class BoxTuning:
     """Least width of such a box, in first widths."""
     most_end: float = 0.7
     """Largest one, unless the interval is longer."""
-    margin: float = 1e-3
+    margin: float = COARSE
     """Half the width of a condition that all experiments share, relative."""
 
 

@@ -28,11 +28,9 @@ from rankone.inference.estimation.likelihood import (
 )
 from rankone.inference.estimation.search import Options, problem_of
 from rankone.solution.compiled import CompiledProblem
-from rankone.support.arrays import MINOR, SAME, SAMPLES, TINY, Array, spread
+from rankone.support.arrays import MINOR, RESOLVED, SAME, SAMPLES, TINY, Array, spread
 from rankone.support.errors import ProblemError, RankoneError, quote
 from rankone.support.options import LEVEL
-
-_RESOLVED = 1e-7  # Residuals in shares of the data below which trajectories do not tell them apart
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ class OfExperiments:
             here = values[trial.observations.of(i)]
             scale = np.ones(here.size) if noise.logarithmic else here / noise.spread
             squares += float(scale @ scale)
-        return max(_RESOLVED**2 * squares, TINY)
+        return max(RESOLVED**2 * squares, TINY)
 
     @property
     def _freedom(self) -> int:
@@ -430,7 +428,7 @@ def _settled(problem: OfExperiments, z: Array, j: int, enough: float) -> least_s
         if not np.isfinite(at.cost):
             break
         step, promised = least_squares.bounded_step(at, np.where(held, 0.0, radius))
-        if promised <= enough or radius <= least_squares.LEAST_RADIUS:
+        if promised <= enough or radius <= RESOLVED:
             break
         trial = problem.expanded(np.clip(at.z + np.where(held, 0.0, step), 0.0, 1.0), held)
         better = trial.cost < at.cost

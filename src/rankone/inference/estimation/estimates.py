@@ -14,12 +14,12 @@ import scipy
 
 from rankone.inference.estimation.experiments import Trial
 from rankone.inference.estimation.formulas import value_of
-from rankone.inference.estimation.identification import USED_RATIO, Best, Identification, Jump
+from rankone.inference.estimation.identification import Best, Identification, Jump
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
 from rankone.inference.estimation.noise import normal_scores, terms
 from rankone.inference.estimation.observations import Observations
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import TINY, Array, Labelled, Variables
+from rankone.support.arrays import RESOLVED, TINY, Array, Labelled, Variables
 from rankone.support.errors import OptionError, did_you_mean, listing, quote, with_remedy
 
 MODEL_SHARE = 0.5
@@ -162,7 +162,7 @@ def leverages_of(problem: Likelihood, jacobian: Array) -> Array:
         rows[here] = True
     location = np.where(rows[:, None], jacobian, 0.0)[:, others]
     left, singular, _ = np.linalg.svd(location, full_matrices=False)
-    visible = singular > USED_RATIO * max(float(singular.max(initial=0.0)), TINY)
+    visible = singular > RESOLVED * max(float(singular.max(initial=0.0)), TINY)
     return np.asarray(np.sum(left[:, visible] ** 2, axis=1))
 
 

@@ -27,7 +27,7 @@ from rankone.solution.evaluation.core import SolutionCore, timeline_evaluator
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Outcome, SolutionMetadata
 from rankone.support.arrays import AT_ONCE, COARSE, COINCIDENT, DIFFERENCE, Array
-from rankone.support.budget import OutOfBudgetError, charge, limited
+from rankone.support.budget import WAITING, OutOfBudgetError, charge, limited
 from rankone.support.costs import function_cost
 from rankone.support.errors import OptionError
 from rankone.tensors.branch_evaluator import BranchEvaluator, Tiling
@@ -232,7 +232,6 @@ def sensitive_to_parameters(
 
 
 _ABSOLUTE = 1e-6  # Absolute tolerance, in sizes of each state: those of the initial values or data
-_MOST_WORK = 2e9  # Operations of one trajectory: two seconds, a hundred times what one costs
 
 
 class IntegratedSolution(SolutionCore):
@@ -265,7 +264,7 @@ class IntegratedSolution(SolutionCore):
 
     failures: tuple[type[BaseException], ...] = (OutOfBudgetError, np.linalg.LinAlgError)
     """Of a trajectory that has no values then."""
-    most_work = _MOST_WORK
+    most_work = WAITING
     """Operations of one trajectory."""
 
     def edges(self, point: Array, end: float) -> list[float]:

@@ -23,7 +23,17 @@ from numpy.typing import NDArray
 
 from rankone.inference.estimation.least_squares import minima
 from rankone.inference.estimation.likelihood import LevelUncertainty, Likelihood
-from rankone.support.arrays import COINCIDENT, HALVINGS, NEGLIGIBLE, SAME, TINY, Array
+from rankone.support.arrays import (
+    COARSE,
+    COINCIDENT,
+    HALVINGS,
+    MINOR,
+    NEGLIGIBLE,
+    RESOLVED,
+    SAME,
+    TINY,
+    Array,
+)
 
 # Points of a profile, in shares of the way to the bound: closer where it begins
 _PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])
@@ -42,7 +52,7 @@ class IdentificationTuning:
     suspicious_width: float = 0.25
     """Length in widths of the box above which an interval that the box ends says nothing, and half
     of one by the data alone, linearised, above which its profile is looked at."""
-    lost: float = 1e-3
+    lost: float = COARSE
     """Share of the data in a variance below which they say nothing of a direction."""
     fraction_tolerance: float = 0.04
     """How far a power may be from a simple fraction: half of the way from 1/4 to 1/3."""
@@ -53,7 +63,7 @@ class IdentificationTuning:
     which a direction is fitted to the data."""
     path_rise: float = 0.25
     """Share of the limit up to which a profile is along the flat direction."""
-    named_variation: float = 0.1
+    named_variation: float = MINOR
     """Variation of a combination along a path above which it is not identified."""
     constant_variation: float = 0.02
     """Variation of a product along a path, in shares of the variation of its factors, below which
@@ -71,8 +81,6 @@ UNIFORM_PRECISION = 12.0
 """Precision of a parameter that may be anywhere in the unit cube, without data."""
 BOX_SHARE = 0.5
 """Share of a variance from the box above which the data do not determine it."""
-USED_RATIO = 1e-7
-"""Change along a direction over that along the steepest one above which it is fitted."""
 
 
 class Stop(Enum):
@@ -343,7 +351,7 @@ def degrees_of_freedom(problem: Likelihood, cost: float, jacobian: Array) -> flo
     if not problem.unit_known:
         unit = float(np.sqrt(cost / max(problem.size - len(moving), 1)))
     left, singular, _ = np.linalg.svd(jacobian[:, moving], full_matrices=False)
-    used = left[:, singular > max(TUNING.used_change * unit, USED_RATIO * singular[0])]
+    used = left[:, singular > max(TUNING.used_change * unit, RESOLVED * singular[0])]
     by_priors = float(np.sum(used[len(used) - len(problem.priors) :] ** 2))
     return float(problem.size - used.shape[1] + by_priors)
 

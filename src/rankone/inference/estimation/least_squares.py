@@ -18,7 +18,18 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.likelihood import Held, Likelihood, Linearised
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, SAME, TINY, Array, bisected
+from rankone.support.arrays import (
+    COARSE,
+    COINCIDENT,
+    MINOR,
+    NEGLIGIBLE,
+    RESOLVED,
+    ROUNDING,
+    SAME,
+    TINY,
+    Array,
+    bisected,
+)
 from rankone.support.budget import limited
 from rankone.support.options import checked_number
 from rankone.support.tasks import ExecutorLike, Shared, checked_executor, open_pool
@@ -32,14 +43,14 @@ class SearchTuning:
     """Most iterations of a search: a bound on the work where it does not settle."""
     unseen_change: float = 1e-2
     """Change of the residuals across the cube, in units of their mean, that counts as zero."""
-    first_damping: float = 1e-3
+    first_damping: float = COARSE
     """Damping at the start, in squares of the largest singular value: close to a Newton step."""
     largest_damping: float = 1e10
     """Damping above which a search ends: its steps are rounding."""
     stuck_share: float = 1e-2
     """Promised decrease, in mean squares of the residuals, above which a search that cannot go on
     stands at a jump: estimates would move by a tenth of their standard deviation."""
-    slow_share: float = 1e-3
+    slow_share: float = COARSE
     """Decrease, in shares of the promised one, of a search that creeps up to a jump."""
     hop_rounds: int = 3
     """How often steps across a jump are tried."""
@@ -88,7 +99,7 @@ class SearchTuning:
 TUNING = SearchTuning()
 
 # Lengths of steps across a jump, in widths of the cube
-_HOP_LENGTHS = np.array([0.003, 0.01, 0.03, 0.1, 0.3])
+_HOP_LENGTHS = np.geomspace(0.003, 0.3, 5)
 
 
 class Squares(Protocol):
@@ -154,7 +165,7 @@ def minima(problem: Squares, starts: Array, held: Held = None) -> Minima:
         at = going[better]
         z[at], cost[at] = trial.z[better], trial.cost[better]
         residuals[at], jacobian[at] = trial.residuals[better], trial.jacobian[better]
-        down = np.maximum(damping[going] * 0.1, COINCIDENT)
+        down = np.maximum(damping[going] * MINOR, COINCIDENT)
         damping[going] = np.where(better, down, np.maximum(damping[going], SAME) * 8.0)
         exact = squares <= NEGLIGIBLE**2 * problem.magnitude
         more = ~exact & (promised > TUNING.stuck_share * squares / problem.size)
@@ -448,11 +459,9 @@ def _usable(
 # residuals make the matrix the Fisher information, which has no negative directions.
 
 
-LARGEST_RADIUS = 0.1
+LARGEST_RADIUS = MINOR
 """Half the width of the largest box of trust, in widths of the bounds."""
 FIRST_RADIUS = 0.5 * LARGEST_RADIUS
-LEAST_RADIUS = 1e-7
-"""Half a width below which nothing moves any more."""
 
 
 class Expansion(NamedTuple):
@@ -527,7 +536,7 @@ class Descent:
         before = (
             self.costs[-TUNING.stall_length] if len(self.costs) >= TUNING.stall_length else np.inf
         )
-        self.arrived = self.radius <= LEAST_RADIUS or before - self.at.cost <= TUNING.stalled
+        self.arrived = self.radius <= RESOLVED or before - self.at.cost <= TUNING.stalled
 
 
 def bounded_step(at: Expansion, radius: float | Array) -> tuple[Array, float]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from rankone.inference.estimation import estimates as results
 from rankone.inference.estimation.cube_distributions import Chain, CubeDistribution, adapted, chain
@@ -24,6 +25,7 @@ from rankone.solution.evaluation.core import SolutionCore
 from rankone.solution.evaluation.domains import with_fixed
 from rankone.solution.statistics.over_box import checked_probabilities
 from rankone.support.arrays import (
+    COARSE,
     COINCIDENT,
     NEGLIGIBLE,
     TINY,
@@ -52,7 +54,7 @@ class PosteriorTuning:
     """Points at which the density is evaluated at once, by one worker."""
     most_quadrature_parameters: int = 3
     """Most parameters for quadrature: the number of cells grows with its power."""
-    accurate: float = 1e-3
+    accurate: float = COARSE
     """Error of integrals up to which the quadrature counts as exact."""
     unnoticed_change: float = 1e-4
     """Change of the data by smaller ranks, in standard deviations of the noise: below notice."""
@@ -406,7 +408,7 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
         normal = generator.standard_normal((TUNING.drawn_points // good.sum(), len(root.T)))
         near.append(z + normal @ root.T)
     wide = generator.random((8 * TUNING.drawn_points, n))
-    centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in log_density.measures]
+    centres = [m.sample(ndtr(np.arange(-2.0, 3.0))) for m in log_density.measures]
     prior = problem.free.places(np.array(centres).T)
     points = np.vstack([minima.z[good], np.clip(np.vstack(near), 0.0, 1.0), prior, wide])
     logs = log_density(points)
@@ -418,7 +420,7 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
 
 def _spreads(measures: tuple[Measure, ...], free: FreeParameters) -> Array:
     """Extents of the priors in the unit cube (n,)."""
-    ends = np.array([measure.sample(np.array([0.16, 0.84])) for measure in measures]).T
+    ends = np.array([measure.sample(ndtr([-1.0, 1.0])) for measure in measures]).T
     low, high = free.places(ends)
     informed = np.array([measure.distribution is not None for measure in measures])
     return np.where(informed, np.maximum(0.5 * (high - low), COINCIDENT), 1.0)

@@ -19,7 +19,7 @@ from rankone.inference.estimation.formulas import Dual, Operand, value_of, with_
 from rankone.inference.estimation.noise import terms
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, Array
+from rankone.support.arrays import COARSE, COINCIDENT, NEGLIGIBLE, Array
 
 MOST_STEPS = 60
 """Most steps of the search for the random effects."""
@@ -35,7 +35,7 @@ class EffectTuning:
     """Squared length of a step, in standard deviations of eta, that ends."""
     damping_factor: float = 6.0
     """Factor on the damping after a step in vain."""
-    least_damping: float = 1e-3
+    least_damping: float = COARSE
     """Damping below which there is none."""
     most_damping: float = 1e9
     """Largest damping."""

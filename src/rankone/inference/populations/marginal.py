@@ -25,7 +25,7 @@ from rankone.inference.populations.individuals import (
 )
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import NEGLIGIBLE, TINY, Array, spread
+from rankone.support.arrays import COARSE, MINOR, NEGLIGIBLE, TINY, Array, spread
 from rankone.support.errors import EvaluationError, OptionError, quote
 
 
@@ -35,9 +35,9 @@ class PopulationTuning:
 
     points_at_once: int = 256
     """Population parameters that are evaluated together, to bound memory."""
-    step: float = 1e-3
+    step: float = COARSE
     """Displacements in standard deviations of a coordinate, or of logarithms of levels."""
-    least_curvature: float = 1e-3
+    least_curvature: float = COARSE
     """Of second derivatives, in units of the expected ones."""
     screened_points: int = 512
     """Points of the box that are tried for each subject."""
@@ -51,7 +51,7 @@ class PopulationTuning:
     """Standard deviation of random effects at the start, in widths of the box."""
     start_relative: float = 0.2
     """Levels of noise at the start, in shares of the data."""
-    least_spread: float = 1e-3
+    least_spread: float = COARSE
     """Least standard deviation of a random effect in the first steps."""
     most_iterations: int = 40
     """Most quasi-Newton steps."""
@@ -59,7 +59,7 @@ class PopulationTuning:
     """Expected gain in -2 log L that ends the search."""
     hessian_step: float = 0.05
     """Displacements in standard errors."""
-    first_steps: float = 0.1
+    first_steps: float = MINOR
     """Standard errors of all population parameters that are assumed at first."""
     longest_step: float = 3.0
     """Longest step in standard errors of any parameter."""
@@ -396,7 +396,7 @@ def _of_determinants(point: _Point, changes: Array, moved: Array) -> Array:
 # its derivatives end the search.
 
 
-_SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 1e-3])  # Shares of a step that are tried
+_SHARES = np.geomspace(1.0, COARSE, 7)  # Shares of a step that are tried
 
 
 @dataclass(frozen=True)
@@ -548,7 +548,7 @@ def _noise_step(marginal: Marginal, individuals: Individuals, covariance: Array)
     information = individuals.at.information[0][..., random, :][..., random]
     spent = float(np.einsum("nqr,nrq->", information, covariance))
     squares = float(individuals.at.squares[0].sum())
-    factor = np.sqrt(squares / max(subjects.size - spent, 0.1 * subjects.size))
+    factor = np.sqrt(squares / max(subjects.size - spent, MINOR * subjects.size))
     return np.full(len(layout.levels), np.log(factor))
 
 

@@ -32,7 +32,7 @@ from rankone.support.errors import quote
 _SAMPLES = 501  # Evenly spaced points, and Chebyshev points, that bracket changes of sign
 _ZOOMS = 6  # Refinements around a sample, each by about 250: the last spacing is rounding
 # Value at a zero, relative to the samples beside it: what rounding leaves
-_VANISHES = 8.0 * ROUNDING
+_VANISHES = 8 * ROUNDING
 _FLAT_RATIO = 0.5  # Least value over that beside it that tells a flat minimum from a zero
 _MOST_CELLS = 1 << 14  # Cells of several comparisons; conditions with more stay as they are
 _WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}

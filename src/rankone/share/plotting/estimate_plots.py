@@ -18,6 +18,7 @@ from rankone.share.plotting import style
 from rankone.share.plotting.style import fine_times
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, check_kind, did_you_mean, listing, quote
+from rankone.support.options import LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _SAMPLES = 20_000  # Points from which pairs of parameters are drawn
 _BINS = 40  # Bins of a pair in each direction
-_LEVELS = (0.95, 0.5)  # Shares of the probability inside of contours
+_LEVELS = (LEVEL, 0.5)  # Shares of the probability inside of contours
 _SHOWN_RISE = 2.5  # Largest rise of a profile that is shown, in units of that at the interval
 
 

@@ -211,7 +211,7 @@ class SolutionCore:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
         axes, states = self._coordinates.axes(gathered), _count(rows)
         sizes = [axis.size for axis in axes]
-        foreseen(8.0 * states * math.prod(sizes), bytes_of(1, len(axes), states), max_memory)
+        foreseen(8 * states * math.prod(sizes), bytes_of(1, len(axes), states), max_memory)
         with _memory():
             values = np.empty((states, *sizes)) if 0 in sizes else self._evaluator.grid(axes, rows)
         return values[:, 0] if self.metadata.timeless else values
@@ -508,7 +508,7 @@ _STREAM = "evaluate block after block: solution.blocks(...)"
 
 def bytes_of(points: int, coordinates: int, numbers: int) -> float:
     """Bytes that an evaluation of this many points takes, with ``numbers`` values of each."""
-    return 8.0 * _COPIES * (coordinates + numbers + 1) * points + _BUFFERS
+    return 8 * _COPIES * (coordinates + numbers + 1) * points + _BUFFERS
 
 
 def in_blocks(
@@ -554,7 +554,7 @@ def whole(
     An EvaluationError if they do not fit into ``max_memory``, or into the memory of the machine.
     """
     numbers = math.prod(leading)
-    needed = 8.0 * numbers * math.prod(shape)
+    needed = 8 * numbers * math.prod(shape)
     if max_memory is None and needed <= _WORKSPACE:
         return evaluate(arrays)
     least = bytes_of(1, len(arrays), numbers)

@@ -20,10 +20,10 @@ from rankone.tensors.time_grid import Polynomials, TimeGrid
 
 _MAX_MIDDLES = 4  # Narrow features looked at on each trajectory
 # Operations of evaluating functions of the sources, for each number of a function of time
-_FUNCTION_COST = 20.0
+_FUNCTION_COST = 20
 _RANK_COST = 0.2  # Operations of evaluating a source, for each number and rank
-_INTEGRAL_COST = 15.0  # Operations of integrating a function of time, for each number
-_SEARCH_COST = 200.0  # Operations of looking for extremes or zeros, for each number
+_INTEGRAL_COST = 15  # Operations of integrating a function of time, for each number
+_SEARCH_COST = 200  # Operations of looking for extremes or zeros, for each number
 # Reductions that change abruptly where extremes or zeros come and go
 _SEARCHED_KINDS = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
 # Values below this many tolerances of the solution, relative to the largest, have no sign
@@ -308,7 +308,7 @@ class Sampler:
         integrand = np.broadcast_to(integrand, (self.grid.times.size, len(points)))
         self._check_finite(reduction.text, integrand, points)
         cost = _SEARCH_COST if reduction.kind in _SEARCHED_KINDS else _INTEGRAL_COST
-        charge(100.0 * CALL + cost * integrand.size)
+        charge(100 * CALL + cost * integrand.size)
         functions = Polynomials(self.grid, integrand)
         match reduction.kind:
             case Kind.INTEGRAL:
@@ -368,7 +368,7 @@ class Sampler:
         size = times.size * len(points)
         ranks = sum(max(slab.ranks, default=1) for slab in self.slabs) / len(self.slabs)
         each = _FUNCTION_COST + len(self.quantities.sources) * _RANK_COST * ranks
-        charge(len(self.slabs) * 20.0 * CALL + size * each)
+        charge(len(self.slabs) * 20 * CALL + size * each)
         owner = slab_positions(self.slabs, times)
         sources = np.empty((len(self.quantities.sources), times.size, len(points)))
         columns, previous = np.empty(0), None

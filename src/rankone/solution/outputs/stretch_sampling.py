@@ -19,8 +19,8 @@ from rankone.tensors.time_grid import Polynomials, TimeGrid
 from rankone.tensors.timeline_evaluator import TimelineEvaluator
 from rankone.trajectories.system.timeline import CLOCK_STATES
 
-_PLACE_COST, _SOURCE_COST = 160.0, 40.0  # Operations of a place on a stretch, and of a source there
-_NUMBER_COST = 20.0  # Operations of a number of the functions of clock time
+_PLACE_COST, _SOURCE_COST = 160, 40  # Operations of a place on a stretch, and of a source there
+_NUMBER_COST = 20  # Operations of a number of the functions of clock time
 # Why an occurrence does not come before the end, and what tells its time where it does
 _FEWER = (
     ": fewer of these events come before the end there than elsewhere in the box",
@@ -183,7 +183,7 @@ class StretchSampler(Sampler):
     def _read(self, stretch: NDArray[np.intp], share: Array, length: Array, points: Array) -> Array:
         """Sources in stretches, at shares of them."""
         count = len(self.quantities.sources)
-        charge(20.0 * CALL + (_PLACE_COST + count * _SOURCE_COST) * stretch.size)
+        charge(20 * CALL + (_PLACE_COST + count * _SOURCE_COST) * stretch.size)
         last = np.nextafter(stretch + 1.0, 0.0)
         pseudo = np.clip(stretch + share, stretch, last)
         columns = np.ascontiguousarray(points.T)
@@ -331,7 +331,7 @@ class ClockSampler(Sampler):
 
     def _sources(self, times: Array, points: Array) -> Array:
         count = len(self.quantities.sources)
-        charge(20.0 * CALL + (1.0 + count) * _NUMBER_COST * times.size * len(points))
+        charge(20 * CALL + (1.0 + count) * _NUMBER_COST * times.size * len(points))
         rows = np.array([source.row for source in self.quantities.sources])
         return self.evaluator.curves(times[:, None], np.ascontiguousarray(points.T), rows)
 

@@ -26,7 +26,7 @@ from rankone.solution.statistics.solution_statistics import (
 from rankone.support.arrays import ACCUMULATED, MINOR, SAMPLES, Array
 from rankone.support.budget import StepReport, counting_bar
 from rankone.support.errors import EvaluationError, OptionError, shown, warn
-from rankone.support.options import checked_count, checked_number
+from rankone.support.options import LEVEL, checked_count, checked_number
 from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator
 from rankone.tensors.coordinates import IDENTITY, SCALES, Scale, evenly_on_scale
 from rankone.tensors.distributions import Distribution, from_text, scale_of
@@ -48,8 +48,8 @@ Times = ArrayLike | None
 Progress = bool | StepReport
 """A bar or none, or what is called with the numbers of finished and of all steps."""
 
-CENTRAL = (0.025, 0.975)
-"""Probabilities between which 95 % lie: the ends of bands."""
+CENTRAL = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
+"""Probabilities between which LEVEL lies: the ends of bands."""
 # Half-widths of main effects, in shares of the spread, above which a user is told
 _VISIBLE_HALF_WIDTH = 1e-2
 

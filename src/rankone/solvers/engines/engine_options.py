@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal, Self
 
 from rankone.solvers.attempts import LEAST_COST_RATIO
 from rankone.solvers.outcome import SlabRecord
-from rankone.support.arrays import COINCIDENT
+from rankone.support.arrays import COARSE, COINCIDENT, MINOR, RESOLVED, SAME
 from rankone.support.costs import CALL, Cost
 from rankone.support.errors import OptionError
-from rankone.support.options import Options, choice, integer, integers, number
+from rankone.support.options import RTOL, Options, choice, integer, integers, number
 from rankone.support.tasks import ExecutorLike, checked_executor
 from rankone.tensors import BASES
 from rankone.tensors.adaptive import Tightening
@@ -32,10 +32,10 @@ class CrossTuning:
     highest_time_modes_share: float = 0.2
     """Size of the highest modes in time, relative to the level, above which slabs are
     halved."""
-    known_functions_share: float = 0.1
+    known_functions_share: float = MINOR
     """What an element may miss of the known functions of its parameter, or a line of its
     column, relative to the level."""
-    known_node_ratios: tuple[float, ...] = (1.5, 2.5, 4.0)
+    known_node_ratios: tuple[float, ...] = (3 / 2, 5 / 2, 4)
     """Nodes of one element, over those of the lines, tried for known functions before
     elements."""
     line_node_ratio: float = 1.5
@@ -57,7 +57,7 @@ class CrossTuning:
     lines_budget_share: float = 0.01
     """Part of the budget that lines through worst points may take where an attempt takes
     less."""
-    lines_fraction: float = 0.1
+    lines_fraction: float = MINOR
     """Part of an attempt that the lines take on which nodes are chosen."""
     reported_fraction: float = 0.005
     """Smallest change of the fraction that is reported."""
@@ -76,14 +76,14 @@ class CrossTuning:
     """How often the error of the integration is measured."""
     reference_error_ratio: float = 0.5
     """An error that keeps this part with a smaller tolerance is that of the reference."""
-    least_error_ratio: float = 0.1
+    least_error_ratio: float = MINOR
     """Errors below this part of the error allowed waste work: the tolerance grows."""
     aimed_error_ratio: float = 0.5
     """Error aimed at when the tolerance is changed, over the error allowed, and tolerance of
     stiff integrations, whose error is not measured."""
     largest_tightness_factor: float = 4.0
     """Largest factor on the tolerance from one calibration to the next."""
-    smallest_tightness_factor: float = 1e-3
+    smallest_tightness_factor: float = COARSE
     """Smallest one: an error that is not finite must not end all calibrations."""
     explicit_step_limit: int = 400
     """This many explicit steps cost less than the implicit steps that would replace them."""
@@ -109,13 +109,13 @@ class CrossTuning:
     jump, and a stack of as few costs as much."""
     max_zooms: int = 4
     """Pairs of neighbours on a line that are looked at closer."""
-    front_change: float = 0.1
+    front_change: float = MINOR
     """Change of a state, in units of its size, that makes a front."""
     kept_change: float = 0.5
     """Part of the change that a narrower piece must hold to be looked at instead."""
     front_width: float = 0.01
     """Largest width of a front, relative to the interval."""
-    jump_width: float = 1e-6
+    jump_width: float = SAME
     """Largest width of a jump, relative to the interval."""
     more_nodes: int = 2
     """Nodes of a line over those that did not resolve it."""
@@ -128,7 +128,7 @@ class CrossTuning:
 
 CROSS = CrossTuning()
 # Power below one: there are more nodes and left points as well
-TIGHTENING = Tightening(settled_growth=1.2, power=0.7, smallest=0.1, largest=0.5)
+TIGHTENING = Tightening(settled_growth=1.2, power=0.7, smallest=MINOR, largest=0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,11 +246,11 @@ class TrainTuning:
     after a jump, relative to the slab's tolerance."""
     recovery_factor: float = 1.15
     """Largest growth of the length per slab after a rejection."""
-    reference_noise: float = 1e-7
+    reference_noise: float = RESOLVED
     """Relative size below which the dense output of the reference is not smooth."""
     retry_length_ratio: float = 0.8
     """A slab whose proper length is below this part of its own is solved again."""
-    memory_halving_limit: float = 1e-3
+    memory_halving_limit: float = COARSE
     """Shortest slab, relative to the horizon, that is halved to save memory."""
     reliable_contraction: float = 0.5
     """A smaller ratio of two residuals predicts the next residual; sweeps that contract less after
@@ -276,7 +276,7 @@ class TrainTuning:
     largest_change: float = 3.0
     """Change of the Jacobian over the slab, times its length, that S may leave out: it costs no
     sweeps."""
-    entry_bytes: float = 16.0
+    entry_bytes: int = 16
     """An entry of a sparse matrix, with its row."""
 
 
@@ -346,7 +346,7 @@ _SLIDES: dict[str, Any] = {
     "max_attempts": 1,
     "max_modes": 80,
     "max_fixed_point": 50,
-    "fixed_point_tolerance": 1e-6,
+    "fixed_point_tolerance": RTOL,
 }
 
 
@@ -356,7 +356,7 @@ class GreedyTuning:
 
     tolerance_share: float = 0.03
     """Tolerance of a slab relative to rtol, before errors grow."""
-    tail_share: float = 0.1
+    tail_share: float = MINOR
     """Part of rtol that the highest modes may make up."""
     loss_share: float = 0.2
     """Largest loss from thinning the trains of a slab, rounding its end, or interpolating states
@@ -367,7 +367,7 @@ class GreedyTuning:
     """Lagged iterations up to which the next slab is longer."""
     many_iterations: int = 16
     """Lagged iterations above which the next slab is shorter."""
-    inner_tolerance_share: float = 0.1
+    inner_tolerance_share: float = MINOR
     """Tolerance of an equation relative to the last change of the unknowns."""
     max_source_rank: int = 4000
     """Rank above which a source is compressed before it is solved for."""
@@ -384,7 +384,7 @@ class GreedyTuning:
     """Nodes in every dimension for finite elements, if none are given."""
     pass_operations: float = 100 * CALL
     """Operations of a pass over a dimension, besides those with large arrays."""
-    sparse_operations: float = 5e3
+    sparse_operations: float = 5 * CALL
     """Operations for each unknown of a sparse system."""
     stiffness_samples: int = 101
     """Evenly spaced times at which stiffness is measured."""

@@ -45,7 +45,7 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
-from rankone.support.arrays import ACCUMULATED, AT_ONCE, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import ACCUMULATED, AT_ONCE, MINOR, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import COPIES, Report, memory_left, reserve
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
@@ -197,7 +197,7 @@ class LaggedSlab:
         loads = equation.loads(source)
         if loads.rank > GREEDY.max_source_rank:  # to a tolerance in the dual norm of the equation
             inverse = [np.asarray(np.linalg.inv(metric)) for metric in equation.metrics]
-            limit, nodal = 0.1 * tolerance * unit, loads.applied(inverse)
+            limit, nodal = MINOR * tolerance * unit, loads.applied(inverse)
             loads = compressed(nodal, equation.metrics, limit, self.options)
             loads = loads.applied(equation.metrics)
         functional = None

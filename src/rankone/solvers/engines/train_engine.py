@@ -29,7 +29,7 @@ from rankone.solvers.request import SolveRequest
 from rankone.solvers.verification.points import candidate_points
 from rankone.solvers.verification.reference_set import ReferenceSet
 from rankone.solvers.ways import Engine
-from rankone.support.arrays import Array
+from rankone.support.arrays import COARSE, MINOR, Array
 from rankone.support.budget import OutOfMemoryError, Report, reserve
 from rankone.tensors import RadauCollocation
 from rankone.tensors.slab import SlabTrain
@@ -91,7 +91,7 @@ class TrainMarcher(Marcher):
         if attempt.result.limits or (stalls >= 2 and not progress.pays):
             return False
         most = 0.03 if stalls else 0.4
-        self.inner *= min(max(0.4 * self.rtol / attempt.error, 1e-3), most)
+        self.inner *= min(max(0.4 * self.rtol / attempt.error, COARSE), most)
         self.bases = self.guesses[0].bases
         if stalls:
             self.longest = 0.5 * max(guess.length for guess in self.guesses)
@@ -119,7 +119,7 @@ class Convergence:
     tolerance: float
     coarse: float
     residuals: list[float] = field(default_factory=list)
-    contraction: float = 0.1
+    contraction: float = MINOR
     _since_restart: int = 0
 
     @property
@@ -139,7 +139,7 @@ class Convergence:
     def restart(self) -> None:
         """Count the sweeps anew after parameter nodes were added."""
         self._since_restart = min(self._since_restart, 1)
-        self.contraction = 0.1
+        self.contraction = MINOR
 
     def solved(self, limited: bool) -> bool:
         """Whether the slab is accurate enough, or as accurate as the rank limit allows."""
@@ -202,7 +202,7 @@ class SlabIteration:
         self._memory_needed = None
         spectra: list[Array] = []
         if self.nodes.bases:
-            coarse = min(0.1 * self._second_residual, TRAIN.first_sweep_factor * tolerance)
+            coarse = min(MINOR * self._second_residual, TRAIN.first_sweep_factor * tolerance)
             convergence = Convergence(tolerance, coarse)
             sweeper, spectra, solved = self._swept(sweeper, convergence, limits)
         else:
@@ -268,7 +268,7 @@ class SlabIteration:
         """Sweep until the slab is solved or hopeless; the last item says whether it is solved."""
         tolerance = convergence.tolerance
         spectra: list[Array] = []
-        sweeper.settle(max(tolerance, 1e-3), 8)
+        sweeper.settle(max(tolerance, COARSE), 8)
         while len(convergence.residuals) < self.options.max_sweeps:
             current = convergence.next_tolerance
             try:

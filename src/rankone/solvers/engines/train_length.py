@@ -24,7 +24,7 @@ from rankone.solvers.march import (
 )
 from rankone.solvers.request import Domain
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, ROUNDING, TINY, Array
+from rankone.support.arrays import COINCIDENT, MINOR, NEGLIGIBLE, ROUNDING, TINY, Array
 from rankone.tensors import BASES, Basis1D, RadauCollocation
 from rankone.tensors.time_grid import times_within
 from rankone.tensors.train import Integers, Train
@@ -50,7 +50,7 @@ class Accuracy:
     @property
     def resolution(self) -> float:
         """Largest dropped time mode: not amplified, as the end points are superconvergent."""
-        return 0.1 * self.level
+        return MINOR * self.level
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from rankone.solvers.engines.train_operators import (
     ParameterOperators,
     SlabOperator,
 )
-from rankone.support.arrays import Array
+from rankone.support.arrays import COARSE, Array
 from rankone.support.budget import charge, memory_left, reserve
 from rankone.support.costs import CALL, product
 from rankone.tensors.train import Train, independent, truncated_svd
@@ -398,7 +398,7 @@ class Sweeper:
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
         for b in range(self.dimensions - 1):
-            self._shift_right(b, 1e-3 * tolerance)
+            self._shift_right(b, COARSE * tolerance)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
             with np.errstate(over="ignore", invalid="ignore"):

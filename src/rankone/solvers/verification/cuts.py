@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, KnownFactors
 from rankone.solvers.tuning import CHECK
-from rankone.support.arrays import NEGLIGIBLE, ROUNDING, Array
+from rankone.support.arrays import NEGLIGIBLE, ROUNDING, Array, lobatto
 from rankone.support.budget import charge
-from rankone.support.costs import Cost
+from rankone.support.costs import CALL, Cost
 from rankone.support.errors import OptionError
 from rankone.tensors import IDENTITY, ChebyshevBasis, Scale
 from rankone.trajectories.system.system import System
 
 # Shares of a piece that are sampled too, since small pieces contain no fine sample
-_OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
+_OFF_SAMPLES = lobatto(10)[1:-1]
 _SHARES = np.append(
     (np.arange(CHECK.piece_samples) + 0.5) / CHECK.piece_samples, _OFF_SAMPLES
 )  # Sampled in any case
-_LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
+_LOOK_COST = Cost(80 * CALL, 3.0)  # An interpolation on a piece: once, and for each sample
 
 
 class TooManyCuts(Exception):

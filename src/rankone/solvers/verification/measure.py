@@ -15,9 +15,10 @@ from rankone.solvers.tuning import CHECK
 from rankone.solvers.verification.points import Coverage, check_points, worst_apart
 from rankone.solvers.verification.reference import Reference
 from rankone.solvers.verification.reference_set import ReferenceSet
-from rankone.support.arrays import AT_ONCE, Array, spread
+from rankone.support.arrays import AT_ONCE, Array, lobatto, spread
 from rankone.support.budget import charge, unlimited
-from rankone.support.costs import Cost
+from rankone.support.costs import CALL, Cost
+from rankone.support.options import LEVEL
 from rankone.tensors.branch_evaluator import BranchEvaluator
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, modes_in_time
@@ -29,7 +30,7 @@ from rankone.trajectories.events.stretch_integrator import StretchTrajectories
 from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES, Timeline
 
-_SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
+_SHARES = lobatto(8)  # Compared times of each stretch, besides
 BEYOND = 0.02
 """How far beyond where an order of events holds a branch reaches, and its errors count."""
 
@@ -187,11 +188,10 @@ def forced_errors(
 # Errors measured against the reference set of a solve.
 
 
-_CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked times, in slab lengths
-SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+_CHECK_SHARES = lobatto(7)  # Checked times, in slab lengths
 # Operations of a least change that satisfies constraints, for each entry of their slopes
-_CONSTRAINT_COST = Cost(50e3, 400.0)
-_DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])  # Compared times, in slab lengths
+_CONSTRAINT_COST = Cost(50 * CALL, 400)
+_DRIFT_SHARES = lobatto(4)  # Compared times, in slab lengths
 
 
 def measure(reference_set: ReferenceSet, slabs: Sequence[SlabTrain]) -> Measured | None:
@@ -316,7 +316,7 @@ def measured_from(reference_set: ReferenceSet, errors: Array, off: Array) -> Mea
         points=counts.size,
         method=reference.method,
         cover="box" if reference_set.whole_box else "interior",
-        quantile=float(np.quantile(of_points[spread[counts]], SAFE_QUANTILE, method="higher")),
+        quantile=float(np.quantile(of_points[spread[counts]], LEVEL, method="higher")),
         worst=worst,
         also_bad=tuple(also_bad),
         counted=reference_set.counted,

@@ -14,10 +14,10 @@ from rankone.solvers.outcome import SafeInterval
 from rankone.solvers.request import Domain, Observation
 from rankone.solvers.tuning import CHECK
 from rankone.solvers.verification.points import check_points
-from rankone.solvers.verification.resolution import NEGLIGIBLE, Resolution, times_held
-from rankone.support.arrays import ROUNDING, Array, bisected
+from rankone.solvers.verification.resolution import Resolution, times_held
+from rankone.support.arrays import RESOLVED, ROUNDING, Array, bisected
 from rankone.support.budget import OutOfBudgetError, charge, limited, reserve, work_done, work_left
-from rankone.support.costs import Cost
+from rankone.support.costs import READ
 from rankone.support.errors import ConvergenceError
 from rankone.trajectories.integrators.diagnosis import (
     first_to_end,
@@ -88,9 +88,6 @@ def _refined(
 # Reference trajectories at single parameter points, and intervals on which they reach the end.
 
 
-_DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
-
-
 @dataclass(frozen=True)
 class Reference:
     """Trajectories at the check points (m, d), the centre of the box first, dense in time.
@@ -145,7 +142,7 @@ class Reference:
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
         size = times.size * self.floor.size * len(self.points)
-        charge((len(self.batches) - 1) * _DENSE_COST.once + _DENSE_COST(size))
+        charge((len(self.batches) - 1) * READ.once + READ(size))
         states = [batch(times) for batch in self.batches]
         return states[0] if len(states) == 1 else np.concatenate(states, axis=1)
 
@@ -216,7 +213,7 @@ def integrate_reference(
     integration came.
     """
     start, end = horizon
-    reserve(8.0 * CHECK.numbers_of_state * len(points) * system.n_differential)
+    reserve(8 * CHECK.numbers_of_state * len(points) * system.n_differential)
     edges = integration_edges(system, points, horizon, cuts)
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
@@ -248,7 +245,7 @@ def integrate_reference(
         dense = integrated(points, resolution.absolute)
         work = work_done() - before
         if not dense.has_begun:
-            floor = rtol * NEGLIGIBLE * resolution.size
+            floor = rtol * RESOLVED * resolution.size
             point = points[first_to_end(system, start, dense.state, points, floor)]
             raise ConvergenceError(
                 f"no trajectory can be integrated from t = {start:g}{_at(system, point)}"
@@ -275,7 +272,7 @@ def _reference(resolution: Resolution, dense: DenseTrajectories) -> Reference:
         return reference
     system, points, time, state = resolution.system, resolution.points, dense.end, dense.state
     size = np.maximum(resolution.size, rounding.floor)
-    blown = first_to_end(system, time, state, points, resolution.rtol * NEGLIGIBLE * size)
+    blown = first_to_end(system, time, state, points, resolution.rtol * RESOLVED * size)
     refuse_gap(system, time, dense.last[:, blown], points[blown])
     large = bool((np.abs(state[:, blown]) > CHECK.blow_up_growth * size[:, 0]).any())
     large = large or runs_away(system, time, state[:, blown], points[blown], resolution.horizon)

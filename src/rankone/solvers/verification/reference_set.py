@@ -31,8 +31,7 @@ from rankone.solvers.verification.reference import (
     narrow_times,
     reference_accuracy,
 )
-from rankone.solvers.verification.resolution import NEGLIGIBLE
-from rankone.support.arrays import COINCIDENT, Array
+from rankone.support.arrays import COINCIDENT, RESOLVED, Array, lobatto
 from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.time_grid import times_within
@@ -52,7 +51,7 @@ from rankone.trajectories.system.verdict import NumericallyZero, SharedUnit
 # Periods between markers, and swings of the fastest state, over which it is as accurate: phases
 # drift over more, and count by how fast the states are
 _IN_STEP, _IN_TIME = 2, 200.0
-_JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
+_JUMP_SHARES = lobatto(4)  # The same between jumps, as shares
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,7 @@ class ReferenceSet:
         state is slow.
         """
         points = self.reference.points[trajectories]
-        finest = accuracy * np.minimum(NEGLIGIBLE * self.of_states, self.reference.floor)
+        finest = accuracy * np.minimum(RESOLVED * self.of_states, self.reference.floor)
         absolute = np.maximum(np.maximum(finest, self.reference.least), self.reference.rounded)
         edges = integration_edges(self.system, points, self.domain.horizon, self.cuts)
         work = self.system, points, edges, Tolerances(accuracy, absolute[:, None]), times

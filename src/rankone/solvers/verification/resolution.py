@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.solvers.tuning import CHECK
-from rankone.support.arrays import AT_ONCE, LEAST, Array
+from rankone.support.arrays import AT_ONCE, LEAST, RESOLVED, Array
 from rankone.support.budget import COPIES, OutOfBudgetError, charge, limited, memory_left, work_left
 from rankone.support.costs import eigenvalues
 from rankone.support.errors import ConvergenceError
@@ -31,14 +31,12 @@ from rankone.trajectories.integrators.diagnosis import (
 from rankone.trajectories.integrators.integrator import DenseTrajectories
 from rankone.trajectories.system.system import System
 
-NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
-
 Integrate: TypeAlias = Callable[[Array, Array], DenseTrajectories]
 
 
 def times_held(size: int) -> int:
     """At how many times states of this size, (n, m), are held at once: one at least."""
-    most = min(AT_ONCE, memory_left() / (8.0 * COPIES))
+    most = min(AT_ONCE, memory_left() / (8 * COPIES))
     return max(int(most // size), 1)
 
 
@@ -70,7 +68,7 @@ class Resolution:
         self.floor = np.full((len(initial), 1), np.inf)
         self.asked = np.isin(np.arange(len(initial)), [*asked]) if asked is not None else None
         self.largest = self.first
-        self.absolute = self._absolute(NEGLIGIBLE * self.size)
+        self.absolute = self._absolute(RESOLVED * self.size)
 
     def _rounding(self, samples: Sequence[tuple[float, Array]], largest: Array) -> Rounding:
         stack = self.system, self.points, self.horizon
@@ -86,7 +84,7 @@ class Resolution:
         self.size = np.where(self.first > 0.0, np.maximum(self.size, pilots.size), pilots.size)
         self.floor, self.largest = pilots.floor, np.maximum(self.first, pilots.largest)
         self.absolute = self._absolute(
-            CHECK.pilot_margin * np.minimum(NEGLIGIBLE * self.size, self.floor)
+            CHECK.pilot_margin * np.minimum(RESOLVED * self.size, self.floor)
         )
 
     def _absolute(self, finest: Array) -> Array:
@@ -111,17 +109,17 @@ class Resolution:
             unseen = CHECK.unseen * (self.first.max(initial=0.0) or 1.0)
             sizes = np.where(self.asked[:, None], sizes, np.maximum(sizes, unseen))
         sizes = np.where(np.isfinite(self.floor), 0.0, sizes)
-        return np.maximum(self.rtol * NEGLIGIBLE * sizes, LEAST)
+        return np.maximum(self.rtol * RESOLVED * sizes, LEAST)
 
     def refined(self, dense: DenseTrajectories) -> bool:
         """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
         largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
         samples = list(dense.samples(CHECK.resolution_samples))
         before, self.rounding = self.rounding, self._rounding(samples, largest)
-        zero, finest = self.rounding.zero, self.rtol * NEGLIGIBLE * largest
+        zero, finest = self.rounding.zero, self.rtol * RESOLVED * largest
         coarse = before.floor > np.maximum(self.rounding.floor, finest)
-        small = ~zero & (largest > 0.0) & (largest < CHECK.small_state * NEGLIGIBLE * self.size)
-        usual = NEGLIGIBLE * np.maximum(self.size, largest)
+        small = ~zero & (largest > 0.0) & (largest < CHECK.small_state * RESOLVED * self.size)
+        usual = RESOLVED * np.maximum(self.size, largest)
         candidates = ~zero & ~small & (early > 0.0)
         lingers = candidates & (early < np.minimum(usual, self.floor))
         if lingers.any():
@@ -139,7 +137,7 @@ class Resolution:
     def _resolves(self, changed: NDArray[np.bool_]) -> bool:
         """Set the absolute tolerances by size and floor; whether one that changed is lower now."""
         coarser = self.absolute
-        self.absolute = self._absolute(np.minimum(NEGLIGIBLE * self.size, self.floor))
+        self.absolute = self._absolute(np.minimum(RESOLVED * self.size, self.floor))
         return bool((changed & (self.absolute < coarser)).any())
 
     def lowered(self, dense: DenseTrajectories, integrate: Integrate, work: float) -> bool:
@@ -152,15 +150,15 @@ class Resolution:
         makes them at points and to absolute tolerances; all took ``work`` before.
         """
         largest = dense.largest.max(axis=1, keepdims=True)
-        begins = ~self.rounding.zero & (self.first < NEGLIGIBLE * largest)
+        begins = ~self.rounding.zero & (self.first < RESOLVED * largest)
         if len(largest) < CHECK.long_chain or not begins.any():
             return False
         growth = min(self._bound_of_growth(dense, largest), CHECK.most_exponent)
-        lower = np.where(begins, NEGLIGIBLE * math.exp(-growth) * largest, np.inf)
+        lower = np.where(begins, RESOLVED * math.exp(-growth) * largest, np.inf)
         absolute = self.rtol * np.minimum(lower, self.floor)
         absolute = np.maximum(absolute, np.maximum(self.rounding.floor, LEAST))
         absolute = np.minimum(absolute, self.absolute)
-        if growth <= -math.log(NEGLIGIBLE) or not (absolute < self.absolute).any():
+        if growth <= -math.log(RESOLVED) or not (absolute < self.absolute).any():
             return False
         try:
             with limited(min(CHECK.chain_work * work or math.inf, CHECK.chain_share * work_left())):
@@ -294,10 +292,10 @@ def _dips(dense: DenseTrajectories) -> tuple[Array, float]:
     for time, states in dense.samples(CHECK.dip_samples):
         sizes = np.abs(states)
         lowest = sizes.min(axis=1)
-        if (lowest < NEGLIGIBLE * highest).any():
-            low = np.flatnonzero(lowest < NEGLIGIBLE * highest)  # few if any
+        if (lowest < RESOLVED * highest).any():
+            low = np.flatnonzero(lowest < RESOLVED * highest)  # few if any
             staying = np.maximum(before[low], sizes[low])
-            below = staying < NEGLIGIBLE * largest[low]
+            below = staying < RESOLVED * largest[low]
             if below.any():
                 first = min(first, earlier)
                 least[low] = np.where(below, np.minimum(least[low], sizes[low]), least[low])

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import COARSE, MINOR, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, function_cost
 from rankone.trajectories.events.event_trajectory import (
@@ -44,16 +44,16 @@ class _Look:
 
 _LOOK = _Look(
     slope_step=1e-7,  # Step of a difference in time, relative to times and steps
-    crossing=1e-3,  # Slope where a path begins, over the mean one, from which it crosses a surface
-    on_surface=0.1,  # Height where a path begins, over its change to the next node: rounding
+    crossing=COARSE,  # Slope where a path begins, over the mean one, from which it crosses
+    on_surface=MINOR,  # Height where a path begins, over its change to the next node: rounding
     most_divisions=12,  # Most divisions of a step in which an event may hide
     newton_steps=4,  # Iterations to where a polynomial is nearest to zero
     at_end=1e-4,  # Distance from an end of a step, as a share, that is the end
-    unresolved=1e-3,  # Error of a polynomial between the nodes, over its size, that may hide a root
+    unresolved=COARSE,  # Error of a polynomial between nodes, over its size, that may hide a root
     near=4.0,  # Distance from zero, in such errors, within which there may be one
     grazing=0.05,  # Least distance from zero inside of a step, over its size, that may hide two
     low=0.5,  # Least value on a step, over its size, above which it comes nowhere near zero
-    stays=1e-3,  # Part of the horizon for which heights are rounding, from which paths stay there
+    stays=COARSE,  # Part of the horizon for which heights are rounding, from which paths stay there
 )
 _BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
 _FINE = np.linspace(0.0, 1.0, 25)

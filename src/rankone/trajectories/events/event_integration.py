@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import EPSILON, ROUNDING, TINY, Array
+from rankone.support.arrays import EPSILON, RESOLVED, ROUNDING, TINY, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, hold
 from rankone.support.costs import CALL
 from rankone.trajectories.events.event_crossings import Crossings
@@ -43,7 +43,7 @@ LOOKING = _Looking(
     looks=65,  # Places at which a root is looked for
     wider=(1.0, 4.0),  # Factors on the distance up to which it is looked for
     finer=3,  # Looks at a turn, each between the neighbours of the highest place before
-    at_root=1e-7,  # Height at the beginning, over the largest one, where a stretch begins at a root
+    at_root=RESOLVED,  # Height over the largest one where a stretch begins at a root
     most_faded=20.0,  # Logarithm of the factor by which a surface that was moved comes back
 )
 

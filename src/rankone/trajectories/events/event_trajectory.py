@@ -11,7 +11,7 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import COINCIDENT, MINOR, MOST_ROUNDS, ROUNDING, Array
+from rankone.support.arrays import COARSE, COINCIDENT, MINOR, MOST_ROUNDS, RESOLVED, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
 from rankone.support.errors import ProblemError, quote
@@ -30,10 +30,10 @@ class _Stretches:
 
 
 _STRETCHES = _Stretches(
-    least=1e-3,  # Length of what is integrated after a reset at least, in horizons
+    least=COARSE,  # Length of what is integrated after a reset at least, in horizons
     # Shorter and shorter times until the same events, after which they may accumulate
     shrinking=10,
-    rest=1e-7,  # Time within which all further ones would come if these shrink on, in horizons
+    rest=RESOLVED,  # Time within which all further ones would come if these shrink on, in horizons
     longer=1.2,  # Length of what is integrated after a reset, over the time it took before
 )
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.support.arrays import TINY, Array
+from rankone.support.arrays import MINOR, TINY, Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.trajectories.events.event_crossings import Crossings
@@ -74,13 +74,13 @@ _CHOICE = _MarkerChoice(
     scouted=0.4,
     fewest=3,  # Crossings that each has to pass, and least slope where they are fewer
     front=10.0,
-    later=0.1,  # Margins after a mark that is foreseen: in gaps, and in errors
+    later=MINOR,  # Margins after a mark that is foreseen: in gaps, and in errors
     further=2.0,
     most_degree=8,  # Of the polynomials that foresee marks
     transversal=0.5,  # Least slope at a crossing, over the range per mean gap between two crossings
     levels=(0.5, 0.2, 0.8),  # Shares of the range of a state that are tried
     much_steeper=4.0,
-    spike=0.1,  # Least gap between crossings, over the mean one, below which both are on one spike
+    spike=MINOR,  # Gap between crossings, over the mean one, below which both are on one spike
     lower_rank=0.8,  # Largest rank over stretches before and behind a front, over that without
     # Change over a period of trajectories that are continued to tell how many crossings there are,
     # and how many times as far as they were integrated

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import NEGLIGIBLE, Array, spread
+from rankone.support.arrays import MINOR, NEGLIGIBLE, Array, spread
 from rankone.trajectories.events.event_integration import guard_heights
 from rankone.trajectories.events.orders import Lengths, Opened, Order, OrderSearch
 from rankone.trajectories.system.features import FALLING, Beginning, ForcedOrder, Guard, Turn
@@ -47,7 +47,7 @@ _OPENING = _Opening(
     lowest=3,  # One of so many of the turns, the lowest ones, begins the continuation
     fewest=6,  # Turns that it may begin with
     further=256,  # Points, evenly spread over parameters and roots, to which orders are continued
-    near=0.1,  # Share of the points that tell how many are next to the border
+    near=MINOR,  # Share of the points that tell how many are next to the border
     sliver=0.003,  # Share of the box, about, in which a height is as good as zero
     above=1.1,  # Largest root of a relative height over that at the points
     to_start=0.5,  # Share of what is left to the start by which it may be larger

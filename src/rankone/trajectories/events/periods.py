@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.support.arrays import NEGLIGIBLE, ROUNDING, TINY, Array
+from rankone.support.arrays import MINOR, NEGLIGIBLE, ROUNDING, TINY, Array
 from rankone.trajectories.events.event_integration import Ahead, Goal, integrate_to_events
 from rankone.trajectories.events.event_trajectory import EventTrajectory, Occurrence
 from rankone.trajectories.integrators.integrator import (
@@ -52,7 +52,7 @@ _REPEATING = _Repeating(
     # Error of marks that are foreseen, in times of a swing, above which less accurate trajectories
     # tell them, and the tolerance of these times the swings over the horizon
     phase=100.0,
-    rough=0.1,
+    rough=MINOR,
     more=1.5,  # Factor from the crossings before they are compared first to those at the next time
     # Multipliers are those of a few trajectories, so many in all with the changed ones, over a
     # period, by relative changes of the states and at a relative tolerance

@@ -15,7 +15,7 @@ from types import FunctionType
 import numpy as np
 from scipy import special
 
-from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, Array
+from rankone.support.arrays import COINCIDENT, NEGLIGIBLE, Array, lobatto
 from rankone.support.costs import Cost, function_cost
 from rankone.support.errors import ConvergenceError, quote
 from rankone.trajectories.events.event_integration import Goal, integrate_to_events
@@ -305,7 +305,7 @@ def stretch_borders(clock: Clock, trajectories: Sequence[EventTrajectory], point
 
 
 # Of a stretch, where its sides are checked, also next to its ends: something narrow may be there
-_SHARES = np.array([NEGLIGIBLE, 0.02, 0.2, 0.5, 0.8, 0.98, 1.0 - NEGLIGIBLE])
+_SHARES = np.clip(lobatto(9), NEGLIGIBLE, 1.0 - NEGLIGIBLE)
 _BESIDE = 1e-5  # Distance beyond a surface, over the largest one, that is rounding and tolerance
 
 

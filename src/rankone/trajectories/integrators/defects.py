@@ -12,9 +12,9 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import COARSE, EPSILON, MOST_ROUNDS, ROUNDING, Array
+from rankone.support.arrays import COARSE, EPSILON, MINOR, MOST_ROUNDS, ROUNDING, Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost, function_cost
+from rankone.support.costs import READ, function_cost
 from rankone.trajectories.system.system import System
 
 SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
@@ -38,13 +38,12 @@ _DEFECTS = _Defects(
     most_at_crossings=100.0,  # At crossings, times the step, in tolerances; smooth: to 40
     most_at_random=300.0,  # The same at random places: the largest of many is larger
     different_rates=0.5,  # Defect over the rates from which a step missed something
-    grazing=0.1,  # Least height of a parabola on a step, over those at its ends, that may be zero
+    grazing=MINOR,  # Least height of a parabola on a step, over those at its ends, that may be zero
     turning_widths=(0.1, 0.02, 0.002),  # Widths of the parabolas that tell where a height turns
     roundings=100.0,  # Of a time or a state, that may be one of a slope times the step
     least_places=2,  # Fewest random places on each trajectory in every step
     places=512,  # Random places on all trajectories: one evaluation of the rates takes them well
 )
-_LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
 
 # Maps shares (..., c) of a step, and whether slopes are needed, to the states (n, ..., c) of c
 # trajectories and their slopes over the share
@@ -104,7 +103,7 @@ class DefectControl:
         """Largest errors that defects at random places amount to, in tolerances."""
         m = self.parameters.shape[1]
         n = solver.y.size // m
-        charge(self.rates_cost(self.columns.size) + _LOOK_COST(n * self.columns.size))
+        charge(self.rates_cost(self.columns.size) + READ(n * self.columns.size))
         shares = self.generator.random((self.places, m))
         start, h = solver.t_old, solver.t - solver.t_old
         states, slopes = solver.interpolant(np.arange(m))(shares, True)
@@ -144,7 +143,7 @@ class DefectControl:
         tolerated = _tolerated(solver, solver.y.reshape(-1, m))
 
         def largest(shares: Array, narrow: NDArray[np.bool_], kink: NDArray[np.bool_]) -> Array:
-            charge(self.rates_cost(columns.size) + 2.0 * _LOOK_COST(tolerated.size * columns.size))
+            charge(self.rates_cost(columns.size) + 2.0 * READ(tolerated.size * columns.size))
             states, slopes = interpolant(shares, True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(_beyond_rounding(rates - slopes, rates / h, before + h, states))
@@ -172,7 +171,7 @@ class DefectControl:
         """
         m, surfaces = self.parameters.shape[1], self.features.state_surfaces
         begin, length = self._spans(solver, np.arange(m))
-        charge(3.0 * self.surfaces_cost(m) + _LOOK_COST(solver.y.size))
+        charge(3.0 * self.surfaces_cost(m) + READ(solver.y.size))
         halfway = solver.interpolant(np.arange(m))(np.full(m, 0.5), False)[0]
         start = surfaces(solver.t_old, y_before.reshape(-1, m), self.parameters)
         middle = surfaces(begin + 0.5 * length, halfway, self.parameters)
@@ -213,7 +212,7 @@ class DefectControl:
         before, h = self._spans(solver, columns)
         interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
         states = solver.y.size // self.parameters.shape[1] * columns.size
-        cost = self.surfaces_cost(columns.size) + _LOOK_COST(states)
+        cost = self.surfaces_cost(columns.size) + READ(states)
 
         def heights(shares: Array) -> Array:
             charge(cost)

@@ -19,7 +19,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, eigs
 
-from rankone.support.arrays import COINCIDENT, EPSILON, ROUNDING, Array
+from rankone.support.arrays import COINCIDENT, EPSILON, RESOLVED, ROUNDING, Array
 from rankone.support.budget import charge
 from rankone.support.costs import eigenvalues, in_pieces
 from rankone.trajectories.integrators.integrator import JACOBIAN_ENTRY, finite_blocks, jacobians
@@ -216,7 +216,7 @@ _SIGNS = _Signs(
     several_roundings=16.0,  # Relative error of states after many steps, in last places
     # Size of a state, over the largest one, up to which it may be numerically zero
     tiny_state=1e-6,
-    resolved=1e-7,  # Part of its size below which a change of a state does not count
+    resolved=RESOLVED,  # Part of its size below which a change of a state does not count
     draws=4,  # Random rounding errors at each time; the largest effect counts
 )
 MOST_GROWTH = 5.0  # Growth over the horizon, as a power of e, from which small states are amplified
@@ -294,7 +294,7 @@ def is_regular(
             if not np.isfinite(system.rhs(time, near, parameters)).all():
                 return False
         before = surfaces(time, states, parameters)
-        for step in (8.0 * EPSILON, ROUNDING, COINCIDENT):
+        for step in (8 * EPSILON, ROUNDING, COINCIDENT):
             later, ahead = time + step * horizon, states + step * horizon * rates
             there = system.rhs(later, ahead, parameters)
             across = surfaces(later, ahead, parameters)

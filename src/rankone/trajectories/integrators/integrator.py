@@ -11,19 +11,18 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import LEAST, Array
+from rankone.support.arrays import LEAST, Array, lobatto
 from rankone.support.budget import OutOfBudgetError, charge
-from rankone.support.costs import Cost, function_cost
+from rankone.support.costs import READ, function_cost
 from rankone.tensors.time_grid import insets
 from rankone.trajectories.system.features import Constraints, Jumps, OfParameters, VectorLike
 from rankone.trajectories.system.system import System
 
 _DEGREE = 6  # Degree of the polynomial of a step: further terms of LSODA's own are tiny
-NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
+NODES = lobatto(_DEGREE + 1)
 """Chebyshev–Lobatto nodes of a step, as shares, the first one zero and the last one one."""
 # From states at the nodes to coefficients of the powers of 2 share - 1
 TO_POWERS = np.linalg.inv(np.vander(2.0 * NODES - 1.0, increasing=True))
-_READ_COST = Cost(60e3, 40.0)  # Operations of evaluating steps: once, and for each state
 _MANY_TIMES = 64  # Times of each path from which on their steps are looked up path by path
 _FEW_STATES = 8  # States up to which coefficients of all of them are one product of matrices
 BLOCK = 8192
@@ -67,7 +66,7 @@ class Path:
 
     def __call__(self, times: Array) -> Array:
         """States (n, T), after a jump at its time."""
-        charge(_READ_COST(times.size * self.state.size))
+        charge(READ(times.size * self.state.size))
         place = np.searchsorted(self.breaks, times, side="right") - 1
         place = np.clip(place, 0, self.steps - 1)
         width = np.diff(self.breaks)[place]
@@ -143,7 +142,7 @@ class Paths:
 
     def __call__(self, times: Array) -> Array:
         """States (n, m, T) at times (m, T) of each path, after a jump at its time."""
-        charge(_READ_COST(times.size * self.nodal.shape[2]))
+        charge(READ(times.size * self.nodal.shape[2]))
         if self.alike:
             breaks = self.breaks[0]
             place = np.clip(breaks.searchsorted(times, side="right") - 1, 0, breaks.size - 2)

@@ -256,7 +256,7 @@ def _is_integer(node: ast.expr) -> bool:
 
 _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
 _LOOKED_CALLS = 3000  # Calls after which progress is looked at
-_CALL_COST = Cost(600.0, 0.02)  # Operations of LSODA for a call: once, and for each cube of states
+_CALL_COST = Cost(600, 0.02)  # Operations of LSODA for a call: once, and for each cube of states
 _FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
 
 # Rates (n,) at a time and a state (n,), and their Jacobian (n, n)

@@ -64,9 +64,8 @@ _STEPS = _SingleSteps(
     longer=8.0,  # Factor from a stretch that missed nothing to the next one
 )
 _LEAST_RELATIVE = 2.0 * ROUNDING  # Tightest relative tolerance that LSODA takes
-_NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
 _ONE_AT_A_TIME = threading.RLock()  # LSODA in Fortran keeps its state in common blocks
-_NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
+_NODE_COST = Cost(150, 5)  # Operations of reading states: once, and for each state
 
 Span: TypeAlias = "tuple[float, float]"  # From a time to another
 
@@ -316,7 +315,7 @@ class _Single:
         """The first of the steps that missed something; shorter ones than rounding are good."""
         if not self.checked:
             return None
-        shortest = 1e3 * np.spacing(max(abs(path.breaks[0]), abs(end)))
+        shortest = 1000 * np.spacing(max(abs(path.breaks[0]), abs(end)))
         for first in range(0, path.steps, _STEPS.checked):
             last = min(first + _STEPS.checked, path.steps)
             some = Path(path.breaks[first : last + 1], path.nodal[first:last], path.state)
@@ -359,7 +358,7 @@ class _Single:
                     atol=self.tighter.absolute[:, 0],
                     h0=lengths.first,
                     hmax=0.0 if longest == math.inf else longest,  # zero: no limit
-                    mxstep=_NO_LIMIT,
+                    mxstep=np.iinfo(np.int32).max,
                 )
             except scipy.integrate.ODEintWarning:
                 raise lsoda.Border(times[-1], times[0]) from None

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import SuperLU, splu
 
 from rankone.support import costs
-from rankone.support.arrays import MANY_STATES, Array
+from rankone.support.arrays import MANY_STATES, MINOR, Array
 from rankone.support.budget import charge, reserve
 from rankone.trajectories.integrators.integrator import finite_blocks, jacobians
 from rankone.trajectories.system.system import PatternJacobian, System, pattern_of
@@ -55,7 +55,7 @@ class _Elimination:
 
 _ELIMINATION = _Elimination(
     kept=8,  # Eliminations that are kept: as many as one session works with at a time
-    pivot_threshold=0.1,  # A diagonal entry of this share of the largest of its column is the pivot
+    pivot_threshold=MINOR,  # A diagonal entry above this share of its column is the pivot
     # Operations of factors and of a solution in bands: for each state, entry of the factors,
     # product
     band_factors=(35.0, 5.0, 0.1),
@@ -262,7 +262,7 @@ def _factors(matrix: scipy.sparse.csc_matrix, order: str) -> SuperLU:
 COFACTOR_STATES = 3
 """States up to which inverses are made of cofactors."""
 # Operations of a matrix times a vector: once, and for each entry
-_PRODUCT_COST = costs.Cost(40.0, 0.5)
+_PRODUCT_COST = costs.Cost(40, 0.5)
 
 
 class NewtonMatrices(Protocol):
@@ -416,7 +416,7 @@ class Inverses:
 
     def solve(self, right: Array) -> Array:
         m, n, _ = self.inverses.shape
-        charge(5.0 * costs.CALL + m * _PRODUCT_COST(n * n))
+        charge(5 * costs.CALL + m * _PRODUCT_COST(n * n))
         vectors = np.ascontiguousarray(right.reshape(n, m).T)  # BLAS takes no strided ones
         return np.asarray(np.matmul(self.inverses, vectors[:, :, None])[:, :, 0].T.ravel())
 
@@ -432,7 +432,7 @@ class SmallInverses:
 
     def solve(self, right: Array) -> Array:
         n, _, m = self.inverses.shape
-        charge(5.0 * costs.CALL + m * _PRODUCT_COST(n * n))
+        charge(5 * costs.CALL + m * _PRODUCT_COST(n * n))
         return np.asarray(np.einsum("ijm,jm->im", self.inverses, right.reshape(n, m)).ravel())
 
     def solve_some(self, columns: NDArray[np.intp], right: Array) -> Array:
@@ -447,7 +447,7 @@ class SmallPairs:
 
     def solve(self, right: Array) -> Array:
         count, n, _, m = self.inverses.shape
-        charge(5.0 * costs.CALL + count * m * _PRODUCT_COST(n * n))
+        charge(5 * costs.CALL + count * m * _PRODUCT_COST(n * n))
         parts = np.einsum("kijm,kjm->kim", self.inverses, right.reshape(count, n, m))
         return np.asarray(parts.reshape(right.shape))
 

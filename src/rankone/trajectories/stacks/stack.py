@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import NEGLIGIBLE, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
-from rankone.support.costs import Cost, function_cost
+from rankone.support.costs import CALL, READ, Cost, function_cost
 from rankone.tensors.time_grid import inset
 from rankone.trajectories.integrators.defects import DefectControl
 from rankone.trajectories.integrators.diagnosis import decays_faster, switching_state
@@ -75,9 +75,8 @@ _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _COMPARED = 32  # Trajectories at whose starts a series is compared with the rates, about
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
-_STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
-_STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
-_READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
+_STAGE_COST = Cost(8 * CALL, 5)  # Operations besides the rates: once, and for each number
+_STEP_COST = Cost(40 * CALL, 5)  # Operations of a step besides its stages
 
 # Starts an integration of rates from a time and states to an end
 _Method: TypeAlias = Callable[[Rates, tuple[float, float], Array], Stepper]
@@ -143,7 +142,7 @@ def sampling_cost(system: System, tolerance: float, steps: float, m: int, times:
     step = _dop853_step_cost(n * m, function_cost(system.rhs)(m))
     if has_smooth_rates(system, system.horizon[0]):
         step = min(step, TaylorTerms.of(system).cost(tolerance, m))
-    return steps * (step + _READ_COST.once) + times * n * m * _READ_COST.each
+    return steps * (step + READ.once) + times * n * m * READ.each
 
 
 def _dop853_step_cost(size: int, rates: float) -> float:
@@ -370,7 +369,7 @@ class _SampleRecord:
         self.end = solver.t
         last = int(np.searchsorted(self.times, solver.t, side="right"))
         if last > self.reached:
-            charge(_READ_COST((last - self.reached) * self.states[0].size))
+            charge(READ((last - self.reached) * self.states[0].size))
             passed = slice(self.reached, last)
             out = self.states[passed].reshape(last - self.reached, -1)
             solver.dense_output().at(self.times[passed], out)

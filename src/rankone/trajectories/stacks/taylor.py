@@ -19,9 +19,9 @@ import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
 
-from rankone.support.arrays import MANY_STATES, NEGLIGIBLE, TINY, Array
+from rankone.support.arrays import COARSE, MANY_STATES, MINOR, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost
+from rankone.support.costs import CALL, Cost
 from rankone.trajectories.integrators.integrator import NODES, Tolerances
 from rankone.trajectories.stacks import explicit
 from rankone.trajectories.system.system import System
@@ -56,9 +56,9 @@ _SERIES = _SeriesSteps(
     step_orders=8.0,  # Orders that cost as much as what a step takes besides
     last=2,  # Coefficients that choose a step: one may vanish by symmetry
     # Size of the last coefficient, and the largest error of a step, over the tolerance
-    aimed_error=0.1,
+    aimed_error=MINOR,
     most_error=0.2,
-    first_share=1e-3,  # First trial of the first step, over the way
+    first_share=COARSE,  # First trial of the first step, over the way
     first_trials=12,  # Trials of a first step whose coefficients are not finite
     over_dop853=4.2,  # Steps over those of DOP853 at a tolerance of one
     # Parts of a step, and the largest product of the distances of a share from all nodes of a path
@@ -73,8 +73,8 @@ DOP853_POWER = 1.0 / 8.0
 """Steps of DOP853 grow with this power of one over the tolerance."""
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
-_ORDER_COST = Cost(9e3, 0.6)  # Operations of an order: once, and for each number that is read
-_STEP_COST = Cost(80e3, 0.5)  # Operations of a step: once, and for each product of coefficients
+_ORDER_COST = Cost(9 * CALL, 0.6)  # An order: once, and for each number that is read
+_STEP_COST = Cost(80 * CALL, 0.5)  # A step: once, and for each product of coefficients
 
 
 def steps_ratio(tolerance: float, affine: bool = False) -> float:

@@ -415,8 +415,8 @@ class Budget(Note):
 
     def sentence(self, status: Status) -> str:
         (first, share), *others = self.shares
-        further = "".join(f", {_STAGES[stage]} {100.0 * each:.0f} %" for stage, each in others)
-        return f"{_STAGES[first]} took {100.0 * share:.0f} % of the budget{further}"
+        further = "".join(f", {_STAGES[stage]} {100 * each:.0f} %" for stage, each in others)
+        return f"{_STAGES[first]} took {100 * share:.0f} % of the budget{further}"
 
 
 @dataclass(frozen=True)
@@ -559,7 +559,7 @@ class TinyUnknowns(Note):
 
 def _percent(share: float) -> str:
     """A share in percent, with two digits."""
-    return f"{100.0 * share:.{2 if share < 0.1 else 3}g}"
+    return f"{100 * share:.{2 if share < 0.1 else 3}g}"
 
 
 @dataclass(frozen=True)
