@@ -9,7 +9,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.solvers.branches import order_search
-from rankone.solvers.request import SolveRequest
+from rankone.solvers.request import SolveArguments, SolveRequest
 from rankone.solvers.stretches_by_markers import timed_system
 from rankone.support.budget import limited
 from tests.honesty.cases import Case, kind, number, t, unknown
@@ -39,7 +39,7 @@ def shares_of_orders(case: Case) -> list[float]:
     """The shares of the box on which each order holds; none where trajectories end early."""
     compiled = ro.compile(case.problem())
     system = compiled._held or compiled.system
-    request = SolveRequest.of(system, [], {}, rtol=1e-3)
+    request = SolveRequest.of(system, [], {}, SolveArguments(rtol=1e-3))
     timed, _ = timed_system(system, request.domain)
     try:
         with limited(5e9):

@@ -17,7 +17,7 @@ from rankone.share.commands.common import summary
 from rankone.solution.statistics import composite_statistics
 from rankone.solution.statistics.lines import Accuracy
 from rankone.solvers.branches import box_of_branch, branch_evaluator, order_search
-from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.request import Domain, SolveArguments, SolveRequest
 from rankone.solvers.selection import ENGINES
 from rankone.solvers.stretches_by_markers import timed_system
 from rankone.solvers.verification.measure import points_with_other_events
@@ -648,7 +648,7 @@ def test_points_at_which_a_branch_passes_an_event_that_its_order_lacks():
     compiled, solution = ro.compile(WASHED), washed()
     domain = Domain.of(compiled.system)
     timed, _ = timed_system(compiled.system, domain)
-    request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
+    request = SolveRequest.of(compiled.system, [], {}, SolveArguments(rtol=RTOL))
     orders = [*order_search(timed, request).groups()]
     evaluator = branch_evaluator(solution.outcome.slabs, solution.outcome.timeline)
 

@@ -14,7 +14,7 @@ from rankone.solution.outputs.output_check import CheckPoints
 from rankone.solvers.attempts import Stages
 from rankone.solvers.branches import order_search, solve_in_branches
 from rankone.solvers.branching import branches_of
-from rankone.solvers.request import SolveRequest
+from rankone.solvers.request import SolveArguments, SolveRequest
 from rankone.solvers.selection import ENGINES
 from rankone.solvers.stretches_by_markers import timed_system
 from rankone.support.budget import limited, work_done
@@ -49,7 +49,7 @@ def searched(problem):
     """The orders of the events of a problem."""
     compiled = ro.compile(problem)
     system = compiled._held or compiled.system
-    request = SolveRequest.of(system, [], {}, rtol=RTOL)
+    request = SolveRequest.of(system, [], {}, SolveArguments(rtol=RTOL))
     timed, _ = timed_system(system, request.domain)
     return order_search(timed, request)
 
@@ -332,7 +332,7 @@ def test_orders_behind_one_turn_are_all_opened_there():
 def test_opened_trajectories_are_true_where_the_root_is_that_of_the_height():
     """Where it is not, the surface is moved: both crossings depend smoothly on the root."""
     compiled = ro.compile(KICKED)
-    request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
+    request = SolveRequest.of(compiled.system, [], {}, SolveArguments(rtol=RTOL))
     timed, _ = timed_system(compiled.system, request.domain)
     search = order_search(timed, request)
     (kick, places), (free, elsewhere) = search.groups().items()
@@ -560,7 +560,7 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
     assert undecided <= 0.02
     assert alike >= 0.98
     compiled = ro.compile(wall)
-    request = SolveRequest.of(compiled.system, [], {}, rtol=RTOL)
+    request = SolveRequest.of(compiled.system, [], {}, SolveArguments(rtol=RTOL))
     search = order_search(timed_system(compiled.system, request.domain)[0], request)
     search = search.telling_roots
     roots = {order.roots[0] for order in search.orders}
@@ -589,7 +589,7 @@ def test_a_search_for_orders_that_ends_without_success_counts():
     event = {"when": "x - c", "direction": "falling", "then": {"x": "x - 1"}, "name": "drop"}
     drop = problem({"x": "-k*t*x"}, {"x": 1}, {"c": (0.8, 1.2), "k": (0.1, 0.3)}, 3, event)
     system, engine, stages = ro.compile(drop).system, ENGINES["cross"], Stages()
-    request = SolveRequest.of(system, [], {}, rtol=RTOL)
+    request = SolveRequest.of(system, [], {}, SolveArguments(rtol=RTOL))
     with limited(1e12):
         with pytest.raises(OrderError, match="`drop`"):
             solve_in_branches(engine.run, system, request, "orders differ", stages)

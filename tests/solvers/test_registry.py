@@ -10,7 +10,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.engines.greedy_engine import GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
-from rankone.solvers.request import Domain, SolveRequest
+from rankone.solvers.request import Domain, SolveArguments, SolveRequest
 from rankone.solvers.selection import ENGINES, engines_for
 from rankone.support.budget import ProgressEvent
 from rankone.support.errors import OptionError
@@ -76,18 +76,18 @@ def test_an_engine_solves_on_the_domain_it_is_given(name: str) -> None:
 @pytest.mark.parametrize("name", ENGINES)
 def test_requests_are_checked(name: str) -> None:
     system, groups = ro.compile(REFERENCE["decay"]()).system, [ENGINES[name].options]
-    request = SolveRequest.of(system, groups, {})
+    request = SolveRequest.of(system, groups, {}, SolveArguments())
     assert request.check.points == 96
     assert isinstance(request.options_of(groups[0]), groups[0])
-    assert SolveRequest.of(system, groups, {}, check=0).check.points == 0
+    assert SolveRequest.of(system, groups, {}, SolveArguments(check=0)).check.points == 0
     for rtol, check, options in [(0.5, 96, {}), (1e-3, -1, {}), (1e-3, 96, {"max_slab": 1})]:
         with pytest.raises(OptionError):
-            SolveRequest.of(system, groups, options, rtol=rtol, check=check)
+            SolveRequest.of(system, groups, options, SolveArguments(rtol=rtol, check=check))
 
 
 def test_a_request_for_a_part_of_the_box() -> None:
     system = ro.compile(REFERENCE["decay"]()).system
-    request = SolveRequest.of(system, [], {}, max_seconds=8.0)
+    request = SolveRequest.of(system, [], {}, SolveArguments(max_seconds=8.0))
     part = request.on_box({0: (1.0, 1.5)}, 0.25)
     assert part.domain.box[0] == (1.0, 1.5)
     assert part.domain.horizon == request.domain.horizon

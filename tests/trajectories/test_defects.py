@@ -17,7 +17,7 @@ from rankone.support.budget import limited
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.single import SingleIntegrator
 from rankone.trajectories.stacks.explicit import StackedDOP853
-from rankone.trajectories.stacks.implicit import StackedRadau
+from rankone.trajectories.stacks.implicit import Collocation, StackedRadau
 from rankone.trajectories.stacks.newton import jacobians_for
 from tests.honesty.cases import t, unknown
 
@@ -227,7 +227,7 @@ def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monke
     starts = {"x": "100", "y": "167", "z": "116"}
     system = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (0.7, 1.3)}, (0, 30))).system
     reference = integrate_reference(
-        system, np.linspace(0.7, 1.3, 16)[:, None], (0.0, 30.0), 3e-7, (), "stack"
+        system, np.linspace(0.7, 1.3, 16)[:, None], (0.0, 30.0), 3e-7, "stack"
     )
     assert reference.stiff
     assert len(steps) < 60
@@ -263,7 +263,7 @@ def test_two_finite_peaks_are_no_end_of_trajectories():
 def radau_of(rates, *span_and_tolerances):
     system = compiled("-k*x", {"k": (0.5, 1.5)}, start="k").system
     blocks = jacobians_for(system, np.ones((10, 1)))
-    return StackedRadau(rates, *span_and_tolerances, None, blocks)
+    return StackedRadau(rates, *span_and_tolerances, None, Collocation(blocks))
 
 
 @pytest.mark.parametrize("method", [StackedDOP853, radau_of])

@@ -126,7 +126,7 @@ def test_workers_integrate_the_same_reference(problem, integrator, name):
     system = ro.compile(problem).system
     points = POINTS[:, : len(system.parameters)]
     points = points[::3] if integrator == "single" else points
-    common = system, points, system.horizon, 1e-6, (), integrator
+    common = system, points, system.horizon, 1e-6, integrator
     alone = bits(integrate_reference(*common))
     for count in (1, 3):
         with Recording(count) as executor, open_workers(system, executor) as workers:

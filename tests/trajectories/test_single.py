@@ -124,7 +124,7 @@ def test_both_sides_of_a_narrow_peak_are_seen():
     rates = {"x": "y", "y": "50*exp(-((x - 1/2)/1e-3)**2) - k*x"}
     system = system_of(rates, {"x": "1", "y": "0"}, {"k": (3, 5)}, 6)
     points = np.array([[3.06], [4.0]])
-    reference = integrate_reference(system, points, (0.0, 6.0), 3e-5, (), "single")
+    reference = integrate_reference(system, points, (0.0, 6.0), 3e-5, "single")
     tolerances = Tolerances(1e-9, np.full((2, 1), 1e-11), longest_step=1e-3)
     exact = SingleIntegrator().run(system, points, [0.0, 6.0], tolerances)
     times = np.linspace(0.0, 6.0, 61)
@@ -162,7 +162,7 @@ def test_a_stack_that_stalls_goes_on_as_single_trajectories():
     for integrator in ("auto", "stack", "single"):
         with limited():
             before = work_done()
-            reference = integrate_reference(system, points, (0, 2000), 1e-4, (), integrator)
+            reference = integrate_reference(system, points, (0, 2000), 1e-4, integrator)
             work[integrator] = work_done() - before
         assert reference.end == 2000
         assert reference.integrator == ("single" if integrator == "auto" else integrator)
@@ -178,7 +178,7 @@ def test_smooth_stacks_pay_nothing():
     for integrator in ("auto", "stack"):
         with limited():
             before = work_done()
-            reference = integrate_reference(system, points, (0, 5), 1e-8, (), integrator)
+            reference = integrate_reference(system, points, (0, 5), 1e-8, integrator)
             work.append(work_done() - before)
         assert reference.integrator == "stack"
     assert work[0] == work[1]

@@ -23,7 +23,14 @@ from rankone.problem.text import formula
 from rankone.problem.user_events import Event
 from rankone.solution.evaluation.core import raise_blow_up
 from rankone.solution.solution import Solution
-from rankone.solvers.request import SOLVE_ARGUMENTS, USUAL_POINTS, Domain, Observation, SolveRequest
+from rankone.solvers.request import (
+    SOLVE_ARGUMENTS,
+    USUAL_POINTS,
+    Domain,
+    Observation,
+    SolveArguments,
+    SolveRequest,
+)
 from rankone.solvers.selection import engines_for, solve_with
 from rankone.solvers.ways import Engine
 from rankone.support.budget import Report, resolve_progress
@@ -278,10 +285,8 @@ class CompiledProblem(CompiledStages):
             form.system,
             [engine.options for engine in engines],
             options,
-            **arguments,
-            unknowns=unknowns,
-            markers=markers == "auto",
-            arguments=("method", "outputs", "progress", "on_failure"),
+            SolveArguments(**arguments, unknowns=unknowns, markers=markers == "auto"),
+            further=("method", "outputs", "progress", "on_failure"),
         )
         return _CheckedSolve(self, replace(request, observed=observed), engines, form, timings)
 

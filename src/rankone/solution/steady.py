@@ -16,7 +16,7 @@ from rankone.problem.steady_start import USUAL_HORIZONS
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.solution.solution import Solution
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
-from rankone.solvers.request import USUAL_POINTS, SolveRequest
+from rankone.solvers.request import USUAL_POINTS, SolveArguments, SolveRequest
 from rankone.solvers.selection import ENGINES, solve_with
 from rankone.solvers.verification.points import branch_points
 from rankone.support.arrays import Array
@@ -105,11 +105,9 @@ def steady_state(
         resting,
         [engine.options],
         {},
-        rtol=rtol,
-        check=check,
-        effort=effort,
-        max_seconds=max_seconds,
-        integrator="stack",
+        SolveArguments(
+            rtol=rtol, check=check, effort=effort, max_seconds=max_seconds, integrator="stack"
+        ),
     )
     with one_thread(), limited(seconds=request.limits.seconds) as account:
         points = branch_points(request.domain)

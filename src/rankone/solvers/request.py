@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import SupportsFloat, TypeVar
 
@@ -36,20 +36,6 @@ from rankone.tensors.coordinates import (
 from rankone.trajectories.fields.field_system import FieldSystem
 from rankone.trajectories.system.system import System
 
-SOLVE_ARGUMENTS = (
-    "rtol",
-    "parameters",
-    "t_final",
-    "check",
-    "cover",
-    "max_memory",
-    "max_seconds",
-    "unknowns",
-    "effort",
-    "integrator",
-    "markers",
-)
-"""Arguments of every ``solve``, beside the options of an engine."""
 _MEMORY = 4e9  # Bytes that arrays of a solve may take at once, unless max_memory is given
 USUAL_POINTS = 96
 """Interior check points: a twentieth of the box is missed with probability below 1 %."""
@@ -84,6 +70,10 @@ class Domain:
         """The domain a generated module was written for."""
         box = tuple((float(lower), float(upper)) for lower, upper in system.box)
         return cls((float(system.horizon[0]), float(system.horizon[1])), box, system.scales)
+
+    def edges(self, cuts: Sequence[float] = ()) -> list[float]:
+        """The ends of the horizon, and cuts between them."""
+        return [self.horizon[0], *cuts, self.horizon[1]]
 
     @property
     def bounds(self) -> Array:
@@ -278,6 +268,27 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class SolveArguments:
+    """Arguments of every ``solve``, beside the options of an engine."""
+
+    rtol: float = RTOL
+    parameters: Mapping[object, Sequence[object]] | None = None
+    t_final: float | None = None
+    check: int = USUAL_POINTS
+    cover: str | None = None
+    effort: str | float = "normal"
+    max_seconds: float | None = None
+    max_memory: str | float | None = None
+    unknowns: object = None
+    integrator: str = "auto"
+    markers: bool = True
+
+
+SOLVE_ARGUMENTS = tuple(each.name for each in fields(SolveArguments))
+"""Their names."""
+
+
+@dataclass(frozen=True)
 class SolveRequest:
     """The request of a solve, with all arguments checked.
 
@@ -305,29 +316,18 @@ class SolveRequest:
         system: System,
         groups: Sequence[type[Options]],
         options: Mapping[str, object],
-        *,
-        rtol: float = RTOL,
-        parameters: Mapping[object, Sequence[object]] | None = None,
-        t_final: float | None = None,
-        check: int = USUAL_POINTS,
-        cover: str | None = None,
-        effort: str | float = "normal",
-        max_seconds: float | None = None,
-        max_memory: str | float | None = None,
-        unknowns: object = None,
-        integrator: str = "auto",
-        markers: bool = True,
-        arguments: Sequence[str] = (),
+        arguments: SolveArguments,
+        further: Sequence[str] = (),
     ) -> SolveRequest:
         """Check the arguments of a ``solve``; an OptionError if one is unknown or out of its range.
 
         Several engines, by the ``groups`` of their options, take each the ``options`` that they
-        know; a single one has to know all of them. ``arguments`` are what the caller's ``solve``
-        takes beside ``SOLVE_ARGUMENTS``.
+        know; a single one has to know all of them. ``further`` names what the caller's ``solve``
+        takes beside the arguments.
         """
-        rtol = checked_rtol(rtol)
-        compared = Check.of(system, check, cover, unknowns)
-        keywords = (*SOLVE_ARGUMENTS, *arguments)
+        rtol = checked_rtol(arguments.rtol)
+        compared = Check.of(system, arguments.check, arguments.cover, arguments.unknowns)
+        keywords = (*SOLVE_ARGUMENTS, *further)
         chosen = tuple(
             group.of(
                 keywords,
@@ -335,11 +335,14 @@ class SolveRequest:
             )
             for group in groups
         )
+        parameters, t_final = arguments.parameters, arguments.t_final
         domain = Domain.of(system).moved(system.parameters, parameters, t_final)
-        limits = Limits.of(system, effort, max_seconds, max_memory)
+        effort, seconds = arguments.effort, arguments.max_seconds
+        limits = Limits.of(system, effort, seconds, arguments.max_memory)
         words = ((_name(key), split(interval)[1]) for key, interval in (parameters or {}).items())
         measures = tuple((name, word) for name, word in words if word is not None)
-        integrator = checked_integrator(integrator)
+        integrator = checked_integrator(arguments.integrator)
+        markers = arguments.markers
         return cls(rtol, domain, compared, limits, chosen, measures, integrator, markers)
 
     def options_of(self, group: type[EngineOptions]) -> EngineOptions:

@@ -10,7 +10,7 @@ from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in
 from rankone.solvers.branches import solve_in_branches
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.solvers.remedies import box_of_one_order
-from rankone.solvers.request import USUAL_POINTS, Domain, Observation, SolveRequest
+from rankone.solvers.request import USUAL_POINTS, Domain, Observation, SolveArguments, SolveRequest
 from rankone.solvers.stretches_by_markers import (
     FirstPoints,
     SolveStart,
@@ -285,7 +285,9 @@ class Engine:
         **options: object,
     ) -> Outcome:
         """Solve a generated system directly, by default on the domain it was written for."""
-        request = SolveRequest.of(system, [self.options], options, rtol=rtol, check=check)
+        request = SolveRequest.of(
+            system, [self.options], options, SolveArguments(rtol=rtol, check=check)
+        )
         return self.solve(system, replace(request, domain=domain or request.domain), report)
 
 

@@ -69,7 +69,7 @@ def test_stacked_trajectories_equal_single_ones():
 def test_a_stiff_system_is_recognised_and_a_smooth_one_is_not():
     robertson = module("robertson")
     points = check_points(np.array(robertson.box), 2)
-    assert integrate_reference(robertson, points, (0.0, 40.0), 1e-6, (), "stack").stiff
+    assert integrate_reference(robertson, points, (0.0, 40.0), 1e-6, "stack").stiff
     smooth = module("lotka_volterra")
     points = check_points(np.array(smooth.box), 2)
     assert not integrate_reference(smooth, points, (0.0, 6.0), 1e-9).stiff

@@ -24,6 +24,7 @@ from rankone.inference.estimation.intervals import checked_level, quantile_of
 from rankone.inference.estimation.likelihood import Likelihood, vanishing_noise
 from rankone.inference.estimation.noise import Noise
 from rankone.inference.estimation.observations import (
+    DataOptions,
     Observations,
     Sigma,
     check_levels,
@@ -481,7 +482,7 @@ def _new_trial(solution: SolutionCore, times: Array, wanted: Wanted) -> Trial:
             remedy="give sigma={name: standard deviation}, or observe one of them",
         )
     ones = {name: np.ones(times.size) for name in names}
-    row = observed(solution, times, ones, observe, sigma=sigma, noise=noise)
+    row = observed(solution, times, ones, observe, DataOptions(sigma, noise))
     check_levels(solution, row)
     return trial_of("", solution, held_parameters(solution, fixed), row)
 

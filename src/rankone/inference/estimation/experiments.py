@@ -14,6 +14,7 @@ from rankone.inference.estimation.fitted_models import Model, model_of
 from rankone.inference.estimation.formulas import Dual, Operand, coordinate
 from rankone.inference.estimation.free_parameters import ParameterValues
 from rankone.inference.estimation.observations import (
+    DataOptions,
     Measurements,
     Observations,
     Sigma,
@@ -277,10 +278,7 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
         experiment.times,  # type: ignore[arg-type]
         experiment.data,
         experiment.observe,
-        sigma=experiment.sigma,
-        noise=experiment.noise,
-        weights=experiment.weights,
-        missing=experiment.missing,
+        DataOptions(experiment.sigma, experiment.noise, experiment.weights, experiment.missing),
     )
     held = held_parameters(solution, experiment.fixed)
     yield trial_of(experiment.name, solution, held, observations)
@@ -330,14 +328,9 @@ def observed_in(
     if observe is not None and not isinstance(observe, Mapping):
         keys = observe if isinstance(observe, list | tuple) else [observe]
         observe = {label(solution, key): key for key in keys}
-    return observed(
-        solution,
-        block.times,
-        block.data,
-        of_block(observe),
-        sigma=of_block(block.sigma if experiment.sigma is None else experiment.sigma),
-        noise=of_block(experiment.noise),
-    )
+    sigma = of_block(block.sigma if experiment.sigma is None else experiment.sigma)
+    options = DataOptions(sigma, of_block(experiment.noise))
+    return observed(solution, block.times, block.data, of_block(observe), options)
 
 
 def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str, float]:

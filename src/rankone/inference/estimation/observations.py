@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,22 +78,28 @@ class Observations:
         return dict(zip(self.shape, columns, strict=True))
 
 
+class DataOptions(NamedTuple):
+    """What a user says of the noise of data, and of those that are missing."""
+
+    sigma: Sigma = None
+    noise: object = None
+    weights: Measurements | None = None
+    missing: str = "error"
+
+
 def observed(
     solution: SolutionCore,
     times: Measurements,
     data: Measurements,
     observe: object = None,
-    *,
-    sigma: Sigma = None,
-    noise: object = None,
-    weights: Measurements | None = None,
-    missing: str = "error",
+    options: DataOptions | None = None,
 ) -> Observations:
     """Check the data of a fit.
 
     Parameters and errors are those of :meth:`~rankone.Solution.fit`.
     """
-    _check_options(sigma, noise, weights, missing)
+    options = options or DataOptions()
+    _check_options(options)
     formulas = observables(solution, observe, data)
     names = tuple(formulas)
     columns, table_shape = _rows_of(data, names, solution.metadata.time)
@@ -109,8 +115,8 @@ def observed(
             )
     sizes = {name: column.size for name, column in zip(names, columns, strict=True)}
     every = np.concatenate(columns)
-    present = _present(every, missing)
-    noises = _noises(solution, sizes, table_shape, sigma, noise, weights, present)
+    present = _present(every, options.missing)
+    noises = _noises(solution, sizes, table_shape, options, present)
     owner = np.repeat(np.arange(len(names)), list(sizes.values()))[present]
     observations = Observations(
         names=names,
@@ -119,17 +125,18 @@ def observed(
         owner=owner,
         times=np.concatenate(clocks)[present],
         values=every[present],
-        sigma_known=sigma is not None or noise is not None,
+        sigma_known=options.sigma is not None or options.noise is not None,
         present=present,
         shape=sizes if table_shape is None else table_shape,
-        weighted=weights is not None,
+        weighted=options.weights is not None,
     )
     _check_logarithms(observations)
     return observations
 
 
-def _check_options(sigma: Sigma, noise: object, weights: Measurements | None, missing: str) -> None:
+def _check_options(options: DataOptions) -> None:
     """Raise if options of a fit are unknown, or contradict each other."""
+    sigma, noise, weights, missing = options
     if missing not in ("error", "drop"):
         raise OptionError(f"missing={missing!r} is unknown", remedy='choose "error" or "drop"')
     if weights is not None and not (sigma is None and noise is None):
@@ -286,12 +293,11 @@ def _noises(
     solution: SolutionCore,
     sizes: Mapping[str, int],
     table_shape: tuple[int, ...] | None,
-    sigma: Sigma,
-    noise: object,
-    weights: Measurements | None,
+    options: DataOptions,
     present: NDArray[np.bool_],
 ) -> tuple[Noise, ...]:
     """The noise of each observable, for the data that are present."""
+    sigma, noise, weights, _ = options
     option = "sigma" if weights is None else "weights"
     kinds = _by_observable(solution, "noise", noise, sizes)
     spreads = _by_observable(solution, "sigma", sigma, sizes)

@@ -206,9 +206,10 @@ def solve(
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
     domain = {{"parameters": parameters, "t_final": t_final, "markers": markers is not None}}
     limits = {{"effort": effort, "max_seconds": max_seconds, "max_memory": max_memory}}
-    request = solvers__request.SolveRequest.of(
-        SYSTEM, [ENGINE.options], options, integrator=integrator, **accuracy, **domain, **limits
+    arguments = solvers__request.SolveArguments(
+        integrator=integrator, **accuracy, **domain, **limits
     )
+    request = solvers__request.SolveRequest.of(SYSTEM, [ENGINE.options], options, arguments)
     return share__export__program.solve_system(ENGINE, SYSTEM, METADATA, request)
 
 

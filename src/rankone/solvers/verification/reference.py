@@ -197,24 +197,23 @@ def reference_accuracy(rtol: float) -> float:
 def integrate_reference(
     system: System,
     points: Array,
-    horizon: tuple[float, float],
+    edges: Sequence[float],
     rtol: float,
-    cuts: Sequence[float] = (),
     integrator: str = "auto",
     workers: Workers | None = None,
     asked: Collection[int] | None = None,
 ) -> Reference:
-    """Integrate the system over a horizon at all points (m, d), by the option ``integrator``.
+    """Integrate the system between edges at all points (m, d), by the option ``integrator``.
 
     ``asked`` are the states that somebody asks for, None for all. ``workers`` take part where
     trajectories are integrated one by one or have many states. The integration begins anew at the
-    cuts: ascending times at which the time factors jump, kink or are narrow. It is a
+    inner edges: ascending times at which the time factors jump, kink or are narrow. It is a
     ConvergenceError if not a single step can be made; an OutOfBudgetError says how far the
     integration came.
     """
-    start, end = horizon
+    start, *cuts, end = edges
     reserve(8 * CHECK.numbers_of_state * len(points) * system.n_differential)
-    edges = integration_edges(system, points, horizon, cuts)
+    edges = integration_edges(system, points, (start, end), cuts)
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else CHECK.longest_step * (end - start)
@@ -362,7 +361,7 @@ def _intervals(
         def survives(place: Array, j: int = j, on_face: Array = on_face) -> NDArray[np.bool_]:
             face = np.insert(on_face, j, place.item(), axis=1)
             try:
-                ends = integrate_reference(system, face, domain.horizon, CHECK.face_rtol, cuts)
+                ends = integrate_reference(system, face, domain.edges(cuts), CHECK.face_rtol)
             except ConvergenceError:
                 return np.array([False])
             return np.array([ends.blown is None])

@@ -115,9 +115,8 @@ class ReferenceSet:
             integrate_reference(
                 system,
                 points,
-                domain.horizon,
+                domain.edges(cuts),
                 accuracy,
-                cuts,
                 request.integrator,
                 workers,
                 _states_read(system, check.states, request.observed),
@@ -166,9 +165,9 @@ class ReferenceSet:
 
     def at_accuracy(self, accuracy: float) -> ReferenceSet:
         """The same with trajectories of another relative tolerance."""
-        points, edges = self.reference.points, (self.domain.horizon, accuracy, self.cuts)
+        points, edges = self.reference.points, self.domain.edges(self.cuts)
         more = self.taken, self.workers, self.asked
-        reference = integrate_reference(self.system, points, *edges, *more)
+        reference = integrate_reference(self.system, points, edges, accuracy, *more)
         return replace(self, accuracy=accuracy, reference=reference)
 
     def sampled_again(
@@ -210,9 +209,9 @@ class ReferenceSet:
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
-        edges = self.domain.horizon, self.accuracy, self.cuts
+        edges = self.domain.edges(self.cuts)
         more = self.taken, self.workers, self.asked
-        further = integrate_reference(self.system, points, *edges, *more)
+        further = integrate_reference(self.system, points, edges, self.accuracy, *more)
         return replace(self, reference=self.reference.joined(further), checked=True)
 
     def without_lines(self) -> ReferenceSet:

@@ -164,6 +164,15 @@ def _mean(scaled: Array) -> float:
     return math.sqrt(float(np.dot(flat, flat)) / flat.size)
 
 
+@dataclass(frozen=True)
+class Collocation:
+    """How a step of Radau is taken: the Jacobians of its Newton matrices, and its stages."""
+
+    blocks: Callable[[float, Array], Jacobians]
+    looks_between: bool = True
+    stages: int = 3
+
+
 class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory.
 
@@ -186,12 +195,11 @@ class StackedRadau(explicit.Stepper, scipy.integrate.Radau):  # type: ignore[mis
         states: Array,
         tolerances: Tolerances,
         control: DefectControl | None,
-        blocks: Callable[[float, Array], Jacobians],
-        looks_between: bool = True,
-        stages: int = 3,
+        collocation: Collocation,
     ) -> None:
-        self._scheme = _Scheme.of(stages)
-        self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
+        self._scheme = _Scheme.of(collocation.stages)
+        self._blocks = collocation.blocks
+        self._shares = _BETWEEN_NODES if collocation.looks_between else ()
         super().__init__(rates, span, states, tolerances, control)
         start, end = span
         h = min(self.h_abs, self.max_step, end - start)

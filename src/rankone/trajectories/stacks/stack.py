@@ -33,7 +33,7 @@ from rankone.trajectories.integrators.integrator import (
     paths_over_shares,
 )
 from rankone.trajectories.stacks.explicit import Piece, Rates, StackedDOP853, Stepper
-from rankone.trajectories.stacks.implicit import StackedRadau
+from rankone.trajectories.stacks.implicit import Collocation, StackedRadau
 from rankone.trajectories.stacks.kinks import Kinks
 from rankone.trajectories.stacks.newton import implicit_step_cost, jacobians_for, stages_for
 from rankone.trajectories.stacks.taylor import StackedTaylor, TaylorSeries, TaylorTerms
@@ -454,9 +454,11 @@ class _Stack:
                 StackedRadau,
                 tolerances=self.tolerances.times(_RADAU_TOLERANCE),
                 control=control,
-                blocks=jacobians_for(self.system, self.points),
-                looks_between=not has_smooth_rates(self.system, self.edges[0]),
-                stages=stages_for(self.system, self.tolerances.relative),
+                collocation=Collocation(
+                    jacobians_for(self.system, self.points),
+                    looks_between=not has_smooth_rates(self.system, self.edges[0]),
+                    stages=stages_for(self.system, self.tolerances.relative),
+                ),
             )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
         return state, avoided
