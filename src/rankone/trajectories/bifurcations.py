@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import DIFFERENCE, EPSILON, NEGLIGIBLE, ROUNDING, SAME, Array, bisected
 from rankone.support.errors import LISTED, BlowUpError, ConvergenceError
-from rankone.trajectories.rest import EXACT, MOST_NEWTON_STEPS, SteadyStates
-from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
+from rankone.trajectories.rest import EXACT, SteadyStates
+from rankone.trajectories.system.features import (
+    NEWTON_STEPS,
+    Constraints,
+    Features,
+    Jumps,
+    VectorLike,
+)
 from rankone.trajectories.system.system import Rest, System
 
 _STEPS = 24  # Steps of the continuation from the centre to a point
@@ -142,7 +148,7 @@ def _on_way(
             0.0,
             states[:, there],
             np.ascontiguousarray(at[there].T),
-            MOST_NEWTON_STEPS,
+            NEWTON_STEPS,
             sizes[:, there],
         )
         yield states, at
@@ -345,7 +351,7 @@ class BranchLine:
     def _corrected(self, guess: Array, tangent: Array) -> _At | None:
         """The point of the branch next to a guess, across the tangent; None if there is none."""
         z, change = guess.copy(), np.inf
-        for _ in range(MOST_NEWTON_STEPS):
+        for _ in range(NEWTON_STEPS):
             slopes, units = self._slopes(z)
             matrix = np.vstack([slopes, tangent])
             off = np.append(self._residuals(z) / units, tangent @ (z - guess))

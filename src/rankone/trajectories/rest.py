@@ -19,7 +19,13 @@ from rankone.support.arrays import COARSE, COINCIDENT, NEGLIGIBLE, TINY, Array
 from rankone.support.errors import BlowUpError, ConvergenceError
 from rankone.trajectories.integrators.integrator import Tolerances
 from rankone.trajectories.integrators.integrator_choice import integrator_for
-from rankone.trajectories.system.features import Constraints, Features, Jumps, VectorLike
+from rankone.trajectories.system.features import (
+    NEWTON_STEPS,
+    Constraints,
+    Features,
+    Jumps,
+    VectorLike,
+)
 from rankone.trajectories.system.system import System
 
 _SAMPLES = 8  # Random states for each state
@@ -147,8 +153,6 @@ _SETTLING = _Settling(
     noise=1e-18,  # A state below this share of the largest one on the way is zero
     lengthened=4.0,  # Factor from one time to the next at which trajectories are looked at
 )
-MOST_NEWTON_STEPS = 15
-"""Steps of Newton's method from where a steady state is close."""
 # Of differences of fourth order, over the width of the box or the parameter itself
 _STEP = COINCIDENT**0.2
 _CENTRAL = ((1 / 12, -2.0), (-2 / 3, -1.0), (2 / 3, 1.0), (-1 / 12, 2.0))  # Of fourth order
@@ -374,7 +378,7 @@ class SteadyStates:
         larger on its way may still pass by.
         """
         columns = np.ascontiguousarray(points.T)
-        consistent = self._constraints.consistent(0.0, states, columns, MOST_NEWTON_STEPS, largest)
+        consistent = self._constraints.consistent(0.0, states, columns, NEWTON_STEPS, largest)
         units = np.where(largest > 0.0, largest, largest.max(axis=0))
         away = np.abs(consistent - states)
         consistent = np.where(

@@ -170,7 +170,7 @@ def test_what_is_not_there_for_correlations():
 
 
 def test_a_quadrature_that_does_not_settle_is_said(monkeypatch):
-    monkeypatch.setattr(moments, "_SETTLED_CHANGE", 0.0)
+    monkeypatch.setattr(moments, "SAME", 0.0)
     monkeypatch.setattr(moments, "_WARNED_CHANGE", 0.0)
     with pytest.warns(ro.RankoneWarning, match="has settled to"):
         rated("a*b", names="ab").mean(1.0, correlation={("a", "b"): 0.51})

@@ -27,7 +27,7 @@ from rankone.compiler.passes.first_order import FirstOrderSystem, weak_form
 from rankone.compiler.passes.lifting import NotLiftable, lift
 from rankone.compiler.passes.separation import separate
 from rankone.compiler.passes.switches import MOST_LEVELS, NotHeld
-from rankone.problem.expressions.notation import exact
+from rankone.problem.expressions.notation import FEW, exact
 from rankone.problem.expressions.stable import NUMPY, in_floats
 from rankone.problem.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, State
 from rankone.problem.functions import Table, namespace_of, table
@@ -36,7 +36,6 @@ from rankone.support.errors import ProblemError
 
 _STAIRS = (sp.floor, sp.ceiling, sp.frac, sp.Mod)
 _MARGIN = 0.02  # Part of the reached range on each side, or of a step, in which levels count too
-_FEW = 4  # Inner points of a table that are all written
 
 Reached: TypeAlias = Mapping[sp.Expr, tuple[float, float]]
 """The smallest and the largest value that each argument takes on trajectories."""
@@ -119,7 +118,7 @@ def _exact(numbers: Iterable[float]) -> list[sp.Expr]:
 def _written_points(points: Sequence[float], span: tuple[float, float]) -> range:
     """The places of the inner points of a table that are reached."""
     inner = range(1, len(points) - 1)
-    if len(inner) <= _FEW:
+    if len(inner) <= FEW:
         return inner
     lower, upper = span
     margin = _MARGIN * (upper - lower)

@@ -30,6 +30,7 @@ from rankone.problem.functions import Table, known_applied
 from rankone.problem.problem import Problem
 from rankone.solvers.request import Domain
 from rankone.support.arrays import (
+    AT_ONCE,
     COINCIDENT,
     HALVINGS,
     MANY_SAMPLES,
@@ -46,7 +47,6 @@ from rankone.trajectories.system.system import System, refuse_gap
 
 NamedExpression: TypeAlias = "tuple[str, int | None, sp.Expr]"
 """What an expression is, the user's equation it comes from, and the expression."""
-_MAX_CELLS = 1 << 18  # Cells between boundaries of coordinates: a few megabytes
 
 
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
@@ -276,7 +276,7 @@ def _cell_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | None
     """The first cell between the boundaries of each coordinate that lies in a region."""
     edges = [_edges(region, coordinate) for coordinate in involved]
     shape = [len(each) - 1 for each in edges]
-    indices = np.unravel_index(np.arange(min(math.prod(shape), _MAX_CELLS)), shape)
+    indices = np.unravel_index(np.arange(min(math.prod(shape), AT_ONCE)), shape)
     centres = [
         0.5 * (each[:-1] + each[1:])[index] for each, index in zip(edges, indices, strict=True)
     ]
@@ -297,7 +297,7 @@ def _edges(region: sp.Basic, coordinate: Coordinate) -> Array:
     """The ends of an interval and what boundaries of a region lie inside, ascending."""
     lower, upper = float(coordinate.lower), float(coordinate.upper)
     (cuts,) = cuts_of([coordinate], [region])
-    edges = [lower, upper, *cuts.inside(lower, upper, _MAX_CELLS)]
+    edges = [lower, upper, *cuts.inside(lower, upper, AT_ONCE)]
     inside = np.unique([edge for edge in edges if lower <= edge <= upper])
     least = COINCIDENT * max(abs(lower), abs(upper))
     return np.asarray(inside[np.concatenate([[True], np.diff(inside) > least])])

@@ -33,6 +33,7 @@ from rankone.problem.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.solution.compiled import CompiledProblem, compile_problem
 from rankone.support import errors
 from rankone.support.arrays import COARSE, NEGLIGIBLE, SAMPLES, Array
+from rankone.support.budget import WAITING
 from rankone.support.errors import listing, quote
 from rankone.tensors.coordinates import Coordinates
 from rankone.trajectories.integrators.integrator import Spans, Tolerances
@@ -264,9 +265,6 @@ def check_bounds(parameters: Sequence[Parameter]) -> None:
 _SPREAD = 2.0  # Around a nominal value, of the box that the problem is compiled over
 _SETTLE = 1e8  # Longest time to a steady state, in horizons
 _LATER = (1.0, 1e3)  # Horizons after which rates at rest have to be the same
-_MOST_WORK = (
-    1e9  # Operations of all trajectories of a search's point: far more than a good one takes
-)
 
 
 class CompiledModel:
@@ -348,7 +346,7 @@ class ExperimentSolution(IntegratedSolution):
         super().__init__(model.system, metadata, rtol)
         self._coordinates = Coordinates((metadata.time, *names), ((0.0, np.inf), *box))
         count = len(model.records.experiments)
-        self.most_work = np.inf if exact else _MOST_WORK / count
+        self.most_work = np.inf if exact else WAITING / count
         self.failures = () if exact else (*IntegratedSolution.failures, errors.RankoneError)
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -30,14 +30,13 @@ from rankone.inference.estimation.noise import noise_of
 from rankone.inference.estimation.observations import Measurements, Observations
 from rankone.inference.estimation.tables import is_table
 from rankone.solution.evaluation.core import SolutionCore
-from rankone.support.arrays import COARSE, NEGLIGIBLE, Array, spread
+from rankone.support.arrays import COARSE, MANY_SAMPLES, NEGLIGIBLE, Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, count, listing, quote, shown
 from rankone.support.options import LEVEL, checked_number, of_keywords, takes_options_of
 from rankone.tensors.joint_distribution import Distributions, by_name, measures_of
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
-_MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +212,7 @@ def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
     starts = checked_number("starts", options.starts, least, _SCREENED_POINTS)
     factor = operations_for(options.effort) / NORMAL
     starts = min(math.ceil(factor * starts), _SCREENED_POINTS)
-    screened = max(min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS), starts, 1)
+    screened = max(min(math.ceil(factor * _SCREENED_POINTS), MANY_SAMPLES), starts, 1)
     problem = problem_of(trials, options)
     points = spread(screened, len(problem.free.names), np.random.default_rng(7))
     points[0] = 0.5

@@ -409,7 +409,6 @@ def _fisher(correlation: float, shift: float, variance: float, level: float) -> 
 
 _STEP = 0.1  # Displacements in standard errors for differences
 _LARGEST_CORRECTION = 0.5  # Largest change of the logarithm of a standard deviation
-_LEAST_FREEDOM = 1.0
 
 
 @dataclass(frozen=True)
@@ -447,7 +446,7 @@ class Uncertainty:
         """
         if not (math.isfinite(variance) and variance > 0.0):
             return 0.0, math.inf
-        freedom = max(0.5 / variance * math.exp(-2.0 * shift), _LEAST_FREEDOM)
+        freedom = max(0.5 / variance * math.exp(-2.0 * shift), 1.0)
         corrected = estimate * math.exp(shift)
         low, high = scipy.stats.chi2.ppf([0.5 - 0.5 * level, 0.5 + 0.5 * level], freedom)
         return corrected * math.sqrt(freedom / high), corrected * math.sqrt(freedom / low)
@@ -477,7 +476,7 @@ def uncertainty_of(marginal: Marginal, optimum: Optimum) -> Uncertainty:
         before, after = _of_means(information, box, scale)[1]
         inflation = np.nan_to_num(after / before, nan=1.0, posinf=1.0)
         variances = np.einsum("vb,vw,wb->b", slope[:, 1:], among, slope[:, 1:])
-        freedom = np.maximum(2.0 / variances / np.maximum(inflation, 1e-3), _LEAST_FREEDOM)
+        freedom = np.maximum(2.0 / variances / np.maximum(inflation, 1e-3), 1.0)
     freedom = np.where(variances > 0.0, freedom, 1e9)
     assert inflation.size == means.stop
     covariance = covariance + flat @ flat.T  # what the box says of these

@@ -23,10 +23,10 @@ from rankone.problem.algebra.term_table import (
     Value,
     rational,
 )
+from rankone.problem.expressions.notation import FEW
 from rankone.problem.expressions.stable import HIGH_POWER
 from rankone.support.arrays import EXACT_DIGITS
 
-_LONG = 4  # Arguments of this many terms and more are searched for what cancels
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)
 
@@ -165,7 +165,7 @@ class TermSums:
     def _applied(self, operation: str, *arguments: TermSum) -> TermSum:
         """The symbol of an operation as a sum."""
         cleaned = [without_zeros(self._with_fractions(argument)) for argument in arguments]
-        cleaned = [self._without_cancellation(a) if len(a) >= _LONG else a for a in cleaned]
+        cleaned = [self._without_cancellation(a) if len(a) >= FEW else a for a in cleaned]
         return {(0, (self._laws.symbol(operation, *cleaned),)): Fraction(1)}
 
     def _with_fractions(self, total: TermSum) -> TermSum:

@@ -19,7 +19,7 @@ from sympy.core.function import Application
 
 from rankone.problem.box import Box
 from rankone.problem.expressions.conditions import KEPT, rate_of
-from rankone.problem.expressions.notation import exact
+from rankone.problem.expressions.notation import FEW, exact
 from rankone.support.arrays import MANY_STATES, Deferred, Item
 from rankone.support.errors import ProblemError
 from rankone.tensors.coordinates import name_of
@@ -29,7 +29,6 @@ Product = tuple[int, tuple[int, ...]]
 TermSum = dict[Product, Fraction]
 """A coefficient for each product."""
 
-_MOST_INSIDE = 4  # Terms of a sum that are written inside a form; longer sums are symbols
 _LARGEST_FORM = 24  # Terms of all sums inside a form; what is inside a larger one is a symbol
 _ARITHMETIC: dict[str, Callable[..., sp.Expr]] = {
     "fraction": lambda a, b: a / (a + b),
@@ -122,7 +121,7 @@ class RateLaws:
     def _argument(self, argument: TermSum) -> tuple[tuple[Product, Fraction], ...]:
         """A sum in a fixed order; a long one is the symbol of its own."""
         written = tuple(sorted(argument.items()))
-        if sum(bool(symbols) for (_, symbols), _ in written) < _MOST_INSIDE >= len(written):
+        if sum(bool(symbols) for (_, symbols), _ in written) < FEW >= len(written):
             return written
         return (((0, (self._place(_Applied("", (written,), 1, True)),)), Fraction(1)),)
 

@@ -15,6 +15,7 @@ import sympy as sp
 from sympy.core.relational import Relational
 
 from rankone.problem.expressions.conditions import slope
+from rankone.problem.expressions.notation import FEW
 from rankone.problem.functions import Table, nodes_of
 from rankone.support.arrays import EXACT_DIGITS, Array
 
@@ -73,7 +74,6 @@ Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
 _PERIODIC = (sp.sin, sp.cos)
 _HIGH_POWER = 100  # A power from which a function counts as a peak where its base is extreme
-_FEW_ADDENDS = 4  # Most addends of a sum that may be a threshold
 
 
 def peaks(
@@ -124,7 +124,7 @@ def subexpressions(expressions: Iterable[sp.Basic], *functions: type) -> list[sp
 
 def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     """What vanishes where an exponential is as large as another addend of a short sum."""
-    addends = base.args if base.is_Add and len(base.args) <= _FEW_ADDENDS else ()
+    addends = base.args if base.is_Add and len(base.args) <= FEW else ()
     for first, second in itertools.combinations(addends, 2):
         (rest, exponent), (other_rest, other) = map(_without_exponentials, (first, second))
         step = exponent - other

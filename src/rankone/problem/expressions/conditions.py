@@ -19,13 +19,13 @@ from sympy.core.relational import Relational
 from sympy.functions.elementary.piecewise import ExprCondPair
 from sympy.logic.boolalg import Boolean, Xor
 
+from rankone.problem.expressions.notation import FEW
 from rankone.problem.forms import Coordinate
 from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError, quote
 
 _MOST_PARTS = 32  # Comparisons that one is written as: more of them are no clearer
 _MOST_MIXED = 6  # Parameters of products of them, whose corners are all looked at
-_MOST_BRANCHES = 4  # Of a piecewise function that may be a saturation
 _SWITCHING = (sp.Piecewise, sp.Heaviside, sp.sign)
 _ORDERED = (sp.Gt, sp.Ge, sp.Lt, sp.Le)
 
@@ -122,7 +122,7 @@ def _step(node: sp.Expr, args: list[sp.Expr], parameters: Sequence[Coordinate]) 
 def _saturation(piecewise: sp.Piecewise, parameters: Sequence[Coordinate]) -> sp.Expr:
     """A piecewise function whose branches meet where they change, as extremes of them."""
     *cases, (rest, otherwise) = piecewise.args
-    if otherwise is not sp.true or len(cases) >= _MOST_BRANCHES:
+    if otherwise is not sp.true or len(cases) >= FEW:
         return piecewise
     for branch, condition in reversed(cases):
         if not isinstance(condition, _ORDERED):

@@ -70,7 +70,6 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
 _LOGICAL: dict[str, Callable[..., sp.Basic]] = {"And": sp.And, "Or": sp.Or, "Not": sp.Not}
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
-_LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any float needs
 _LARGEST_LOGARITHM = 300 * math.log(
     10
 )  # Of a power of numbers: near the largest float, with room for a factor
@@ -277,8 +276,7 @@ class _Translator(ast.NodeVisitor):
         scale = base.as_coeff_Mul()[0]  # SymPy takes its power
         if scale.is_Rational and exponent.is_Rational:
             bits = max(int(scale.p).bit_length(), int(scale.q).bit_length())
-            most = _LARGEST_POWER_BITS if base == scale else LARGEST_SCALE_BITS
-            large = scale != 1 and bits * abs(exponent) > most
+            large = scale != 1 and bits * abs(exponent) > LARGEST_SCALE_BITS
             if large or (base == scale and _logarithm(base, exponent) > _LARGEST_LOGARITHM):
                 power = sp.Pow(scale, exponent, evaluate=False)
                 raise self.error(f"{quote(power)} is too large a number")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +19,7 @@ from rankone.share.commands import solve_files, solved_files
 from rankone.share.commands.common import BAD_INPUT, FAILURE, complain, spelled
 from rankone.support.errors import SIMILAR
 
-_INTERRUPTED = 130  # Exit status after an interrupt, as shells have it: 128 and the signal
+_INTERRUPTED = 128 + signal.SIGINT  # Exit status after an interrupt, as shells have it
 _BROKEN_PIPE = 141  # Exit status when the reader of the output has gone
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from rankone.share.export.mathml import Notation
 from rankone.share.export.packing import PackedBranch, PackedModel, PackedTimeline, pack
 from rankone.share.export.pages import (
+    CURVE_TIMES,
     ENDED,
     asked_for,
     equation_fields,
@@ -33,7 +34,7 @@ from rankone.share.export.pages import (
     unknown_entries,
 )
 from rankone.solvers.outcome import Measured, Role
-from rankone.support.arrays import Array
+from rankone.support.arrays import SAME, Array
 from rankone.support.errors import ExportError, RankoneWarning, listing
 from rankone.support.files import write_files
 from rankone.tensors.branch_evaluator import BranchEvaluator
@@ -120,16 +121,13 @@ def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
 # The data of the page, and its sentences about the solution.
 
 
-_CURVE_TIMES = 401  # Evenly spaced times at which curves are drawn: about one for two pixels
 _TIMES_IN_SLAB = 4  # Further times in each slab
 _MOST_SLABS = 100  # Slabs up to which each has further times; of more slabs, even times show enough
-_SENSITIVITY_TIMES = 121  # Evenly spaced times with Sobol indices
+_SENSITIVITY_TIMES = 61  # Evenly spaced times with Sobol indices, at first
 _MOST_SENSITIVITY_TIMES = 600  # Most times with Sobol indices, so that a page stays small
 _MAX_HALVINGS = 8  # How often the intervals between times with Sobol indices are halved
 _SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about a pixel
-_EVENT_SENSITIVITY_TIMES = 61  # The same with events: from points, within 0.02
 _TIMES_IN_STRETCH = 16  # Times at least in each stretch between events
-_NARROWEST_INTERVAL = 1e-6  # Part of the horizon that is not halved: indices jump there
 _SHARE_DIGITS = 5  # Significant digits of Sobol indices
 _MOST_NAMED = 3  # Parameters up to which each range is in the first sentence
 
@@ -219,7 +217,7 @@ def curve_times(solution: DistributionOverBox) -> Array:
     events the page adds its own times in each stretch.
     """
     start, end = solution.time
-    times = [np.linspace(start, end, _CURVE_TIMES)]
+    times = [np.linspace(start, end, CURVE_TIMES)]
     slabs = solution.outcome.slabs
     if solution.outcome.timeline is None and len(slabs) <= _MOST_SLABS:
         times += [
@@ -253,7 +251,7 @@ def _around_fixed_borders(
     """Times around the borders of stretches that are the same at two corners and in the middle."""
     ends = np.array(list(box.values())).reshape(-1, 2)
     borders = evaluator.borders(ends @ np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]]))
-    aside = _NARROWEST_INTERVAL * (evaluator.horizon[1] - evaluator.horizon[0])
+    aside = SAME * (evaluator.horizon[1] - evaluator.horizon[0])
     fixed = borders[np.ptp(borders, axis=1) <= aside]
     return np.concatenate([fixed.min(axis=1) - aside, fixed.max(axis=1) + aside])
 
@@ -269,12 +267,11 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
         return np.stack(solution._first_and_total(times, solution._statistics()))
 
     eventful = solution.outcome.timeline is not None
-    count = _EVENT_SENSITIVITY_TIMES if eventful else _SENSITIVITY_TIMES
-    times = _with_both_sides(solution, np.linspace(*solution.time, count))
+    times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITY_TIMES))
     shares = shares_at(times)
     for _ in range(0 if eventful else _MAX_HALVINGS):
         middles = 0.5 * (times[1:] + times[:-1])
-        wide = np.diff(times) > _NARROWEST_INTERVAL * (times[-1] - times[0])
+        wide = np.diff(times) > SAME * (times[-1] - times[0])
         exact, between = shares_at(middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
         close = (np.abs(exact - between) <= _SHARE_TOLERANCE) | (
             np.isnan(exact) & np.isnan(between)

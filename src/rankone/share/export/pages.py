@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "explorer"
 ENDED = ".* still running"
 """A warning that pages ignore: they say themselves that some trajectories have ended."""
+CURVE_TIMES = 401  # Times of a curve: about one for two pixels
 _CURVE_DIGITS = 7  # Significant digits of bands
 _MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
 _VENDOR = _FOLDER.parent / "vendor"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rankone.solution.evaluation.core import timeline_evaluator
 from rankone.solvers.branches import evaluator_of_branches
+from rankone.solvers.tuning import CHECK
 from rankone.solvers.verification.measure import undecided_share
 from rankone.solvers.verification.points import Climb, Coverage, climbed
 from rankone.support.arrays import HALVINGS, Array
@@ -28,7 +29,6 @@ from rankone.trajectories.system.timeline import BranchedTimeline, Timeline
 
 RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
 _SHARES_AT_ENDS = (0.0, 0.5, 1.0)  # Parameters at ends of their intervals, by thirds
-BORDER_SIDE = 1.001  # Distance from an event at which values are compared, over the one left out
 _MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
 _GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
 _MAX_LOOSENING = 4.0  # Largest tolerance of the cut over ``rtol``: it bounds a mean square
@@ -156,7 +156,7 @@ class _SlabComparison:
         borders = self._before(half)[-1 - self._timeline.stretches :]
         border = rng.integers(0, len(borders), half.shape[1])
         times = borders[border, np.arange(half.shape[1])]
-        times += BORDER_SIDE * self._apart * rng.choice([-1.0, 1.0], half.shape[1])
+        times += CHECK.event_distance * self._apart * rng.choice([-1.0, 1.0], half.shape[1])
         self._points[0, ::2] = np.clip(times, *self._intervals[0])
 
 
@@ -413,7 +413,12 @@ class _BranchComparison:
         borders = self._before.borders(half[1:])
         border = rng.integers(0, len(borders), half.shape[1])
         times = borders[border, np.arange(half.shape[1])]
-        times += BORDER_SIDE * self._rtol * self._length * rng.choice([-1.0, 1.0], half.shape[1])
+        times += (
+            CHECK.event_distance
+            * self._rtol
+            * self._length
+            * rng.choice([-1.0, 1.0], half.shape[1])
+        )
         times = np.where(np.isfinite(times), times, half[0])
         self._points[0, ::2] = np.clip(times, *self._intervals[0])
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from rankone.inference.calibration.result import Calibration, Comparison
 from rankone.inference.estimation.fit import Fit
+from rankone.share.export.pages import CURVE_TIMES
 from rankone.share.plotting import style
-from rankone.share.plotting.style import CURVE_TIMES, fine_times, needs_time
+from rankone.share.plotting.style import fine_times, needs_time
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, check_kind, did_you_mean, listing, quote
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rankone.share.export.pages import CURVE_TIMES
 from rankone.share.plotting import style
 from rankone.share.plotting.style import (
     MOST_NAMED,
@@ -158,7 +159,7 @@ def plot_modes(
     shown = min(modes, form.rank)
     for panel, axis in zip(axes, form.axes, strict=False):
         start, end = axis.scale.to_scale(np.array([axis.breaks[0], axis.breaks[-1]]))
-        points = axis.scale.from_scale(np.linspace(start, end, style.CURVE_TIMES))
+        points = axis.scale.from_scale(np.linspace(start, end, CURVE_TIMES))
         functions = axis.interpolate(form.factors[axis.name][:, :shown], points)
         for i, column in enumerate(functions.T):
             panel.plot(points, column, label=f"{i + 1}")

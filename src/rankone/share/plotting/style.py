@@ -41,7 +41,7 @@ BAND: dict[str, Any] = {"alpha": 0.2, "linewidth": 0}
 MOST_NAMED = len(PALETTE)
 """Lines up to which each one is named: as many as there are colours."""
 
-_MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
+MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
 _SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark nor too light
 FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
 _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
@@ -273,19 +273,17 @@ def range_of(solution: Solution, name: str) -> str:
 def labels_of(solution: Solution, names: Sequence[str]) -> str:
     """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
     units = dict(solution.metadata.units)
-    text = "unknowns" if len(names) > _MOST_IN_LABEL else ", ".join(names)
+    text = "unknowns" if len(names) > MOST_IN_LABEL else ", ".join(names)
     if len({units.get(name) for name in names}) == 1:
         unit = units.get(names[0])
         return f"{text} [{unit}]" if unit else text
-    return text if len(names) > _MOST_IN_LABEL else ", ".join(label_of(solution, n) for n in names)
+    return text if len(names) > MOST_IN_LABEL else ", ".join(label_of(solution, n) for n in names)
 
 
 # -----------------------------------------------------------------------------
 # Arguments of plots: the solution, the unknowns and the times that they select, checked.
 
 
-CURVE_TIMES = 401
-"""Times of a curve, about a pixel each."""
 SMOOTH_POINTS = 201
 """Points of what is smoother than a curve: bands, indices, densities."""
 

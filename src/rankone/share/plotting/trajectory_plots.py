@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.share.export.pages import CURVE_TIMES
 from rankone.share.plotting import style
 from rankone.share.plotting.style import (
-    CURVE_TIMES,
     check_solution,
     needs_time,
     states_of,
@@ -20,7 +20,7 @@ from rankone.share.plotting.style import (
 )
 from rankone.solution.evaluation.domains import merged
 from rankone.solution.statistics.over_box import CENTRAL
-from rankone.support.arrays import Array
+from rankone.support.arrays import MANY_SAMPLES, Array
 from rankone.support.errors import OptionError, shown
 from rankone.support.options import checked_number
 from rankone.tensors.coordinates import round_off
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from rankone.solution.solution import Solution
 
-_MOST_EVENTS = 3  # Events that the label of their ticks names
-_BAND_POINTS = 2**15  # Points over the box for quantiles
 # Strokes of the unknowns of a family of curves
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
@@ -157,7 +155,7 @@ def _draw_events(ax: Axes, times: Mapping[str, Array]) -> list[Line2D]:
     every = np.unique(np.concatenate([*times.values()]))
     along = ax.get_xaxis_transform()
     ticks = ax.plot(every, np.zeros(every.size), "|", color="0.3", transform=along)[0]
-    label = f"at {', '.join(names)}" if len(names) <= _MOST_EVENTS else "at events"
+    label = f"at {', '.join(names)}" if len(names) <= style.MOST_IN_LABEL else "at events"
     ticks.set(markersize=10, markeredgewidth=1, label=label, clip_on=False)
     return [ticks]
 
@@ -282,7 +280,7 @@ def plot_bands(
     statistics = solution._statistics(under, correlation)
     mean = statistics.mean(times)[rows]
     if sigmas is None:
-        lower, upper = statistics.quantiles(times, np.array(ends), _BAND_POINTS)[0][:, rows]
+        lower, upper = statistics.quantiles(times, np.array(ends), MANY_SAMPLES)[0][:, rows]
         meaning = f"{100 * ends[0]:.3g} to {100 * ends[1]:.3g} %"
     else:
         spread = sigmas * np.sqrt(statistics.variance(times)[rows])

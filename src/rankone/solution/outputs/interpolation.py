@@ -28,7 +28,7 @@ from rankone.solution.outputs.stretch_sampling import ClockSampler, StretchSampl
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Measured, Outcome
 from rankone.solvers.request import Domain
-from rankone.support.arrays import AT_ONCE, COINCIDENT, MINOR, TINY, Array
+from rankone.support.arrays import AT_ONCE, COINCIDENT, MINOR, SAMPLES, TINY, Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
@@ -73,14 +73,12 @@ DEFAULT_MARGIN = 1.5  # Default tolerance over the effect of errors of the solut
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
 _MAX_ATTEMPTS = 8  # Most interpolations: errors that do not fall by then belong to jumps
 _DEAR_SHARE = 0.02  # Share of the budget from which on an attempt has to promise something
-_ROUNDED_UP = 1.2  # Tolerance that is offered over the error that was measured
 _TRAIN_SHARE = 0.7  # Share of the remaining budget for the interpolation
 _TIME_PROBES = 12  # Points whose functions of time are resolved, besides the corners
 _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
 _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
-_CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
 
 
 @contextmanager
@@ -219,7 +217,7 @@ class OutputInterpolation:
         """
         timeline = self._timeline
         assert timeline is not None
-        times = np.linspace(*timeline.horizon, _CLOCK_TIMES)
+        times = np.linspace(*timeline.horizon, SAMPLES)
         exact, compared = sampler.at_clock(times, check.points)
         points = np.ascontiguousarray(check.points.T)
         interpolated = timeline_evaluator(slabs, timeline).curves(
@@ -394,7 +392,7 @@ def _with_honest_remedy(outcome: Outcome) -> Outcome:
     """An outcome whose remedy is not more effort."""
     if outcome.measured is None or _OF_INTERPOLATION not in outcome.notes:
         return outcome
-    enough = _ROUNDED_UP * outcome.measured.error
+    enough = DEFAULT_MARGIN * outcome.measured.error
     looser = f"give rtol={enough:.1e}, or " if enough <= max(RTOLS) else ""
     remedy = Remedy(f"{looser}restrict the solution to where it is smooth; {_HARDLY}")
     notes = (remedy if note is _OF_INTERPOLATION else note for note in outcome.notes)

@@ -41,8 +41,6 @@ _SIZE_POINTS = 2**10  # Points that tell the sizes of states
 _EVALUATIONS, _EVALUATIONS_TO_BEGIN = 2**23, 20
 _FEWEST_EACH, _MOST_EACH = 2**5, 2**10  # Points of a set for them
 _FEWEST_OF_FACE = 2**3  # Points of a set where one parameter has a value
-_TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
-_POINTS_AT_ONCE = 1024
 
 
 class TimelineStatistics(Statistics):
@@ -218,12 +216,9 @@ class TimelineStatistics(Statistics):
     ) -> Iterator[tuple[int, Array]]:
         """The position of each time, and the states (rows, N) there."""
         at = np.array(rows, dtype=np.intp)
-        for begin in range(0, times.size, _TIMES_AT_ONCE):
-            block = times[begin : begin + _TIMES_AT_ONCE, None]
-            states = np.empty((at.size, block.size, points.shape[1]))
-            for start in range(0, points.shape[1], _POINTS_AT_ONCE):
-                here = slice(start, start + _POINTS_AT_ONCE)
-                states[:, :, here] = self.evaluator.curves(block, points[:, here], at)
+        step = max(AT_ONCE // max(at.size * points.shape[1], 1), 1)
+        for begin in range(0, times.size, step):
+            states = self.evaluator.curves(times[begin : begin + step, None], points, at)
             yield from enumerate(states.swapaxes(0, 1), begin)
 
     # --- averages over lines -------------------------------------------------------------------

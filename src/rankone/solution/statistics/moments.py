@@ -20,16 +20,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import AT_ONCE, MINOR, NEGLIGIBLE, Array
+from rankone.support.arrays import AT_ONCE, MINOR, NEGLIGIBLE, SAME, Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.joint_distribution import Copula, JointDistribution
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
-# Relative change from one quadrature to the next that is accepted. For smooth functions the error
-# of the finer one is far below it, with kinks it is about as large.
-_SETTLED_CHANGE = 1e-6
 _WARNED_CHANGE = 1e-4  # Relative change above which a user is warned: it shows in four digits
 
 
@@ -167,7 +164,7 @@ class ConditionalMoments(TrainMoments):
                     float(np.linalg.norm(mean - coarser[0]) / np.sqrt(size or 1.0)),
                     float(np.linalg.norm(covariance - coarser[1]) / (size or 1.0)),
                 )
-                if change <= _SETTLED_CHANGE:
+                if change <= SAME:
                     break
             coarser = mean, covariance
         if change > _WARNED_CHANGE:
@@ -208,7 +205,7 @@ class ConditionalMoments(TrainMoments):
             mean = self._means_of_product(fixed, weights.size, 0) @ weights
             if coarser is not None:
                 change = np.linalg.norm(mean - coarser)
-                if change <= _SETTLED_CHANGE * np.linalg.norm(mean):
+                if change <= SAME * np.linalg.norm(mean):
                     break
             coarser = mean
         return np.asarray(mean)

@@ -25,21 +25,23 @@ from rankone.trajectories.integrators.diagnosis import (
     runs_away,
     switching_state,
 )
-from rankone.trajectories.integrators.integrator import LAST_GAP, DenseTrajectories, Tolerances
+from rankone.trajectories.integrators.integrator import (
+    LAST_GAP,
+    SIZE_TIMES,
+    DenseTrajectories,
+    Tolerances,
+)
 from rankone.trajectories.integrators.integrator_choice import following, integrator_for
 from rankone.trajectories.integrators.workers import Workers
 from rankone.trajectories.stacks.stack import has_smooth_rates
 from rankone.trajectories.system.system import System, refuse_gap
-
-SAMPLES = 201
-"""Evenly spaced times that tell the sizes of states, and where surfaces are crossed."""
 
 
 def narrow_times(reference: Reference, observed: Observation | None, end: float) -> Array:
     """When trajectories of the reference cross the surfaces of what is observed, in order: (k,)."""
     if observed is None or observed.surfaces is None:
         return np.empty(0)
-    times = np.linspace(reference.start, end, SAMPLES)
+    times = np.linspace(reference.start, end, SIZE_TIMES)
     places: set[tuple[int, int, int]] = set()
     for block, first in _blocks(reference, times):
         part = times[first : first + block.shape[2]]

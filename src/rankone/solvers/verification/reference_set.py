@@ -24,7 +24,6 @@ from rankone.solvers.verification.points import (
     surface_points,
 )
 from rankone.solvers.verification.reference import (
-    SAMPLES,
     Reference,
     integrate_reference,
     integration_edges,
@@ -36,7 +35,7 @@ from rankone.support.budget import OutOfWorkError, limited, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.time_grid import times_within
 from rankone.trajectories.events.sides import OrderError
-from rankone.trajectories.integrators.integrator import SampledTrajectories, Tolerances
+from rankone.trajectories.integrators.integrator import SIZE_TIMES, SampledTrajectories, Tolerances
 from rankone.trajectories.integrators.integrator_choice import (
     explicit_steps,
     following,
@@ -261,7 +260,7 @@ class ReferenceSet:
         get a size of which their rounding errors are a small part.
         """
         start, end = self.reference.start, self.end
-        times = np.linspace(start, end, SAMPLES)
+        times = np.linspace(start, end, SIZE_TIMES)
         for a, b in itertools.pairwise([start, *self.system.jumps.inside(start, end), end]):
             times = np.concatenate([times, times_within(a, b, _JUMP_SHARES)])
         blocks: Iterator[Array] = map(self.system.with_products, self.reference.blocks(times))
@@ -322,7 +321,7 @@ class ReferenceSet:
     @cached_property
     def _of_quantities(self) -> Array:
         """Largest absolute value of each quantity that is observed; one for a vanishing one."""
-        even = np.linspace(self.reference.start, self.end, SAMPLES)
+        even = np.linspace(self.reference.start, self.end, SIZE_TIMES)
         largest = _largest(self.quantities(np.concatenate([even, self.narrow_times])))
         sizes = self.interior(largest, axis=1).max(axis=1)
         return np.where(sizes > 0.0, sizes, 1.0)

@@ -28,6 +28,7 @@ from rankone.trajectories.events.sides import REMEDY, OrderError, at_point, on_s
 from rankone.trajectories.events.stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
+    SIZE_TIMES,
     Paths,
     SeparateRun,
     SpanIntegrator,
@@ -40,7 +41,6 @@ from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES
 
 _NOT_FINITE = "runs to where its rates are not finite"
-_SAMPLES = 129  # Places of pseudo-time, evenly spaced, that tell the sizes of states
 
 
 class ContinuationError(OrderError):
@@ -82,7 +82,7 @@ class ForcedTrajectories(PseudoTimeTrajectories):
 
     @property
     def largest(self) -> Array:
-        return np.asarray(np.abs(self(np.linspace(0.0, self.end, _SAMPLES))).max(axis=2))
+        return np.asarray(np.abs(self(np.linspace(0.0, self.end, SIZE_TIMES))).max(axis=2))
 
     @property
     def early(self) -> Array:

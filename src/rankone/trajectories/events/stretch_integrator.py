@@ -19,6 +19,7 @@ from rankone.trajectories.events.sides import check_sides, times_to_check
 from rankone.trajectories.events.stretches import PseudoTimeTrajectories
 from rankone.trajectories.integrators.integrator import (
     EARLY_STEPS,
+    SIZE_TIMES,
     Path,
     Paths,
     SampledTrajectories,
@@ -35,7 +36,6 @@ from rankone.trajectories.system.system import Clock, System
 from rankone.trajectories.system.timeline import CLOCK_STATES
 
 _DIGITS = 12  # Decimal digits of pseudo-times that differ
-_LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class StretchTrajectories(PseudoTimeTrajectories):
         largest = np.concatenate([np.stack(states, axis=1), clock])
         if not self.system.n_lifted:
             return largest
-        lifted = self(np.linspace(0.0, self.end, _LIFTED_SAMPLES))[len(largest) :]
+        lifted = self(np.linspace(0.0, self.end, SIZE_TIMES))[len(largest) :]
         return np.concatenate([largest, np.abs(lifted).max(axis=2)])
 
     def __call__(self, times: Array) -> Array:

@@ -224,6 +224,8 @@ def joined(paths: Sequence[Path]) -> Path:
 # What an integrator takes and gives: trajectories of a system at many parameter points.
 
 
+SIZE_TIMES = 201
+"""Evenly spaced times that tell the sizes of states, and where surfaces are crossed."""
 LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
 EARLY_STEPS = 4  # Steps after which states that start from zero show their size
 JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that is made or read

@@ -420,9 +420,8 @@ class GuardedFunction:
 # from them, and shows how far states are from satisfying them.
 
 
-_CALLS = 30  # Of NumPy in a step of Newton's method
 _SHORT = EPSILON**0.5  # Relative length of steps from which rounding decides on the residual
-_MOST_PROJECTIONS = 20  # Steps of Newton's method towards all constraints, from close by
+NEWTON_STEPS = 20  # Steps of Newton's method from close by
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,7 +457,7 @@ class Constraints:
                 open_ = np.flatnonzero(~converged)
                 if not open_.size:
                     break
-                charge(_CALLS * CALL + open_.size * pseudo_inverse(len(self.names), len(rows)))
+                charge(30 * CALL + open_.size * pseudo_inverse(len(self.names), len(rows)))
                 states[:, open_], changes = self._stepped(
                     t, states[:, open_], p[:, open_], least[:, open_]
                 )
@@ -523,7 +522,7 @@ class Constraints:
             return states
         sizes = np.abs(states).max(axis=1, initial=0.0)
         sizes = np.where(sizes > 0.0, sizes, sizes.max(initial=0.0) or 1.0)
-        for _ in range(_MOST_PROJECTIONS):
+        for _ in range(NEWTON_STEPS):
             states = states - self._least_changes(t, states, p, sizes)
         with np.errstate(all="ignore"):
             return np.where(self._hold(t, states, p), states, np.nan)
