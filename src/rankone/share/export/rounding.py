@@ -413,12 +413,8 @@ class _BranchComparison:
         borders = self._before.borders(half[1:])
         border = rng.integers(0, len(borders), half.shape[1])
         times = borders[border, np.arange(half.shape[1])]
-        times += (
-            CHECK.event_distance
-            * self._rtol
-            * self._length
-            * rng.choice([-1.0, 1.0], half.shape[1])
-        )
+        distance = CHECK.event_distance * self._rtol * self._length
+        times += distance * rng.choice([-1.0, 1.0], half.shape[1])
         times = np.where(np.isfinite(times), times, half[0])
         self._points[0, ::2] = np.clip(times, *self._intervals[0])
 
