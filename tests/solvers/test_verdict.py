@@ -135,7 +135,10 @@ def test_a_kink_that_takes_all_of_the_budget_is_named(rate, boundary, smooth):
             sp.floor(2 * x + a), "wherever `a + 2*x` is a whole number", marks=pytest.mark.slow
         ),
         pytest.param(sp.Mod(x, b), "wherever `x/b` is a whole number", marks=pytest.mark.slow),
-        (ro.table([-9, -1, 0, 1, 9], [0, 1, 0, 1, 0])(x), "at `x` = -9, -1, 0, 1 and 1 more"),
+        (
+            ro.table([-9, -5, -1, 0, 1, 5, 9], [0, 1, 0, 1, 0, 1, 0])(x),
+            "at `x` = -9, -5, -1, 0, 1, 5 and 1 more",
+        ),
     ],
 )
 def test_a_staircase_that_takes_all_of_the_budget_is_named(term, where):

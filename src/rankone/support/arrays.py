@@ -52,6 +52,8 @@ MANY_STATES = 64
 """States from which on tables and sparse matrices serve better than a line and a row for each."""
 AT_ONCE = 1 << 19
 """Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
+FEW = 4
+"""Terms, or branches, up to which each one is looked at, or written out."""
 SAMPLES = 64
 """Points, or times, that show what is smooth: its size, its sign, and whether it holds."""
 MANY_SAMPLES = 4096

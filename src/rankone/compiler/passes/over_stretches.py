@@ -27,11 +27,11 @@ from rankone.compiler.passes.first_order import FirstOrderSystem, weak_form
 from rankone.compiler.passes.lifting import NotLiftable, lift
 from rankone.compiler.passes.separation import separate
 from rankone.compiler.passes.switches import MOST_LEVELS, NotHeld
-from rankone.problem.expressions.notation import FEW, exact
+from rankone.problem.expressions.notation import exact
 from rankone.problem.expressions.stable import NUMPY, in_floats
 from rankone.problem.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, State
 from rankone.problem.functions import Table, namespace_of, table
-from rankone.support.arrays import NEGLIGIBLE, Array, lobatto
+from rankone.support.arrays import FEW, NEGLIGIBLE, Array, lobatto
 from rankone.support.errors import ProblemError
 
 _STAIRS = (sp.floor, sp.ceiling, sp.frac, sp.Mod)

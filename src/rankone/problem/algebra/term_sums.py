@@ -23,9 +23,8 @@ from rankone.problem.algebra.term_table import (
     Value,
     rational,
 )
-from rankone.problem.expressions.notation import FEW
 from rankone.problem.expressions.stable import HIGH_POWER
-from rankone.support.arrays import EXACT_DIGITS
+from rankone.support.arrays import EXACT_DIGITS, FEW
 
 # Forms that are printed at most, in shares of the states: each takes SymPy as long as an equation
 _MOST_FORMS = Fraction(1, 4)

@@ -19,8 +19,8 @@ from sympy.core.function import Application
 
 from rankone.problem.box import Box
 from rankone.problem.expressions.conditions import KEPT, rate_of
-from rankone.problem.expressions.notation import FEW, exact
-from rankone.support.arrays import MANY_STATES, Deferred, Item
+from rankone.problem.expressions.notation import exact
+from rankone.support.arrays import FEW, MANY_STATES, Deferred, Item
 from rankone.support.errors import ProblemError
 from rankone.tensors.coordinates import name_of
 

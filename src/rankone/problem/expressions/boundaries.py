@@ -15,9 +15,8 @@ import sympy as sp
 from sympy.core.relational import Relational
 
 from rankone.problem.expressions.conditions import slope
-from rankone.problem.expressions.notation import FEW
 from rankone.problem.functions import Table, nodes_of
-from rankone.support.arrays import EXACT_DIGITS, Array
+from rankone.support.arrays import EXACT_DIGITS, FEW, Array
 
 CONTINUOUS = (sp.Abs, sp.Max, sp.Min, sp.asin, sp.acos, sp.Pow)
 """Functions that are continuous, but not smooth everywhere."""

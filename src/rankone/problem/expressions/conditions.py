@@ -19,8 +19,8 @@ from sympy.core.relational import Relational
 from sympy.functions.elementary.piecewise import ExprCondPair
 from sympy.logic.boolalg import Boolean, Xor
 
-from rankone.problem.expressions.notation import FEW
 from rankone.problem.forms import Coordinate
+from rankone.support.arrays import FEW
 from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError, quote
 

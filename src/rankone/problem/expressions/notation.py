@@ -153,8 +153,6 @@ _EXTREME_RATIO = 1e30  # Numbers beyond it, or its reciprocal, go back into thei
 _LARGEST_SCALE_DIGITS = 6  # Decimal digits of the scale s in (x/s)**n: units rarely differ by more
 LARGEST_SCALE_BITS = 100_000
 """Bits of a number before a variable, such as that of the power ``(x/310.15)**125``."""
-FEW = 4
-"""Terms, or branches, up to which each one is looked at, or written out."""
 _SUM_ERROR_ULPS = 2  # Last places by which sums of a few decimal numbers miss their decimal result
 _LARGEST_LOGARITHM = 1e5  # Of a function of numbers that is evaluated: floats end near 710
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
