@@ -160,7 +160,7 @@ def in_pieces(stack: Array, each: float) -> list[Array]:
     return [stack[first : first + count] for first in range(0, len(stack), count)]
 
 
-READ = Cost(60 * CALL, 15)
+READ = Cost(50 * CALL, 15)
 """Evaluating a step of an integrator, or an interpolant: once, and for each number."""
 # SuperLU: for each entry of the factors
 SPARSE_FACTORS = Cost(80 * CALL, 45)
