@@ -389,9 +389,17 @@ class House:
                     for inner in ast.walk(default):
                         if isinstance(inner, ast.Name) and inner.id.isupper():
                             readers.setdefault(inner.id, set()).add((file, node.lineno))
-        for _, name, _, names in self.derived:
-            for of in names:
-                readers.setdefault(of, set()).update(readers.get(name, set()))
+        fields = [
+            (of.id, name)
+            for tree in self.trees.values()
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ClassDef)
+            for name, of, _ in assigned(node.body)
+            if isinstance(of, ast.Name) and of.id.isupper()
+        ]
+        computed = [(of, name) for _, name, _, names in self.derived for of in names]
+        for of, name in (*computed, *fields):
+            readers.setdefault(of, set()).update(readers.get(name, set()))
         return readers
 
     def sharing(self, constant: Constant) -> list[str]:
@@ -455,6 +463,9 @@ class House:
                     for each in same:
                         if not hasattr(holder, "__slots__"):
                             setattr(holder, each, value)
+                        for kept in vars(module).values():  # the frozen value of a tuning
+                            if type(kept) is holder:
+                                object.__setattr__(kept, each, value)
 
 
 def _defaults(node: ast.AST) -> list[ast.expr]:
