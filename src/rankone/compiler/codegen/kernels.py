@@ -220,16 +220,14 @@ def plain_product(coefficient: str, factors: Sequence[str]) -> str:
 KERNELS = ("constant", "linear", "linear_adjoint", "quadratic", "quadratic_adjoint")
 """The kernels of a group, in the order of the module."""
 
-STATEMENT_COST = 0.3
-"""Microseconds of an assignment to a row of about 500 numbers, measured."""
-OPERATION_COST = 0.5
-"""Microseconds of an operation on such rows."""
-MATRIX_COST = 1.5
-"""Microseconds of a matrix product with such rows, whatever its size."""
-ENTRY_COST = 0.02
-"""Microseconds of each of its entries."""
-MATRIX_GAIN = 2.0
-"""Microseconds that a matrix must save, since written-out sums read better."""
+STATEMENT_COST = 0.6
+"""An assignment to a row of about 500 numbers, in operations on such rows, as measured."""
+MATRIX_COST = 3.0
+"""A matrix product with such rows, whatever its size."""
+ENTRY_COST = 0.04
+"""Each of its entries."""
+MATRIX_GAIN = 4.0
+"""What a matrix must save, since written-out sums read better."""
 
 MATRIX_HELPERS = '''\
 def _matrix(shape, *entries):
@@ -451,15 +449,15 @@ class Combination:
         self.uses_matrix = self._matrix_saves() > MATRIX_GAIN
 
     def _matrix_saves(self) -> float:
-        """Microseconds by which matrix products beat written-out sums, both ways together."""
+        """Operations by which matrix products beat written-out sums, both ways together."""
         written_out = sum(
-            OPERATION_COST * sums.operations + STATEMENT_COST * sum(map(bool, sums.sums))
+            sums.operations + STATEMENT_COST * sum(map(bool, sums.sums))
             for sums in (self._sums("x", adjoint=False), self._sums("x", adjoint=True))
         )
         size = len(self.rows) * len(self.columns)
         product = MATRIX_COST + ENTRY_COST * size
         scaled = sum(map(bool, self.factors))
-        return written_out - 2 * (product * len(self.factors) + scaled)
+        return written_out - 2 * (product * len(self.factors) + 2 * scaled)
 
     def tables(self) -> list[str]:
         """Definitions of the coefficient matrices; none if the sums are written out."""

@@ -25,7 +25,6 @@ from rankone.support.errors import (
     LISTED,
     OptionError,
     ProblemError,
-    clip,
     count,
     did_you_mean,
     listing,
@@ -49,7 +48,6 @@ _PRIORS = {
 }
 """For each type of prior its shape, and the coordinate; None is the scale of the parameter."""
 _DISTRIBUTIONS = ("normal", "laplace")
-_LONGEST_FAULT = 400  # Characters of them
 _LOADERS = "petab"  # Logger of the package
 
 
@@ -132,7 +130,7 @@ def _check_format(file: Path) -> None:
 
 def _broken(file: Path, what: str, fault: str) -> ProblemError:
     return ProblemError(
-        f"`{file}` is not a {what} PEtab problem: {clip(' '.join(fault.split()), _LONGEST_FAULT)}",
+        f"`{file}` is not a {what} PEtab problem: {' '.join(fault.split())}",
         term=file,
         remedy="`petablint` lists all faults",
     )

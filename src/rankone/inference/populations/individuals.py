@@ -19,10 +19,7 @@ from rankone.inference.estimation.formulas import Dual, Operand, value_of, with_
 from rankone.inference.estimation.noise import terms
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import COARSE, COINCIDENT, NEGLIGIBLE, Array
-
-MOST_STEPS = 60
-"""Most steps of the search for the random effects."""
+from rankone.support.arrays import COARSE, COINCIDENT, MOST_ROUNDS, NEGLIGIBLE, Array
 
 
 @dataclass(frozen=True)
@@ -208,7 +205,7 @@ class EmpiricalBayes:
         ends = np.array([box[name] for name in layout.names]).T
         self.lower, self.upper = layout.coordinates(ends)
 
-    def __call__(self, psi: Array, start: Start, steps: int = MOST_STEPS) -> Individuals:
+    def __call__(self, psi: Array, start: Start, steps: int = MOST_ROUNDS) -> Individuals:
         """The random effects at psi (K, P), in a number of steps at most.
 
         A start has no first axis, or one of population parameters. Subjects that need many steps

@@ -16,16 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.inference.estimation.experiments import failure_of
-from rankone.inference.populations.individuals import (
-    MOST_STEPS,
-    EmpiricalBayes,
-    Individuals,
-    Start,
-    linearised,
-)
+from rankone.inference.populations.individuals import EmpiricalBayes, Individuals, Start, linearised
 from rankone.inference.populations.population_layout import Layout
 from rankone.inference.populations.subjects import Subjects
-from rankone.support.arrays import COARSE, MINOR, NEGLIGIBLE, TINY, Array, spread
+from rankone.support.arrays import COARSE, MINOR, MOST_ROUNDS, NEGLIGIBLE, TINY, Array, spread
 from rankone.support.errors import EvaluationError, OptionError, quote
 
 
@@ -76,7 +70,7 @@ class Marginal:
 
     search: EmpiricalBayes
 
-    def at(self, psi: Array, start: Start, steps: int = MOST_STEPS) -> tuple[Array, Individuals]:
+    def at(self, psi: Array, start: Start, steps: int = MOST_ROUNDS) -> tuple[Array, Individuals]:
         """-2 log L (K,), up to a constant, at psi (K, P), and the random effects there."""
         individuals = self.search(psi, start, steps)
         return self._values(psi, individuals), individuals

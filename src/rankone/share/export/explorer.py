@@ -128,7 +128,6 @@ _MOST_SENSITIVITY_TIMES = 600  # Most times with Sobol indices, so that a page s
 _MAX_HALVINGS = 8  # How often the intervals between times with Sobol indices are halved
 _SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about a pixel
 _TIMES_IN_STRETCH = 16  # Times at least in each stretch between events
-_SHARE_DIGITS = 5  # Significant digits of Sobol indices
 _MOST_NAMED = 3  # Parameters up to which each range is in the first sentence
 
 
@@ -284,7 +283,7 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
     return {
         "times": times.tolist(),
         **{
-            order: [[rounded_curve(row, _SHARE_DIGITS) for row in unknown] for unknown in share]
+            order: [[rounded_curve(row) for row in unknown] for unknown in share]
             for order, share in zip(("first", "total"), shares.tolist(), strict=True)
         },
     }

@@ -39,7 +39,7 @@ _FOLDER = Path(__file__).parent / "explorer"
 ENDED = ".* still running"
 """A warning that pages ignore: they say themselves that some trajectories have ended."""
 CURVE_TIMES = 401  # Times of a curve: about one for two pixels
-_CURVE_DIGITS = 7  # Significant digits of bands
+_CURVE_DIGITS = 7  # Significant digits of curves
 _MOST_LINES = 8  # Equations and values above which they are folded, so that curves come first
 _VENDOR = _FOLDER.parent / "vendor"
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
@@ -231,9 +231,9 @@ def unknown_entries(
     ]
 
 
-def rounded_curve(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float | None]:
+def rounded_curve(curve: Iterable[float]) -> list[float | None]:
     """Numbers with as many digits as a picture needs; None for those that are not finite."""
-    return [float(f"{y:.{digits}g}") if np.isfinite(y) else None for y in curve]
+    return [float(f"{y:.{_CURVE_DIGITS}g}") if np.isfinite(y) else None for y in curve]
 
 
 def _scale(ends: tuple[float, float], distribution: str | None) -> str:

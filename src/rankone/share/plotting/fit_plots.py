@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rankone.solution.solution import Solution
 
 
-_MOST_PANELS = 7  # Observables that are drawn unless they are named
 _LEAST_GAP = 0.01  # Gap of a log-likelihood to the best one that is drawn as none
 _FAR = (
     100.0  # Ratio of the largest to the smallest of measurements from which their axis is of logs
@@ -51,7 +50,7 @@ def plot_calibration(
     calibration : Calibration
         What :func:`rankone.calibrate` or ``read_petab(...).fit()`` returns.
     observables : sequence of str, optional
-        Those to be drawn; by default the first seven.
+        Those to be drawn; by default the first eight.
     ax : array of matplotlib.axes.Axes, optional
         One for each observable and two more; those of a new figure if left out.
 
@@ -87,7 +86,7 @@ def _chosen(calibration: Calibration, observables: Sequence[str] | None) -> list
     """The observables to be drawn."""
     every = list(dict.fromkeys(each.observable for each in calibration.comparisons))
     if observables is None:
-        return every[:_MOST_PANELS]
+        return every[: style.MOST_NAMED]
     names = [observables] if isinstance(observables, str) else list(observables)
     for name in names:
         if name not in every:

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import NEGLIGIBLE, Array
+from rankone.support.arrays import NEGLIGIBLE, SAMPLES, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
 from rankone.support.costs import CALL, READ, Cost, function_cost
 from rankone.tensors.time_grid import inset
@@ -73,7 +73,6 @@ _PROBES = _Probes(
 )
 _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
-_COMPARED = 32  # Trajectories at whose starts a series is compared with the rates, about
 _DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8 * CALL, 5)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40 * CALL, 5)  # Operations of a step besides its stages
@@ -473,7 +472,7 @@ class _Stack:
         rates = function_cost(system.rhs, system.user_functions)(m)
         if terms.cost(tolerance, m) > _dop853_step_cost(n * m, rates):
             return None
-        some = p[:, :: max(m // _COMPARED, 1)]
+        some = p[:, :: max(m // SAMPLES, 1)]
         state = system.initial(some)
         if not terms.at(system, some).agrees(state, system.rhs(start, state, some)):
             return None
