@@ -39,7 +39,7 @@ import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
 from rankone.solvers.engines.engine_options import CrossOptions  # noqa: E402
-from rankone.solvers.request import Check, SolveRequest  # noqa: E402
+from rankone.solvers.request import Check, SolveArguments, SolveRequest  # noqa: E402
 from rankone.solvers.stretches_by_markers import clock_of, over_stretches  # noqa: E402
 from rankone.solvers.verification.reference import Reference  # noqa: E402
 from rankone.solvers.verification.reference_set import ReferenceSet  # noqa: E402
@@ -262,7 +262,9 @@ def references(names: list[str]) -> None:
             case = problems[name]
             system = ro.compile(case.problem()).system
             how = "single" if len(system.states) < 64 else "auto"  # no stack is tried before
-            request = SolveRequest.of(system, [CrossOptions], {}, rtol=case.rtol, integrator=how)
+            request = SolveRequest.of(
+                system, [CrossOptions], {}, SolveArguments(case.rtol, integrator=how)
+            )
             if system.events:
                 system, request = over_stretches(clock_of(system, request), request)
             times, found = np.linspace(*system.horizon, 9), []

@@ -17,7 +17,7 @@ import numpy as np  # noqa: E402
 
 import rankone as ro  # noqa: E402
 from rankone.solvers.engines.engine_options import CrossOptions  # noqa: E402
-from rankone.solvers.request import SolveRequest  # noqa: E402
+from rankone.solvers.request import SolveArguments, SolveRequest  # noqa: E402
 from rankone.solvers.verification.reference_set import ReferenceSet  # noqa: E402
 from rankone.support.budget import OutOfBudgetError, limited, operations_for  # noqa: E402
 from tests.benchmarks import suite  # noqa: E402
@@ -36,7 +36,9 @@ def integrated(row: suite.Row, system: Stated, case: suite.Case) -> None:
     compiled, budget = ro.compile(system.problem()), operations_for(case.effort)
     row.dimensions = f"{len(system.rates)} × {len(system.parameters)}"
     form = compiled.form_for("cross")
-    request = SolveRequest.of(form.system, [CrossOptions], {}, rtol=case.rtol, effort=case.effort)
+    request = SolveRequest.of(
+        form.system, [CrossOptions], {}, SolveArguments(case.rtol, effort=case.effort)
+    )
     began, reference_set = time.process_time(), None
     with limited(budget) as account:
         try:

@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.solvers.request import Domain, SolveRequest, check_factors
+from rankone.solvers.request import Domain, SolveArguments, SolveRequest, check_factors
 from rankone.solvers.selection import ENGINES, solve_with
 from tests.problems import EXAMPLES, REFERENCE
 
@@ -99,7 +99,7 @@ def test_poles_between_the_samples_are_refused(pole, method):
     )
     engine = ENGINES[method]
     request = SolveRequest.of(
-        compiled.system, [engine.options], {}, rtol=1e-3, parameters={"k": (-1, 2)}
+        compiled.system, [engine.options], {}, SolveArguments(1e-3, parameters={"k": (-1, 2)})
     )
     with pytest.raises(ro.OptionError, match="a coefficient is not finite for `k` in"):
         solve_with([engine], compiled.system, request, compiled.metadata())
@@ -109,6 +109,8 @@ def test_poles_of_initial_values_are_refused():
     problem = ro.Problem.from_strings({"x": "-x"}, {"x": "1/k"}, {"k": (1, 2)}, time=(0, 1))
     compiled = ro.compile(problem)
     engine = ENGINES["train"]
-    request = SolveRequest.of(compiled.system, [engine.options], {}, parameters={"k": (-1, 2)})
+    request = SolveRequest.of(
+        compiled.system, [engine.options], {}, SolveArguments(parameters={"k": (-1, 2)})
+    )
     with pytest.raises(ro.OptionError, match="not finite for `k`"):
         solve_with([engine], compiled.system, request, compiled.metadata())

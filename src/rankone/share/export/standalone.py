@@ -204,11 +204,10 @@ def solve(
     """
     # SYSTEM, ENGINE and METADATA are made at the end of this file, from what stands below
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
-    domain = {{"parameters": parameters, "t_final": t_final, "markers": markers is not None}}
+    domain = {{"parameters": parameters, "t_final": t_final}}
     limits = {{"effort": effort, "max_seconds": max_seconds, "max_memory": max_memory}}
-    arguments = solvers__request.SolveArguments(
-        integrator=integrator, **accuracy, **domain, **limits
-    )
+    ways = {{"integrator": integrator, "markers": markers is not None}}
+    arguments = solvers__request.SolveArguments(**accuracy, **domain, **limits, **ways)
     request = solvers__request.SolveRequest.of(SYSTEM, [ENGINE.options], options, arguments)
     return share__export__program.solve_system(ENGINE, SYSTEM, METADATA, request)
 

@@ -19,8 +19,8 @@ from rankone.share.plotting.style import (
     unknowns_of,
 )
 from rankone.solution.evaluation.domains import merged
-from rankone.solution.statistics.over_box import CENTRAL
-from rankone.support.arrays import MANY_SAMPLES, Array
+from rankone.solution.statistics.over_box import BOX_POINTS, CENTRAL
+from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, shown
 from rankone.support.options import checked_number
 from rankone.tensors.coordinates import round_off
@@ -280,7 +280,7 @@ def plot_bands(
     statistics = solution._statistics(under, correlation)
     mean = statistics.mean(times)[rows]
     if sigmas is None:
-        lower, upper = statistics.quantiles(times, np.array(ends), MANY_SAMPLES)[0][:, rows]
+        lower, upper = statistics.quantiles(times, np.array(ends), BOX_POINTS)[0][:, rows]
         meaning = f"{100 * ends[0]:.3g} to {100 * ends[1]:.3g} %"
     else:
         spread = sigmas * np.sqrt(statistics.variance(times)[rows])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from rankone.solution.evaluation.core import UnknownView
-from rankone.solution.statistics.over_box import StatisticsOverBox, Times
+from rankone.solution.statistics.over_box import BOX_POINTS, StatisticsOverBox, Times
 from rankone.solution.statistics.solution_statistics import Statistics
 from rankone.support.arrays import COINCIDENT, Array, Labelled, Table, Variables
 from rankone.support.errors import (
@@ -207,7 +207,7 @@ class DistributionOverBox(StatisticsOverBox):
         below: float | None = None,
         under: Under = None,
         correlation: Correlations = None,
-        count: int = 2**15,
+        count: int = BOX_POINTS,
     ) -> Probability:
         """Probability that an unknown is above, below or between values at times.
 

@@ -48,6 +48,8 @@ Times = ArrayLike | None
 Progress = bool | StepReport
 """A bar or none, or what is called with the numbers of finished and of all steps."""
 
+BOX_POINTS = 2**15
+"""Points over the box for quantiles and densities, unless a user chooses another count."""
 CENTRAL = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
 """Probabilities between which LEVEL lies: the ends of bands."""
 # Half-widths of main effects, in shares of the spread, above which a user is told
@@ -366,7 +368,7 @@ class StatisticsOverBox(SolutionCore):
         *,
         under: Under = None,
         correlation: Correlations = None,
-        count: int = 2**15,
+        count: int = BOX_POINTS,
     ) -> Quantiles:
         """Quantiles of the unknowns over the box at times.
 
