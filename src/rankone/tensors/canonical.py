@@ -272,6 +272,7 @@ def canonical_form(
     rtol = checked_number("rtol", rtol, *OUTPUT_RTOLS, float)
     max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
+    # rounding the train of the horizon takes a minor share of the tolerance
     train, norm, rounding = _horizon_train(slabs, row, axes, MINOR * rtol)
     if norm == 0.0:
         nothing = {axis.name: np.ones((axis.nodes.size, 0)) for axis in axes}

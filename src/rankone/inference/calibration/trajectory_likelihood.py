@@ -409,7 +409,7 @@ def _beyond_bounds(
         np.linalg.inv(result.covariance_at(at, variance))[np.ix_(rest, rest)]
     )
     step = -covariance @ slope / variance
-    if -float(slope @ step) <= MINOR * limit:
+    if -float(slope @ step) <= MINOR * limit:  # of the rise at the end they hardly make a part
         return ()
     ends = ends_at_bounds(problem.names, at.z)
     sides = {"lower": -1.0, "upper": 1.0}

@@ -199,7 +199,7 @@ def _aside(name: str, owners: Sequence[str], series: Sequence[Array]) -> Iterato
     """Experiments on different sides of the curve (Kruskal & Wallis 1952)."""
     together = np.concatenate(series)
     if len(series) < 2 or together.size < _LEAST or not np.abs(together).max() > MINOR:
-        return
+        return  # few, or in standard deviations no noise
     if scipy.stats.kruskal(*series).pvalue < _UNLIKELY:
         means = [float(r.mean()) for r in series]
         low, high = owners[int(np.argmin(means))], owners[int(np.argmax(means))]

@@ -154,6 +154,7 @@ class PopulationEstimates:
         for j, name in enumerate(self._spread_names):
             if name.startswith("correlation"):
                 moves[layout.factors.start + j] *= 1.0 - self.x[name] ** 2
+        # a parameter moves along a flat direction that it has more than a minor share in
         unseen = (np.abs(moves) > MINOR * np.abs(flat).max(axis=0)).any(axis=1)
         return dict(zip(names, (~unseen).tolist(), strict=True)) | dict.fromkeys(self.idle, True)
 

@@ -51,6 +51,7 @@ def own_times(
         )
     if outcome.timeline is not None:
         return _OnTimeline(timeline_evaluator(outcome.slabs, outcome.timeline), rows, response)
+    # thinner trains that change the states by less than anybody sees
     return _OnSlabs(outcome.slabs, rows, response, MINOR * solution.rtol)
 
 

@@ -385,7 +385,7 @@ class HigherMoments:
         if len(rows) > 1 and max(train.ranks) > _LARGEST_COMMON_RANK:
             half = len(rows) // 2
             return np.hstack([self._normed(rows[:half]), self._normed(rows[half:])])
-        while max(train.ranks) > _LARGEST_RANK and tolerance < MINOR:
+        while max(train.ranks) > _LARGEST_RANK and tolerance < MINOR:  # one digit is left
             tolerance *= 3.0
             train, _ = Train((rows, *self.cores)).truncated(tolerance)
         if tolerance > max(_WARNED_TOLERANCE, self.tolerance):

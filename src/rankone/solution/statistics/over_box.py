@@ -420,7 +420,7 @@ class StatisticsOverBox(SolutionCore):
             remedy="take moments of samples: solution(t=t, **solution.sample(10**5, "
             "under=..., correlation=...))",
         )
-        tolerance = MINOR * self.rtol
+        tolerance = MINOR * self.rtol  # of the trains that are truncated
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
     def _indices(

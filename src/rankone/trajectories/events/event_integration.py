@@ -428,7 +428,7 @@ class _Search:
         A stack ends early where one of its trajectories leaves where rates are finite. If an event
         interrupted some of them before that, the others may go on without those.
         """
-        charge(150 * CALL * len(paths))
+        charge(150 * CALL * len(paths))  # each is followed to an event or its end
         for each, path in zip(trajectories, paths, strict=True):
             each.ends |= not path.steps
         moved = [k for k, path in enumerate(paths) if path.steps]
@@ -516,7 +516,7 @@ class _Search:
         most = max(map(len, passed))
         if not most:
             return
-        charge(3 * CALL * sum(map(len, passed)))
+        charge(3 * CALL * sum(map(len, passed)))  # each event is kept
         times = np.stack([np.full(most, path.breaks[0]) for path in paths])
         for row, each in zip(times, passed, strict=True):
             row[: len(each)] = [time for time, _ in each]

@@ -343,7 +343,7 @@ def _jacobian(
     entries = scalar_jacobian(system)
     if entries is None:
         return None
-    cost = 5 * CALL + scalar_cost(entries.function)
+    cost = 5 * CALL + scalar_cost(entries.function)  # of the entries, and of the matrix
     if cost >= differences:
         return None
     (first, last), numbers, n = span, point.tolist(), system.n_differential
