@@ -107,7 +107,8 @@ class TimelineStatistics(Statistics):
         else:
             each = -(-count // SETS)
         of_sets = np.empty((SETS, n, 1 + d * (d + 2), times.size))
-        at_once = max(AT_ONCE // (n * (2 * d + 2) * each), 1)
+        # each block of times contracts the cores for all points again, so that it is large
+        at_once = max(8 * AT_ONCE // (n * (2 * d + 2) * each), 1)
         for k in range(SETS):
             shares = _sharing_pairs(even_shares(each, 2 * d, (SEED, k)))
             for begin in range(0, times.size, at_once):
@@ -216,7 +217,7 @@ class TimelineStatistics(Statistics):
     ) -> Iterator[tuple[int, Array]]:
         """The position of each time, and the states (rows, N) there."""
         at = np.array(rows, dtype=np.intp)
-        step = max(AT_ONCE // max(at.size * points.shape[1], 1), 1)
+        step = max(8 * AT_ONCE // max(at.size * points.shape[1], 1), 1)
         for begin in range(0, times.size, step):
             states = self.evaluator.curves(times[begin : begin + step, None], points, at)
             yield from enumerate(states.swapaxes(0, 1), begin)
