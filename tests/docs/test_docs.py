@@ -44,9 +44,6 @@ LONG = {
     for name in (
         "classic-method.md",
         "cross.md",
-        "export/fmu.md",
-        "export/solved-model.md",
-        "export/standalone-solver.md",
         "guide/algebraic-equations.md",
         "guide/calibration.md",
         "guide/changing-orders.md",
@@ -139,8 +136,8 @@ def figures():
 
 
 @pytest.mark.usefixtures("figures")
-@_each({path: path in LONG for path in FILES})
-def test_blocks(path, tmp_path, monkeypatch, request):
+@_each({path: path in LONG or path in COMMANDS for path in FILES})
+def test_page(path, tmp_path, monkeypatch, request, capsys):
     _skip_without_tools(path)
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples" / "enzyme.xml", tmp_path)
@@ -167,32 +164,40 @@ def test_blocks(path, tmp_path, monkeypatch, request):
             assert _agree(block["output"], got), f"{_name(path)}, line {line}\n{got}"
     if pieces:
         path.write_text("".join([*pieces, text[end:]]))
+    if path in COMMANDS:
+        _run_commands(text, tmp_path, monkeypatch, capsys)
 
 
 def _versioned(text: str) -> str:
     return text.replace("(rankone 0+unknown)", "(rankone 0.1.0)")
 
 
-@_each(dict.fromkeys(COMMANDS, True))
-def test_commands(path, tmp_path, monkeypatch, capsys):
+def _run_script(name: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> str:
+    """What ``python name`` prints, run in this process: a start takes longer than most scripts."""
+    stream = io.StringIO()
+    with monkeypatch.context() as patch, contextlib.redirect_stdout(stream):
+        patch.setattr(sys, "argv", [name, *arguments])
+        try:
+            runpy.run_path(name, run_name="__main__")
+        except SystemExit as end:
+            assert not end.code, f"{name} {arguments} ended with {end.code}"
+    return stream.getvalue()
+
+
+def _run_commands(text, folder, monkeypatch, capsys):
     """The guides of what is exported: other languages and commands run as well, after Python."""
-    _skip_without_tools(path)
-    monkeypatch.chdir(tmp_path)
-    text = path.read_text()
-    exec("".join(block["code"] for block in BLOCK.finditer(text)), {"__name__": "__main__"})
-    (tmp_path / "examples").mkdir()
-    for place in (tmp_path, tmp_path / "examples"):
+    (folder / "examples").mkdir()
+    for place in (folder, folder / "examples"):
         shutil.copy(ROOT / "examples" / "lotka_volterra.py", place)
     for number, code in enumerate(re.findall(r"^```c\n(.*?)^```", text, re.M | re.S)):
-        (tmp_path / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
+        (folder / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
     for number, code in enumerate(re.findall(r"^```js\n(.*?)^```", text, re.M | re.S)):
-        (tmp_path / ("main.mjs" if number == 0 else f"main{number}.mjs")).write_text(code)
+        (folder / ("main.mjs" if number == 0 else f"main{number}.mjs")).write_text(code)
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.M | re.S)
     lines = "".join(blocks).splitlines()
     if "```c\n" in text:
         lines.append("./main")
     programs = {
-        "python": sys.executable,
         "cc": shutil.which("cc") or shutil.which("gcc"),
         "./main": "./main",
         "node": shutil.which("node"),
@@ -201,8 +206,11 @@ def test_commands(path, tmp_path, monkeypatch, capsys):
     for line in lines:
         program, *arguments = shlex.split(line)
         if program == "rankone":
-            (tmp_path / arguments[-1]).unlink(missing_ok=True)
+            (folder / arguments[-1]).unlink(missing_ok=True)
             assert main(arguments) == 0, f"{line}\n{capsys.readouterr().err}"
+            continue
+        if program == "python":
+            said[line] = _run_script(arguments[0], arguments[1:], monkeypatch)
             continue
         if programs[program] is None:
             pytest.skip(f"no {program}")
