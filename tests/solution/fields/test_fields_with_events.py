@@ -7,7 +7,7 @@ import sympy as sp
 
 import rankone as ro
 
-N = 40
+N = 24
 t, k, q = sp.symbols("t k q")
 u = ro.field("u", N)
 x = sp.Function("x")(t)
@@ -28,9 +28,8 @@ def problem(events=None, **further):
 
 CASES = {
     "reset": problem(
-        [ro.Event(MEAN - 0.04, "rising", then={u: u / 2 + u**2 + 0.01 * q}, name="hit")]
+        [ro.Event(MEAN - 0.04, "rising", then={u: u / 2 + u**2 + 0.01 * q, x: x / 2}, name="hit")]
     ),
-    "scalar": problem([ro.Event(MEAN - 0.04, "rising", then={x: x / 2}, name="hit")]),
     "jumps": problem(jumps={0.1: {x: x + 1}, q / 50: {u: 0}}),
     "mark": problem([ro.Event(MEAN - 0.04, name="hit"), ro.Event(x - 0.9, then={x: 1})]),
     "terminal": problem([ro.Event(MEAN - 0.04, "rising", terminal=True, name="hit")]),
