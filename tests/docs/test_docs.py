@@ -179,8 +179,10 @@ def _run_script(name: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch
         patch.setattr(sys, "argv", [name, *arguments])
         try:
             runpy.run_path(name, run_name="__main__")
+            status = 0
         except SystemExit as end:
-            assert not end.code, f"{name} {arguments} ended with {end.code}"
+            status = end.code
+    assert not status, f"{name} {arguments} ended with {status}"
     return stream.getvalue()
 
 

@@ -567,7 +567,9 @@ def test_standalone_solvers(either, alone, tmp_path):
     assert success
     wanted = either.trajectory(times, point).values
     assert_close(np.array(values, dtype=float), wanted, 2.0 * RTOL * either.size)
-    np.testing.assert_allclose(instants, either.solution.event_times(either.event, point), rtol=1e-12)
+    np.testing.assert_allclose(
+        instants, either.solution.event_times(either.event, point), rtol=1e-12
+    )
 
 
 @takes("plot", "design")

@@ -530,7 +530,7 @@ def test_a_second_hit_that_is_missed_starts_at_the_wall_itself():
     assert solution.success
     assert [len(branch.instants) for branch in solution.timeline.branches] == [1, 2]
     rng = np.random.default_rng(9)
-    at = {name: rng.uniform(*ends, 150) for name, ends in box.items()}
+    at = {name: rng.uniform(*ends, 50) for name, ends in box.items()}
     exactly = [struck(lambda _: 0.0, (0, a), 0.9, w, 6) for a, w in zip(*at.values(), strict=True)]
     assert {len(hits) for _, hits in exactly} == {1, 2}
     error, undecided, alike = missed_by(solution, exactly, at, 6.0)
@@ -547,7 +547,7 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
     solution = ro.solve(wall, RTOL)
     assert solution.success
     rng = np.random.default_rng(10)
-    at = {name: rng.uniform(*ends, 150) for name, ends in box.items()}
+    at = {name: rng.uniform(*ends, 50) for name, ends in box.items()}
     exactly = [
         struck(lambda t, d=d: d * np.cos(1.3 * t), (0, 0), 0.7, w, 9)
         for d, w in zip(*at.values(), strict=True)
@@ -570,13 +570,12 @@ def test_a_wall_that_is_missed_at_first_is_met_a_swing_later():
         assert (length > 5.0).all() if order.roots[0] else (length < 2.0).all()
 
 
-@pytest.mark.parametrize("effort", [0.07, 0.1])
-def test_a_budget_that_ends_before_branches_are_solved_is_said_to(effort):
+def test_a_budget_that_ends_before_branches_are_solved_is_said_to():
     """And not that a parameter is steep: the event is named, and that more effort helps."""
     hit = {"when": "x - w", "direction": "rising", "then": {"v": "-0.7*v"}, "name": "hit"}
     box = {"d": (0.5, 1.0), "w": (0.4, 0.7)}
     wall = problem({"x": "v", "v": "d*cos(1.3*t) - 0.3*v - x"}, {"x": 0, "v": 0}, box, 9, hit)
-    solution = ro.solve(wall, RTOL, effort=effort)
+    solution = ro.solve(wall, RTOL, effort=0.07)
     assert solution.status is ro.Status.WORK_LIMIT
     assert "`hit`" in solution.message
     assert "raise effort, or narrow " in solution.message

@@ -278,6 +278,6 @@ def test_the_package_is_asked_for(file, monkeypatch):
 
 @pytest.mark.slow
 def test_workers_take_starts_and_change_no_bit(problem):
-    here, there = problem.fit(starts=2), problem.fit(starts=2, executor=1)
+    here, there = problem.fit(starts=1), problem.fit(starts=1, executor=1)
     assert there.x == here.x
     assert there.log_likelihood == here.log_likelihood

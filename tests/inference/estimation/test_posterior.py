@@ -1,6 +1,7 @@
 """Posteriors against brute-force grids and closed forms."""
 
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -211,13 +212,15 @@ def test_processes_give_the_same_bits(monkeypatch):
     data = noisy(fall()["u"](FALL_TIMES, FALL), 0.1, 1)
     priors = {"C_D": scipy.stats.norm(0.3, 0.1)}
     options = {"sigma": 0.1, "prior": priors}
-    here, there = (fall().posterior(FALL_TIMES, data, **options, executor=e) for e in (None, 2))
-    assert np.array_equal(here._distribution.densities, there._distribution.densities)
-    pytest.importorskip("emcee")
-    solution, times, data = four_parameters()
-    options = {"steps": 100, "chains": 2}
-    here, there = (solution.posterior(times, data, **options, executor=e) for e in (None, 1))
-    assert np.array_equal(here._distribution.nodes, there._distribution.nodes)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+        either = (None, process)
+        here, there = (fall().posterior(FALL_TIMES, data, **options, executor=e) for e in either)
+        assert np.array_equal(here._distribution.densities, there._distribution.densities)
+        pytest.importorskip("emcee")
+        solution, times, data = four_parameters()
+        options = {"steps": 100, "chains": 2}
+        here, there = (solution.posterior(times, data, **options, executor=e) for e in either)
+        assert np.array_equal(here._distribution.nodes, there._distribution.nodes)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Outputs on the workers of an executor: the same bits, the same errors."""
 
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,6 +15,13 @@ from tests.solvers.engines.cross_functions import cosine, sine
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch):
     monkeypatch.setattr(sampling, "AT_ONCE", 1 << 14)
+
+
+@pytest.fixture(scope="module")
+def process():
+    """One process of the user for all: each would start for a second."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as executor:
+        yield executor
 
 
 class Counting(ThreadPoolExecutor):
@@ -67,13 +75,13 @@ def bits(solution):
     ],
     ids=["plain", "timeless", "pieces", "instant", "stretches", "branches"],
 )
-def test_the_bits_do_not_depend_on_workers(solved, outputs):
+def test_the_bits_do_not_depend_on_workers(solved, outputs, process):
     solution = solved()
     alone = bits(solution.output(outputs))
     with Counting(2) as executor:
         assert bits(solution.output(outputs, executor=executor)) == alone
     assert executor.count > 10
-    assert bits(solution.output(outputs, executor=1)) == alone
+    assert bits(solution.output(outputs, executor=process)) == alone
 
 
 def test_the_work_and_its_end_do_not_depend_on_workers():
@@ -87,11 +95,11 @@ def test_the_work_and_its_end_do_not_depend_on_workers():
 
 
 @pytest.mark.slow
-def test_errors_of_workers_are_those_of_this_process():
+def test_errors_of_workers_are_those_of_this_process(process):
     solution = ro.solve(swing(), 1e-4)
     for outputs in ({"q": "log(k - 1)"}, {"q": "first_crossing(x + 0.65)"}):
         messages = []
-        for executor in (None, 1):
+        for executor in (None, process):
             with pytest.raises(ro.RankoneError) as caught:
                 solution.output(outputs, executor=executor)
             messages.append(str(caught.value))

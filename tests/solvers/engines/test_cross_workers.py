@@ -44,12 +44,18 @@ def bits(solution):
     return solution(t, point).tobytes(), solution.history
 
 
+@pytest.fixture
 def processes_have_ended():
-    """Whether none are left after a moment: another thread may be just about to reap them."""
-    end = time.perf_counter() + 60.0
-    while multiprocessing.active_children() and time.perf_counter() < end:
-        time.sleep(0.05)
-    return not multiprocessing.active_children()
+    """Whether none is left that a test started, after a moment: a thread may have to reap it."""
+    before = {*multiprocessing.active_children()}
+
+    def ended():
+        end = time.perf_counter() + 60.0
+        while {*multiprocessing.active_children()} - before and time.perf_counter() < end:
+            time.sleep(0.05)
+        return {*multiprocessing.active_children()} <= before
+
+    return ended
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -69,8 +75,15 @@ def alone(compiled):
     return bits(compiled.solve(1e-4, method="cross"))
 
 
+@pytest.fixture(scope="module")
+def processes():
+    """Two processes of the user for several solves: each would start its own for a second."""
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
+        yield executor
+
+
 @pytest.mark.slow
-def test_processes_give_the_same_bits(compiled, alone):
+def test_processes_give_the_same_bits(compiled, alone, processes_have_ended):
     assert bits(compiled.solve(1e-4, executor=2)) == alone
     assert processes_have_ended()
 
@@ -83,24 +96,23 @@ def test_threads_give_the_same_bits_and_are_left_running(compiled, alone):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("states", [3, 210])
-def test_processes_integrate_the_reference(states):
+def test_processes_integrate_the_reference(states, processes):
     """One by one, or in groups of many states."""
     rates = {f"x{i}": f"k*(x{(i - 1) % states} - x{i}) - m*x{i}" for i in range(states)}
     starts = {name: f"{1 + i % 3}" for i, name in enumerate(rates)}
     box = {"k": (1, 2), "m": (0.5, 1.5)}
     compiled = ro.compile(ro.Problem.from_strings(rates, starts, box, (0, 1)))
     options = {"method": "cross", "integrator": "single" if states == 3 else "auto"}
-    assert bits(compiled.solve(1e-4, **options, executor=2)) == bits(
+    assert bits(compiled.solve(1e-4, **options, executor=processes)) == bits(
         compiled.solve(1e-4, **options)
     )
-    assert processes_have_ended()
 
 
 @pytest.mark.slow
-def test_functions_of_the_user_give_the_same_bits():
+def test_functions_of_the_user_give_the_same_bits(processes):
     compiled = ro.compile(problem())
-    assert bits(compiled.solve(1e-6, executor=1)) == bits(compiled.solve(1e-6, method="cross"))
-    assert processes_have_ended()
+    alone = bits(compiled.solve(1e-6, method="cross"))
+    assert bits(compiled.solve(1e-6, executor=processes)) == alone
 
 
 @pytest.mark.slow
@@ -122,7 +134,9 @@ def test_dask_gives_the_same_bits(compiled, alone):
         (ProcessPoolExecutor, "submit"),
     ],
 )
-def test_processes_end_when_the_solve_is_interrupted(compiled, monkeypatch, place, name):
+def test_processes_end_when_the_solve_is_interrupted(
+    compiled, monkeypatch, place, name, processes_have_ended
+):
     """While it waits for its workers, and while it starts them."""
     original = getattr(place, name)
 
@@ -187,10 +201,10 @@ def test_a_function_that_cannot_be_pickled():
         pytest.param(shapeless, r"returned shape \(3,\)", marks=pytest.mark.slow),
     ],
 )
-def test_a_function_that_fails_in_a_worker(value, message):
+def test_a_function_that_fails_in_a_worker(value, message, processes):
     for integrator in ("auto", "single"):
         with pytest.raises(ro.RankoneError, match=message):
-            ro.solve(problem(value), rtol=1e-6, executor=1, integrator=integrator)
+            ro.solve(problem(value), rtol=1e-6, executor=processes, integrator=integrator)
 
 
 @pytest.mark.slow
@@ -222,7 +236,7 @@ def test_a_worker_that_always_dies():
 
 
 @pytest.mark.slow
-def test_the_time_limit_holds_for_workers():
+def test_the_time_limit_holds_for_workers(processes_have_ended):
     solution = ro.solve(problem(slow), rtol=1e-6, executor=2, max_seconds=4.0)
     assert solution.status is ro.Status.TIME_LIMIT
     assert processes_have_ended()
