@@ -127,7 +127,7 @@ def block(side):
             pairs = zip(across, weights, strict=True)
             matrix = sum(-(d.T @ ss.diags_array(w) @ d) for d, w in pairs)
             rate += k[3 * i + j] * ro.apply(ss.csr_array(matrix), u)
-    return ro.Problem({u: rate}, (t, 0, 0.1), dict.fromkeys(k, (0.5, 2)), {u: 0})
+    return ro.Problem({u: rate}, (t, 0, 0.1), dict.fromkeys(k, (0.5, 2, "log")), {u: 0})
 
 
 def pulses(cells, box):

@@ -28,6 +28,7 @@ from rankone.tensors.cross import (
     with_last_joined,
     with_points,
 )
+from rankone.tensors.polynomials import LEAST_PARAMETERS, fitted
 from rankone.tensors.slab import TAIL_RATIO, LineColumns, basis_values, best_coordinates
 from rankone.tensors.train import Integers, Train
 
@@ -75,6 +76,10 @@ class InterpolationTuning:
     of them."""
     least_nodes: int = 3
     """Fewest nodes of a parameter."""
+    fit_share: float = 0.2
+    """Error of polynomials at points that they were not fitted to, relative to the level."""
+    fit_rounding_share: float = 0.1
+    """Error of rounding these."""
 
 
 TUNING = InterpolationTuning()
@@ -82,11 +87,15 @@ TUNING = InterpolationTuning()
 
 @dataclass(frozen=True)
 class InterpolationLimits:
-    """The kind of the bases, and the largest number of nodes and rank."""
+    """The kind of the bases, the largest number of nodes and rank.
+
+    With ``polynomials`` these are tried before a cross interpolation: where samples are dear.
+    """
 
     basis: type[Basis1D]
     max_nodes: int
     max_rank: int
+    polynomials: bool = False
 
 
 @dataclass(frozen=True)
@@ -182,6 +191,13 @@ class AdaptiveInterpolation:
         bases = self._attempt_bases(columns, known_elements)
         if chosen is not None:
             chosen(bases)
+        polynomials = self._polynomials(columns, bases)
+        if polynomials is not None:
+            self.bases = bases
+            train, self.spectra = polynomials.rounded_with_norms(
+                TUNING.fit_rounding_share * self.level
+            )
+            return train, False
         if bases:
             left = self._left_points(bases)
             tolerance = TUNING.skeleton_share * self.level / np.sqrt(len(bases))
@@ -193,6 +209,13 @@ class AdaptiveInterpolation:
         train = train.apply_to_modes([basis.to_modal for basis in bases])
         train, self.spectra = train.rounded_with_norms(TUNING.rounding_share * self.level)
         return train, limited
+
+    def _polynomials(self, columns: Columns, bases: Sequence[Basis1D]) -> Train | None:
+        """Polynomials fitted to columns, where there are many parameters and few terms suffice."""
+        smooth = self.limits.polynomials and all(basis.elements == 1 for basis in bases)
+        if not smooth or len(bases) < LEAST_PARAMETERS:
+            return None
+        return fitted(columns, bases, TUNING.fit_share * self.level)
 
     def _left_points(self, bases: Sequence[Basis1D]) -> Sequence[list[Integers]]:
         """Batches of left points: several in the first attempt, which takes as many as it needs."""

@@ -424,7 +424,8 @@ def _is_marked(system: System) -> bool:
 def _interpolation(system: System, request: SolveRequest) -> AdaptiveInterpolation:
     """The interpolation of a solve, before its first attempt."""
     options, domain = request.options_of(CrossOptions), request.domain
-    limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
+    basis, most = BASES[options.basis], (options.max_nodes, options.max_rank)
+    limits = InterpolationLimits(basis, *most, polynomials=system.smooth)
     target = (CROSS.first_marked_level if _is_marked(system) else 1.0) * request.rtol
     return AdaptiveInterpolation(domain.box, limits, target, TIGHTENING, domain.first_coordinates)
 

@@ -63,7 +63,7 @@ class FieldTuning:
     """What compressed trajectories leave out."""
     kept_motion: float = 0.001
     """The same where there are velocities."""
-    modes: float = 0.25
+    modes: float = 0.4
     """What the modes leave out of all trajectories so far, at first."""
     fewest_left_out: float = 0.02
     """The same at least."""
@@ -71,10 +71,12 @@ class FieldTuning:
     """Factor on it where the reduced system adds much to what the modes leave out."""
     added: float = 3.0
     """Error of the reduced system over what its modes leave out that is much."""
-    reduced: float = 0.5
+    reduced: float = 0.8
     """Error of the reduced system at which it is solved."""
-    solved: float = 0.2
-    """Error of its solution."""
+    solved: float = 0.4
+    """Tolerance of its solution, at first."""
+    solution: float = 0.5
+    """Error of its solution, against trajectories of the reduced system, that suffices."""
     first_corners: int = 4
     """Corners among the first points, beside the centre."""
     at_once: int = 3
@@ -100,7 +102,7 @@ class FieldTuning:
     jump: float = 0.5
     """The same that is too much to be followed."""
     coefficient_checks: int = 16
-    """Points at which a solution for the coefficients is compared with trajectories of these."""
+    """Points, and corners, at which a solution for the coefficients is compared with these."""
     rounds: int = 4
     """Solutions that are measured at most: what disagrees becomes modes."""
 
@@ -484,13 +486,7 @@ class _FieldSolve:
         d = len(self.request.domain.box)
         if d == 0:
             return np.zeros((1, 0))
-        shares = np.concatenate(
-            [
-                spread(FIELDS.candidates, d, self.generator),
-                corners(d, FIELDS.candidates, self.generator),
-            ]
-        )
-        points = self.coverage.points(shares)
+        points = self._candidates(FIELDS.candidates)
         times = self._telling_times(FIELDS.residual_times)
         states, ended = self._reduced_states(reduced, points, times, self.request.rtol)
         residual = FieldResidual(self.fields, self.modes, interpolations, reduced)
@@ -510,6 +506,14 @@ class _FieldSolve:
                     chosen.append(k)
                     seen.append(points[k])
         return points[chosen]
+
+    def _candidates(self, count: int) -> Array:
+        """So many evenly spread points, and as many corners."""
+        d = len(self.request.domain.box)
+        if d == 0:
+            return np.zeros((1, 0))
+        some = spread(count, d, self.generator), corners(d, count, self.generator)
+        return self.coverage.points(np.concatenate(some))
 
     def _telling_times(self, count: int) -> Array:
         """Times after the start, ascending: half of them even, and half closer and closer to it."""
@@ -586,10 +590,10 @@ class _FieldSolve:
     ) -> None:
         """Solve the reduced system, and measure; what disagrees becomes modes, some times."""
         rtol = self.request.rtol
-        inner = FIELDS.solved * rtol
+        wanted = FIELDS.solution * rtol
         for _ in range(FIELDS.rounds):
             with timed(self.timings, "solve"):
-                outcome, metadata = self._solved(reduced, inner)
+                outcome, metadata = self._solved(reduced, wanted)
             if not outcome.slabs or outcome.status not in _MEASURED:
                 self.ended(outcome.status, ReducedEnds(outcome.message, self._rank))
                 return
@@ -624,16 +628,46 @@ class _FieldSolve:
                     self._learn(checked)
                     reduced, interpolations = self._train()
             else:
-                inner *= 0.2
+                wanted *= 0.25
 
-    def _solved(self, reduced: ReducedSystem, rtol: float) -> tuple[Outcome, SolutionMetadata]:
+    def _solved(self, reduced: ReducedSystem, wanted: float) -> tuple[Outcome, SolutionMetadata]:
+        """The coefficients over the box, with fields as accurate as ``wanted``, if possible."""
+        points, rtol = (
+            self._candidates(FIELDS.coefficient_checks),
+            FIELDS.solved / FIELDS.solution * wanted,
+        )
+        for _ in range(FIELDS.rounds):
+            outcome, metadata = self._solved_to(replace(reduced, rtol=rtol))
+            if not outcome.slabs or outcome.status not in _MEASURED or self.fields.events:
+                break
+            error = self._distance(reduced, outcome, points, FIELDS.finer * wanted)
+            if error <= wanted:
+                break
+            rtol *= max(0.5 * wanted / error, FIELDS.finer)
+        return outcome, metadata
+
+    def _distance(
+        self, reduced: ReducedSystem, outcome: Outcome, points: Array, rtol: float
+    ) -> float:
+        """How far the fields are from those of the reduced system at points (m, d)."""
+        assert self.modes is not None
+        times = self._telling_times(FIELDS.residual_times)
+        states, _ = self._reduced_states(reduced, points, times, rtol)
+        curves, worst = CoefficientCurves(outcome, self.fields, self._rank), 0.0
+        for k, point in enumerate(points):
+            difference = curves.at(point)(times) - states[:, k]
+            for j, (modes, scale) in enumerate(zip(self.modes.modes, self.scales, strict=True)):
+                gap = modes @ difference[self.modes.coefficients_of(j)]
+                worst = max(worst, float(np.abs(gap).max()) / scale if scale else 0.0)
+        return worst
+
+    def _solved_to(self, reduced: ReducedSystem) -> tuple[Outcome, SolutionMetadata]:
         """The coefficients over the box by the cross engine."""
         request = self.request
         limits = Limits(FIELDS.effort * request.limits.operations, memory=request.limits.memory)
         check, options = Check(FIELDS.coefficient_checks), (request.options,)
-        asked = SolveRequest(rtol, request.domain, check, limits, options, markers=False)
-        metadata = reduced.metadata(rtol)
-        return solve_with((cross_engine.ENGINE,), reduced.system, asked, metadata)
+        asked = SolveRequest(reduced.rtol, request.domain, check, limits, options, markers=False)
+        return solve_with((cross_engine.ENGINE,), reduced.system, asked, reduced.metadata)
 
     def _check_trajectories(
         self, reduced: ReducedSystem, interpolations: Sequence[Interpolation]

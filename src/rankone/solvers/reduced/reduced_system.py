@@ -47,8 +47,9 @@ class ReducedSystem:
 
     ``linear`` (c, R, R) and ``sources`` (c, R) belong to the numbers of the ``fields``, those of
     their coefficients that have such terms: ``linear_numbers``, ``source_numbers``. ``start``
-    (R, v) times the initial numbers are the initial values. ``absolute`` are the tolerances of the
-    coefficients by name. Its ``events`` are those of the fields.
+    (R, v) times the initial numbers are the initial values. ``scales`` (R,) are what errors of
+    the coefficients are relative to: together they are then relative to the sizes of the fields, in
+    the root mean square over entries. Its ``events`` are those of the fields.
     """
 
     names: tuple[str, ...]
@@ -59,16 +60,17 @@ class ReducedSystem:
     sources: Array
     pointwise: tuple[ReducedTerm, ...]
     start: Array
-    absolute: tuple[tuple[str, float], ...]
+    scales: Array
     rtol: float
     events: ReducedEvents
 
     @property
-    def scales(self) -> Array:
-        """The sizes that errors of the coefficients are relative to (R,)."""
-        return np.array([absolute for _, absolute in self.absolute]) / self.rtol
+    def absolute(self) -> tuple[tuple[str, float], ...]:
+        """The tolerances of the coefficients by name."""
+        return tuple(zip(self.names, (self.rtol * self.scales).tolist(), strict=True))
 
-    def metadata(self, rtol: float) -> SolutionMetadata:
+    @property
+    def metadata(self) -> SolutionMetadata:
         """What a solution of the coefficients says was asked."""
         fields = self.coefficients
         return SolutionMetadata(
@@ -78,7 +80,7 @@ class ReducedSystem:
             box=fields.box,
             time=fields.time,
             horizon=fields.horizon,
-            rtol=rtol,
+            rtol=self.rtol,
             method="cross",
             version=__version__,
             atol=self.absolute,
@@ -296,7 +298,6 @@ def reduced_system(
         for term, interpolation in zip(fields.pointwise, interpolations, strict=True)
     ]
     start = tests @ fields.initial_vectors  # the projection is that of the modes, not of the mass
-    scales = np.repeat(modes.scales, modes.counts)
     r = len(modes.names)
     return ReducedSystem(
         names=modes.names,
@@ -307,7 +308,7 @@ def reduced_system(
         sources=np.array(sources).reshape(-1, r),
         pointwise=tuple(pointwise),
         start=start,
-        absolute=tuple(zip(modes.names, (rtol * scales).tolist(), strict=True)),
+        scales=np.repeat(np.divide(modes.scales, np.sqrt(modes.counts)), modes.counts),
         rtol=rtol,
         events=ReducedEvents.of(fields, spread, tests),
     )

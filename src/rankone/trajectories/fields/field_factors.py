@@ -3,6 +3,9 @@
 SuperLU factors them (Demmel et al., SIAM J. Matrix Anal. Appl. 20 (1999), 720) in an order of
 elimination that is chosen once. Positions, whose rates are velocities, are eliminated beforehand:
 what is left has half the size, and pivots on its diagonal.
+
+Where factors would fill, as those of many cells in space do, incomplete factors precondition an
+iteration (van der Vorst, SIAM J. Sci. Stat. Comput. 13 (1992), 631).
 """
 
 from __future__ import annotations
@@ -13,13 +16,18 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as ss
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.linalg import LinearOperator, SuperLU, bicgstab, spilu, splu
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.trajectories.fields.field_system import FieldSystem
 
 FACTOR_ENTRY = 4.0  # Operations for each entry of factors
+_MANY = 5_000  # Unknowns from which on factors may fill
+_DROPPED = 0.1  # What incomplete factors leave out, over the largest entry of a column
+_RESIDUAL = 1e-9  # Of a solution by iteration, over the right side
+_MOST_ITERATIONS = 200
 _PIVOT = 0.01  # A diagonal entry of this share of the largest of its column is the pivot
 
 
@@ -44,14 +52,54 @@ class _OrderedFactors:
         return solution
 
 
+class _IncompleteFactors:
+    """Solves by iteration; exact factors are made as soon as it does not converge."""
+
+    def __init__(self, matrix: ss.csc_array, factorisation: Factorisation) -> None:
+        self._matrix, self._factorisation = matrix, factorisation
+        self._exact: Factors | None = None
+        try:
+            factors = spilu(matrix, drop_tol=_DROPPED, permc_spec="MMD_AT_PLUS_A")
+        except RuntimeError:  # what is left is singular
+            self._exact = factorisation.exact(matrix)
+            return
+        charge(FACTOR_ENTRY * 10.0 * factors.nnz)
+        self._inverse = LinearOperator(matrix.shape, factors.solve)
+        self._work = FACTOR_ENTRY * (matrix.nnz + factors.nnz)
+
+    def solve(self, right: Array) -> Array:
+        if self._exact is None:
+            size = float(np.linalg.norm(right)) or 1.0
+            solution, failed = bicgstab(
+                self._matrix,
+                right / size,  # small numbers would be taken for a breakdown
+                rtol=_RESIDUAL,
+                maxiter=_MOST_ITERATIONS,
+                M=self._inverse,
+                callback=lambda _: charge(2.0 * self._work),
+            )
+            if not failed:
+                return np.asarray(size * solution)
+            self._exact = self._factorisation.exact(self._matrix)
+        return self._exact.solve(right)
+
+
 class Factorisation:
     """Factors of matrices of one pattern; the order of elimination is that of the first one."""
 
     def __init__(self) -> None:
         self._order: NDArray[np.intp] | None = None
+        self._fills: bool | None = None
 
     def of(self, matrix: ss.csc_array) -> Factors:
         """Factors of a matrix."""
+        if self._fills is None:
+            self._fills = matrix.shape[0] > _MANY and _fills(matrix)
+        return _IncompleteFactors(matrix, self) if self._fills else self.exact(matrix)
+
+    def exact(self, matrix: ss.csc_array) -> Factors:
+        """Factors of a matrix that leave nothing out; others of the pattern are like these."""
+        self._fills = False
         symmetric = {"SymmetricMode": True}
         if self._order is None:
             first = splu(
@@ -65,6 +113,18 @@ class Factorisation:
         factors = splu(ordered, permc_spec="NATURAL", diag_pivot_thresh=_PIVOT, options=symmetric)
         charge(FACTOR_ENTRY * 10.0 * factors.nnz)
         return _OrderedFactors(factors, self._order)
+
+
+def _fills(matrix: ss.csc_array) -> bool:
+    """Whether factors of a matrix would have far more entries than it has.
+
+    Unknowns that are equally far from one of them separate the others. Factors hold a dense block
+    of about as many rows and columns: less than there are unknowns on a surface, more in space.
+    """
+    graph = ss.csc_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), matrix.shape)
+    distances = dijkstra(graph, directed=False, unweighted=True, indices=0)
+    levels = float(distances[np.isfinite(distances)].max()) + 1.0
+    return bool((matrix.shape[0] / levels) ** 2 > matrix.shape[0])
 
 
 @dataclass(frozen=True, eq=False)
