@@ -22,6 +22,7 @@ are evaluated anywhere in it. Numbers alone: this room knows neither problems no
   grids
 - ``joint_distribution``: joint distributions of the coordinates, and points drawn from them in
   sets
+- ``polynomials``: polynomials in all parameters together, fitted to columns by least squares
 - ``slab``: solved time slabs as tensor trains, and the coordinate of a parameter that needs
   fewest nodes
 - ``time_grid``: functions of time on consecutive slabs, and Radau collocation on one of them
