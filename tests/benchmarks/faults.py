@@ -478,6 +478,7 @@ def seen(fault: Fault, copy: Path) -> bool:
         here.append(word)
     paths = [str(copy / "tests" / name) for name in names]
     options = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--tb=no", "--no-header"]
+    options += ["-m", ""]  # slow ones as well
     if chosen:
         options += ["-k", " ".join(chosen)]
     file.write_text(text.replace(fault.old, fault.new))
