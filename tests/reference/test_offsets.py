@@ -15,6 +15,8 @@ from tests.share.export.test_models import COMPILER
 RTOL = 1e-5
 WITHIN = 5.0
 SOME = ("body_temperature", "start_1", "jump_6", "output_15")
+EXPORTED = {*[*SYSTEMS][:5], *[*SYSTEMS][-4:]}
+"""One of each place at either end of the offsets."""
 
 
 def solved(system, **options):
@@ -64,8 +66,10 @@ def test_some_far_from_zero(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_far_from_zero(name, tmp_path):
-    """Models in Python, C and JavaScript have the values of the solution too."""
+    """Models of some in Python, C and JavaScript have the values of the solution too."""
     solution = check(name)
+    if name not in EXPORTED:
+        return
     names = [solution.metadata.time, *solution.parameters]
     at = [0.7 * END, *(0.3 * lower + 0.7 * upper for lower, upper in solution.parameters.values())]
     wanted = solution(**dict(zip(names, at, strict=True)))

@@ -72,7 +72,6 @@ def folder(tmp_path_factory):
         "decay",
         "lotka_volterra",
         pytest.param("kirchhoff", marks=pytest.mark.slow),
-        pytest.param("robertson", marks=pytest.mark.slow),
     ],
 )
 def test_the_library_and_the_solver_agree(alone, name, folder, tmp_path):
@@ -108,10 +107,9 @@ def test_the_library_and_the_solver_agree(alone, name, folder, tmp_path):
     assert loaded.error == pytest.approx(wanted.error, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["decay", "coupled"])
 @pytest.mark.slow
-def test_the_classic_method_is_exported_as_well(alone, name, tmp_path):
-    problem = compiled(name)
+def test_the_classic_method_is_exported_as_well(alone, tmp_path):
+    problem = compiled("coupled")
     problem.export(tmp_path / "solver.py", method="greedy")
     with threadpool_limits(1, "blas"):
         wanted = ENGINE.run(problem.system, 1e-3)
@@ -144,13 +142,8 @@ def _general() -> ro.CompiledProblem:
     )
 
 
-@pytest.mark.parametrize(
-    "build",
-    [pytest.param(lambda: compiled("decay"), marks=pytest.mark.slow), _general],
-    ids=["decay", "general"],
-)
-def test_the_cross_method_is_exported_as_well(alone, build, tmp_path):
-    problem = build()
+def test_the_cross_method_is_exported_as_well(alone, tmp_path):
+    problem = _general()
     problem.export(tmp_path / "solver.py", method="cross")
     wanted = problem.solve(1e-4, method="cross")
     where = points(wanted, 50)
@@ -285,12 +278,13 @@ def test_wrong_arguments_of_the_program(alone, folder):
 @pytest.mark.slow
 def test_saved_by_the_program(alone, folder):
     file = folder / "saved.npz"
-    assert started(folder, "solver.py", "--rtol", "1e-3", "--save", str(file)).returncode == 0
-    again, run = alone(
+    saved, again, run = alone(
         folder,
+        ["--rtol", "1e-3", "--save", str(file)],
         ["--load", str(file), "--at", "t=1", "x0=9", "y0=5", "--json"],
         f"s = solver.load({str(file)!r}); s.save('b.npz'); print(s.error)",
     )
+    assert saved.returncode == 0
     values = json.loads(again.stdout)["values"]
     wanted = ro.load(file)
     np.testing.assert_allclose(list(values.values()), wanted(t=1, x0=9, y0=5), rtol=1e-12)
@@ -387,17 +381,17 @@ def test_a_blow_up_leaves_what_comes_before_it(alone, tmp_path):
         rhs={"x": "x**2"}, initial={"x": "a"}, parameters={"a": (1, 2)}, time=(0, 0.8)
     )
     ro.compile(problem).export(tmp_path / "solver.py")
-    run = started(tmp_path, "solver.py", "--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json")
-    assert run.returncode == 1
-    assert "blows up" in run.stderr
     script = (
         "import pickle\ntry:\n    solver.solve(1e-3)\nexcept solver.BlowUpError as error:\n"
         "    again = pickle.loads(pickle.dumps(error))\n"
         "    print(str(again) == str(error), again.parameters == error.parameters)\n"
         "    print(error.part.success, error.part.time)"
     )
+    arguments = ["--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json"]
     late_arguments = ["--rtol", "1e-3", "--at", "t=0.7", "a=2", "--save", "b.npz"]
-    error, late = alone(tmp_path, script, late_arguments)
+    run, error, late = alone(tmp_path, arguments, script, late_arguments)
+    assert run.returncode == 1
+    assert "blows up" in run.stderr
     assert error.stdout == "True True\nTrue (0.0, 0.8)\n"
     assert late.returncode == 1
     assert ro.load(tmp_path / "b.npz").time[1] < 0.7

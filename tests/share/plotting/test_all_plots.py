@@ -20,16 +20,14 @@ from tests.share.plotting.drawn import legend, lines, populations, with_units
 DOCS = Path(__file__).parents[3] / "docs"
 EACH = {
     "trajectories": functools.partial(plotting.plot_trajectories, x0=9, y0=5),
-    "bands": plotting.plot_bands,
+    "bands": functools.partial(plotting.plot_bands, t=np.linspace(0.0, 6.0, 7)),
     "surface": functools.partial(plotting.plot_surface, unknown="x", x="t", y="x0", y0=5),
     "sobol": plotting.plot_sobol,
     "effects": functools.partial(plotting.plot_main_effects, t=3.0),
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "bands")) for n in EACH]
-)
+@pytest.mark.parametrize("name", EACH)
 def test_axes_are_used_and_returned(name):
     figure, ax = plt.subplots()
     before = plt.get_fignums()
