@@ -218,7 +218,7 @@ class CheckTuning:
     """Elements of a parameter in which the error is measured."""
     steep_points: int = 12
     """Points chosen on each slab."""
-    steep_shift: float = COARSE
+    steep_shift: float = 2 * COARSE
     """Change of parameters, in widths of their intervals, that shows steepness."""
     # worst_points
     most_candidates: int = 2560
