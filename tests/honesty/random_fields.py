@@ -1,9 +1,10 @@
 """Random fields against trajectories that share nothing with the library's.
 
 ``python -m tests.honesty.random_fields [count] [seed]`` draws graphs and grids of 200 to 2,000
-entries with diffusion and saturating, cubic or exponential terms, some with two fields, a mass
-matrix, a moving source or a shape that a parameter scales; solves each by its modes; and compares
-all entries at 21 times of random points with SciPy's LSODA on rates that are written here.
+entries, and every sixth time of up to 5,000, with diffusion and saturating, cubic or exponential
+terms, some with two fields, a mass matrix, a moving source or a shape that a parameter scales;
+solves each by its modes; and compares all entries at 21 times of random points with SciPy's LSODA,
+or BDF where there are many, on rates that are written here.
 """
 
 import sys
@@ -17,12 +18,14 @@ import sympy as sp
 import rankone as ro
 
 POINTS, TIMES = 5, 21
+LARGE = 6  # Every so many are large
+DENSE = 2500  # States up to which the Jacobian of a comparison is dense
 BORDERLINE = 1.1  # True error over the tolerance up to which a success counts as borderline
 
 
-def grid(generator):
+def grid(generator, large):
     """Diffusion on a rectangle with no flux through its sides."""
-    a, b = generator.integers(12, 36, 2)
+    a, b = generator.integers(*((36, 71) if large else (12, 36)), 2)
     lines = []
     for n in (a, b):
         line = ss.diags_array([1.0, -2.0, 1.0], offsets=(-1, 0, 1), shape=(n, n)).tolil()
@@ -31,9 +34,9 @@ def grid(generator):
     return ss.csr_array(ss.kron(lines[0], ss.eye_array(b)) + ss.kron(ss.eye_array(a), lines[1]))
 
 
-def graph(generator):
+def graph(generator, large):
     """Diffusion on a random graph, of four neighbours in the mean."""
-    n = int(generator.integers(200, 1200))
+    n = int(generator.integers(*((1200, 5000) if large else (200, 1200))))
     ends = generator.integers(0, n, (2, 2 * n))
     once = ss.csr_array((np.ones(2 * n), ends), shape=(n, n))
     weights = ss.csr_array(((once + once.T) > 0).astype(float))
@@ -51,7 +54,7 @@ TERMS = {
 def drawn(seed):
     """A problem, and its rates and initial values as functions of NumPy."""
     generator = np.random.default_rng(seed)
-    matrix = (grid if generator.random() < 0.5 else graph)(generator)
+    matrix = (grid if generator.random() < 0.5 else graph)(generator, seed % LARGE == 0)
     n, t = matrix.shape[0], sp.Symbol("t")
     count = int(generator.integers(1, 5))
     symbols = sp.symbols(f"p0:{count}")
@@ -90,32 +93,38 @@ def drawn(seed):
         there = 0.5 * (a - b) + 0.1 * D * (matrix @ b)
         return np.concatenate([(here - b) / weights, there])
 
+    coupled = ss.kron(np.ones((1 + two, 1 + two)), abs(matrix) + ss.eye_array(n))
+    sparsity = ss.csr_array(coupled) if coupled.shape[0] > DENSE else None
+
     def start(values):
         own = (0.5 + 0.5 * shape) * p(values, 3)
         return np.concatenate([own, np.zeros(n)]) if two else own
 
     kind = f"{name}, {n} x {1 + two}, {count} parameters" + ", mass" * massive + ", moving" * moving
-    return problem, force, start, kind
+    return problem, force, start, sparsity, kind
 
 
-def true_error(solution, problem, force, start, seed, rtol):
+def true_error(solution, problem, force, start, sparsity, seed, rtol):
     """The largest error at random points and two corners, relative to each field's size."""
     bounds = np.array([*problem.parameters.values()])
     shares = np.random.default_rng(seed + 1000).random((POINTS, len(bounds)))
     shares[0], shares[1] = 0.0, 1.0
     times = np.linspace(*problem.time[1:], TIMES)
     n, worst = problem.fields[0].size, 0.0
+    how = {"method": "LSODA"}
+    if sparsity is not None:
+        how = {"method": "BDF", "jac_sparsity": sparsity}
     for share in shares:
         values = bounds[:, 0] + share * np.ptp(bounds, axis=1)
         exact = scipy.integrate.solve_ivp(
             force,
             problem.time[1:],
             start(values),
-            method="LSODA",
             args=(values,),
             rtol=1e-3 * rtol,
             atol=1e-4 * rtol,
             t_eval=times,
+            **how,
         ).y
         named = dict(zip((symbol.name for symbol in problem.parameters), values, strict=True))
         ours = solution(times, named)
@@ -129,14 +138,14 @@ def main(count=60, seed=0):
     """Draw, solve, compare, and print a line for each."""
     totals = dict.fromkeys(("solved", "borderline", "WRONG", "refused"), 0)
     for k in range(seed, seed + count):
-        problem, force, start, kind = drawn(k)
+        problem, *written, kind = drawn(k)
         rtol = 1e-3 if k % 2 else 1e-4
         began = time.process_time()
         solution = ro.solve(problem, rtol=rtol, method="reduced")
         seconds = time.process_time() - began
         verdict, error = "refused", np.nan
         if solution.success:
-            error = true_error(solution, problem, force, start, k, rtol)
+            error = true_error(solution, problem, *written, k, rtol)
             verdict = "solved" if error <= rtol else "borderline"
             verdict = "WRONG" if error > BORDERLINE * rtol else verdict
         totals[verdict] += 1

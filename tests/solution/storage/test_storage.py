@@ -654,7 +654,7 @@ VERDICTS = [
     Verdict(Status.STEEP, None, (SwitchingTerm("floor(v)", "equation 2", "v", "", None),)),
     Verdict(Status.STEEP, None, (SeveralOrders("`hit` does not come at k = 1"),)),
     Verdict(Status.SWITCHES, None, (SwitchesNotHeld("an order of events cannot be continued"),)),
-    Verdict(Status.RANK_LIMIT, SlowModes("u", 100, 1e-3, 400, 9)),
+    Verdict(Status.RANK_LIMIT, SlowModes("u", 100, 1e-3, 1e-4, 400, 9)),
     Verdict(Status.TRAJECTORY_LIMIT, TooFewTrajectories(12, 30, 2e-3)),
     Verdict(Status.BLOW_UP, FieldsEnd(0.5, (("k", 1.0),))),
     Verdict(Status.CONVERGED, FieldError(1e-5, "u", 20, 29)),

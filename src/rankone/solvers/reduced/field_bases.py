@@ -60,16 +60,14 @@ class Snapshots:
             count = max(count, 1)
         return np.asarray(np.sqrt(len(union.modes)) * (union.modes @ rotation[:, :count]))
 
-    def decay(self) -> Array:
-        """What the first 0, 1, 2, ... modes leave out at any time at most, over the largest value.
-
-        In the root mean square.
-        """
+    def missed(self, count: int) -> float:
+        """What so many modes leave out of any entry at any time at most."""
         union = self._union.result()
-        _, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
-        parts = np.square(values[:, None] * columns)
-        tails = np.cumsum(parts[::-1], axis=0)[::-1].max(axis=1)
-        return np.asarray(np.sqrt(tails / len(union.modes)) / (self.largest or 1.0))
+        rotation, values, columns = np.linalg.svd(union.numbers, full_matrices=False)
+        rest = values[count:, None] * columns[count:]
+        telling = np.argsort(-np.square(rest).sum(axis=0), kind="stable")[:_TELLING]
+        missed = union.modes @ rotation[:, count:] @ rest[:, telling]
+        return float(np.abs(missed).max(initial=0.0))
 
 
 class FieldSnapshots:
@@ -96,9 +94,9 @@ class FieldSnapshots:
         modes = {k: group.modes(units[shared == k].min()) for k, group in self._groups.items()}
         return [modes[k] for k in self._shared]
 
-    def decay(self, unknown: int) -> Array:
-        """How the modes of an unknown decay."""
-        return self._groups[self._shared[unknown]].decay()
+    def missed(self, unknown: int, count: int) -> float:
+        """What so many modes of an unknown leave out of any of its entries at most."""
+        return self._groups[self._shared[unknown]].missed(count) / self._units[unknown]
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,11 +119,12 @@ class SlowModes(Cause):
     unknown: str
     count: int
     left_out: float
+    allowed: float
     needed: int
     trajectories: int
     text: ClassVar[str] = (
         "the modes of {unknown} decay too slowly: {count} of them leave out {left_out:.1e} of "
-        "{trajectories} trajectories, and about {needed} would be needed"
+        "{trajectories} trajectories; for {allowed:.1e} they would need at least {needed}"
     )
 
 
@@ -469,12 +470,11 @@ class _FieldSolve:
         if self._rank <= FIELDS.most_modes:
             return
         worst = int(np.argmax(self.modes.counts))
-        decay = self.states.decay(worst)
-        shown = min(FIELDS.most_modes, len(decay) - 1)
-        rate = math.log(max(decay[shown], 1e-300) / decay[0]) / shown
-        needed = max(int(math.log(left_out) / rate), self.modes.counts[worst])
+        needed = self.modes.counts[worst]
+        count = FIELDS.most_modes * needed // self._rank  # its share
+        missed = self.states.missed(worst, count) / self.scales[worst]
         name = self.fields.unknowns[worst].name
-        cause = SlowModes(name, shown, float(decay[shown]), needed, self.count)
+        cause = SlowModes(name, count, missed, left_out, needed, self.count)
         self.ended(Status.RANK_LIMIT, cause)
         raise _SolvedEarlyError
 
