@@ -26,18 +26,11 @@ QUICK = {
 """What is tried in every run: one case of a kind, of those that take less than a second."""
 FURTHER = {
     ("data", 2),
-    ("doses", 1),
-    ("events", 0),
-    ("general", 0),
     ("levels", 3),
     ("moving", 4),
     ("orders", 1),
-    ("passages", 3),
-    ("products", 2),
-    ("surfaces", 1),
-    ("systems", 0),
 }
-"""What is tried in the slow tests; the other seeds of a kind may be refused with a low effort."""
+"""Further kinds, for the slow tests; other seeds of a kind may be refused with a low effort."""
 REFUSED = {("surfaces", 3)}
 """What may be refused, and must not be solved wrongly."""
 ONE = {("systems", 1): 0, ("products", 1): 1, ("general", 3): 1, ("doses", 3): 0}

@@ -398,16 +398,16 @@ def test_the_form_without_stretches(one_order):
 
 
 @takes("mean", "std", "var", "cov", "moment", "skewness", "kurtosis", "quantile")
-def test_moments(case):
+def test_moments(either):
     """At one time, against values at spread points."""
-    solution, values, at = case.solution, sampled(case.name), case.same
+    solution, values, at = either.solution, sampled(either.name), either.same
     spread = values.std(axis=1)
     apart = 4.0 / np.sqrt(SPREAD)  # of evenly spread points, and so generous
     assert (np.abs(solution.mean(at) - values.mean(axis=1)) <= apart * spread + RTOL).all()
     assert (np.abs(solution.std(at) - spread) <= apart * spread + RTOL).all()
     np.testing.assert_allclose(solution.var(at), solution.std(at) ** 2, rtol=1e-9)
     np.testing.assert_allclose(solution.moment(2, at), solution.var(at), rtol=1e-3)
-    row = solution.unknowns.index(case.unknown)
+    row = solution.unknowns.index(either.unknown)
     covariance = solution.cov(at)
     # each settles on its own where events end solutions: within 1e-3 of the spread
     np.testing.assert_allclose(np.diag(covariance), solution.var(at), rtol=1e-4, atol=1e-12)
@@ -424,21 +424,21 @@ def test_moments(case):
 
 
 @takes("probability", "density", "sample", "main_effects", "sobol")
-def test_distributions(case):
-    solution, at = case.solution, case.same
-    values = sampled(case.name)[solution.unknowns.index(case.unknown)]
+def test_distributions(either):
+    solution, at = either.solution, either.same
+    values = sampled(either.name)[solution.unknowns.index(either.unknown)]
     level = float(np.median(values))
-    above = solution.probability(at, unknown=case.unknown, above=level)
+    above = solution.probability(at, unknown=either.unknown, above=level)
     assert float(above.value) == pytest.approx(0.5, abs=0.1)
-    density = solution.density(at, unknown=case.unknown)
+    density = solution.density(at, unknown=either.unknown)
     assert np.trapezoid(density.density, density.values) == pytest.approx(1.0, abs=0.05)
     points = solution.sample(50, seed=3)
-    drawn = solution[case.unknown](at, {name: points[name] for name in solution.parameters})
+    drawn = solution[either.unknown](at, {name: points[name] for name in solution.parameters})
     assert np.ptp(drawn) <= 1.2 * np.ptp(values)
     effects = solution.main_effects(at, count=3)
     assert set(effects.means) == set(solution.parameters)
     indices = solution.sobol(at)
-    row = solution.unknowns.index(case.unknown)
+    row = solution.unknowns.index(either.unknown)
     assert (indices.total[row] >= indices.first[row] - 0.05).all()
     assert indices.total[row].sum() >= 0.95
 

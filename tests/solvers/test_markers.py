@@ -88,15 +88,15 @@ def test_markers_that_nothing_crosses_are_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("ramp", "most", "rank", "markers"), [(0, 6, 35, 1), (0.01, 5, 35, 1)])
-def test_a_relaxation_oscillator_is_solved_with_few_ranks(ramp, most, rank, markers):
-    rates = {"x": "v", "v": "m*(1 - x**2)*v - x", "m": f"{ramp}*a"}
-    box = {"a": (3, most), "b": (1, 2)}
+def test_a_relaxation_oscillator_is_solved_with_few_ranks():
+    """Also where its stiffness grows."""
+    rates = {"x": "v", "v": "m*(1 - x**2)*v - x", "m": "0.01*a"}
+    box = {"a": (3, 5), "b": (1, 2)}
     made = ro.Problem.from_strings(rates, {"x": "b", "v": 0, "m": "a"}, box, (0, 60))
     solution = ro.solve(made, 1e-4)
     assert solution.success
-    assert solution.rank <= rank
-    assert len(solution.timeline.events) == markers
+    assert solution.rank <= 35
+    assert len(solution.timeline.events) == 1
     errors = against_trajectories(solution, made, np.linspace(0, 60, 801))
     assert (errors < 3e-4).all()
 

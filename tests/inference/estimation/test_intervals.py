@@ -111,18 +111,18 @@ def test_parameters_of_observables_without_bounds_have_endless_intervals():
     "name", ["enzyme, saturated at first", "a feed of zero, the end of its box"]
 )
 def test_coverage_of_designs(name):
-    """Of 100 data sets; all 400 of each are counted by tests/benchmarks/intervals.py."""
+    """Of 60 data sets; all 400 of each are counted by tests/benchmarks/intervals.py."""
     design: Design = next(each for each in DESIGNS if each.name == name)
     problem = ro.Problem.from_strings(
         dict(design.rates), dict(design.initial), dict(design.box), (0, design.end)
     )
     solution, inside = ro.solve(problem, design.rtol), dict.fromkeys(design.box, 0)
-    for k in range(100):
+    for k in range(60):
         fit = solution.fit(design.times, design.data(k), sigma=design.sigma)
         assert all(fit.identifiable.values())
         for parameter, interval in fit.interval().items():
             inside[parameter] += covered(interval, design.truth[parameter])
-    assert all(count >= 89 for count in inside.values()), inside
+    assert all(count >= 54 for count in inside.values()), inside
 
 
 @pytest.mark.parametrize("last", [1.0, 1.3, 1.7])
