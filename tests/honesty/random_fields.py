@@ -4,7 +4,7 @@
 entries, and every sixth time of up to 5,000, with diffusion and saturating, cubic or exponential
 terms, some with two fields, a mass matrix, a moving source or a shape that a parameter scales;
 solves each by its modes; and compares all entries at 21 times of random points with SciPy's LSODA,
-or BDF where there are many, on rates that are written here.
+or DOP853 where there are many, on rates that are written here.
 """
 
 import sys
@@ -19,7 +19,7 @@ import rankone as ro
 
 POINTS, TIMES = 5, 21
 LARGE = 6  # Every so many are large
-DENSE = 2500  # States up to which the Jacobian of a comparison is dense
+DENSE = 2500  # States up to which an integrator may hold a dense Jacobian
 BORDERLINE = 1.1  # True error over the tolerance up to which a success counts as borderline
 
 
@@ -93,27 +93,22 @@ def drawn(seed):
         there = 0.5 * (a - b) + 0.1 * D * (matrix @ b)
         return np.concatenate([(here - b) / weights, there])
 
-    coupled = ss.kron(np.ones((1 + two, 1 + two)), abs(matrix) + ss.eye_array(n))
-    sparsity = ss.csr_array(coupled) if coupled.shape[0] > DENSE else None
-
     def start(values):
         own = (0.5 + 0.5 * shape) * p(values, 3)
         return np.concatenate([own, np.zeros(n)]) if two else own
 
     kind = f"{name}, {n} x {1 + two}, {count} parameters" + ", mass" * massive + ", moving" * moving
-    return problem, force, start, sparsity, kind
+    return problem, force, start, kind
 
 
-def true_error(solution, problem, force, start, sparsity, seed, rtol):
+def true_error(solution, problem, force, start, seed, rtol):
     """The largest error at random points and two corners, relative to each field's size."""
     bounds = np.array([*problem.parameters.values()])
     shares = np.random.default_rng(seed + 1000).random((POINTS, len(bounds)))
     shares[0], shares[1] = 0.0, 1.0
     times = np.linspace(*problem.time[1:], TIMES)
     n, worst = problem.fields[0].size, 0.0
-    how = {"method": "LSODA"}
-    if sparsity is not None:
-        how = {"method": "BDF", "jac_sparsity": sparsity}
+    size = n * len(problem.fields)
     for share in shares:
         values = bounds[:, 0] + share * np.ptp(bounds, axis=1)
         exact = scipy.integrate.solve_ivp(
@@ -124,7 +119,7 @@ def true_error(solution, problem, force, start, sparsity, seed, rtol):
             rtol=1e-3 * rtol,
             atol=1e-4 * rtol,
             t_eval=times,
-            **how,
+            method="LSODA" if size <= DENSE else "DOP853",
         ).y
         named = dict(zip((symbol.name for symbol in problem.parameters), values, strict=True))
         ours = solution(times, named)

@@ -29,7 +29,7 @@ def residual(matrix, factors):
     return np.linalg.norm(matrix @ solution - right) / np.linalg.norm(right)
 
 
-@pytest.mark.parametrize(("cells", "dimensions", "iterates"), [(100, 2, False), (22, 3, True)])
+@pytest.mark.parametrize(("cells", "dimensions", "iterates"), [(100, 2, False), (14, 3, True)])
 @pytest.mark.parametrize("step", [1e-6, 1e-3, 1.0])
 @pytest.mark.parametrize("wind", [0.0, 100.0])
 def test_solutions_are_accurate(cells, dimensions, iterates, step, wind):
@@ -37,12 +37,12 @@ def test_solutions_are_accurate(cells, dimensions, iterates, step, wind):
     factorisation = Factorisation()
     factors = factorisation.of(matrix)
     assert residual(matrix, factors) < 1e-8
-    assert (type(factors).__name__ == "_IncompleteFactors") == iterates
+    assert (type(factors).__name__ == "_DiagonalFactors") == iterates
 
 
 def test_exact_factors_are_made_where_an_iteration_does_not_converge():
-    n = 6000
-    coupled = ss.random_array((n, n), density=1.0 / n, rng=np.random.default_rng(0))
+    n = 3000
+    coupled = ss.random_array((n, n), density=2.0 / n, rng=np.random.default_rng(0))
     turned = ss.diags_array([np.ones(n - 1), np.ones(1)], offsets=(1, 1 - n))
     matrix = ss.csc_array(turned + 2.0 * coupled)
     factorisation = Factorisation()

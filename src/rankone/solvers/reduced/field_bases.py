@@ -96,7 +96,8 @@ class FieldSnapshots:
 
     def missed(self, unknown: int, count: int) -> float:
         """What so many modes of an unknown leave out of any of its entries at most."""
-        return self._groups[self._shared[unknown]].missed(count) / self._units[unknown]
+        group, unit = self._groups[self._shared[unknown]], float(self._units[unknown])
+        return group.missed(count) / unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,8 @@ SuperLU factors them (Demmel et al., SIAM J. Matrix Anal. Appl. 20 (1999), 720) 
 elimination that is chosen once. Positions, whose rates are velocities, are eliminated beforehand:
 what is left has half the size, and pivots on its diagonal.
 
-Where factors would fill, as those of many cells in space do, incomplete factors precondition an
-iteration (van der Vorst, SIAM J. Sci. Stat. Comput. 13 (1992), 631).
+Where factors would fill, as those of many cells in space and of graphs do, there is an iteration
+with the diagonal in place of factors (van der Vorst, SIAM J. Sci. Stat. Comput. 13 (1992), 631).
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ import numpy as np
 import scipy.sparse as ss
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
-from scipy.sparse.linalg import LinearOperator, SuperLU, bicgstab, spilu, splu
+from scipy.sparse.linalg import LinearOperator, SuperLU, bicgstab, splu
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.trajectories.fields.field_system import FieldSystem
 
 FACTOR_ENTRY = 4.0  # Operations for each entry of factors
-_MANY = 5_000  # Unknowns from which on factors may fill
-_DROPPED = 0.1  # What incomplete factors leave out, over the largest entry of a column
+_MANY = 2_000  # Unknowns from which on factors may fill
 _RESIDUAL = 1e-9  # Of a solution by iteration, over the right side
 _MOST_ITERATIONS = 200
 _PIVOT = 0.01  # A diagonal entry of this share of the largest of its column is the pivot
@@ -52,20 +51,15 @@ class _OrderedFactors:
         return solution
 
 
-class _IncompleteFactors:
+class _DiagonalFactors:
     """Solves by iteration; exact factors are made as soon as it does not converge."""
 
     def __init__(self, matrix: ss.csc_array, factorisation: Factorisation) -> None:
-        self._matrix, self._factorisation = matrix, factorisation
+        self._matrix, self._factorisation = ss.csr_array(matrix), factorisation
         self._exact: Factors | None = None
-        try:
-            factors = spilu(matrix, drop_tol=_DROPPED, permc_spec="MMD_AT_PLUS_A")
-        except RuntimeError:  # what is left is singular
-            self._exact = factorisation.exact(matrix)
-            return
-        charge(FACTOR_ENTRY * 10.0 * factors.nnz)
-        self._inverse = LinearOperator(matrix.shape, factors.solve)
-        self._work = FACTOR_ENTRY * (matrix.nnz + factors.nnz)
+        diagonal = matrix.diagonal()
+        inverse = 1.0 / np.where(diagonal == 0.0, 1.0, diagonal)
+        self._inverse = LinearOperator(matrix.shape, lambda right: inverse * right)
 
     def solve(self, right: Array) -> Array:
         if self._exact is None:
@@ -76,11 +70,11 @@ class _IncompleteFactors:
                 rtol=_RESIDUAL,
                 maxiter=_MOST_ITERATIONS,
                 M=self._inverse,
-                callback=lambda _: charge(2.0 * self._work),
+                callback=lambda _: charge(2.0 * FACTOR_ENTRY * self._matrix.nnz),
             )
             if not failed:
                 return np.asarray(size * solution)
-            self._exact = self._factorisation.exact(self._matrix)
+            self._exact = self._factorisation.exact(ss.csc_array(self._matrix))
         return self._exact.solve(right)
 
 
@@ -95,7 +89,7 @@ class Factorisation:
         """Factors of a matrix."""
         if self._fills is None:
             self._fills = matrix.shape[0] > _MANY and _fills(matrix)
-        return _IncompleteFactors(matrix, self) if self._fills else self.exact(matrix)
+        return _DiagonalFactors(matrix, self) if self._fills else self.exact(matrix)
 
     def exact(self, matrix: ss.csc_array) -> Factors:
         """Factors of a matrix that leave nothing out; others of the pattern are like these."""
