@@ -13,7 +13,7 @@ from typing import SupportsFloat, TypeVar
 
 import numpy as np
 
-from rankone.support.arrays import LEAST, Array
+from rankone.support.arrays import LEAST, MANY_SAMPLES, Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, listing, quote, shown
 from rankone.support.options import (
@@ -43,8 +43,6 @@ MOST_POINTS = 100_000  # Most interior check points, so that their trajectories 
 _COVERS = ("interior", "box")
 # Factor on the budget of work where functions of the user are called, which may be slow
 _USER_FUNCTION_FACTOR = 10.0
-# Points of an interval at which known functions are checked, both ends and the middle included
-_SAMPLES = 257
 
 EngineOptions = TypeVar("EngineOptions", bound=Options)
 
@@ -200,7 +198,7 @@ def check_factors(system: System, domain: Domain) -> None:
     """Raise an OptionError if a known factor is not finite at a sample of a coordinate, or at 0."""
     for factors in KnownFactors.of(system, domain):
         lower, upper = factors.interval
-        factors(np.append(np.linspace(lower, upper, _SAMPLES), min(max(lower, 0.0), upper)))
+        factors(np.append(np.linspace(lower, upper, MANY_SAMPLES + 1), min(max(lower, 0.0), upper)))
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,8 @@ EXACT_DIGITS = 20
 """Decimal digits of numbers that stand for exact ones: a few more than floats hold."""
 MANY_STATES = 64
 """States from which on tables and sparse matrices serve better than a line and a row for each."""
+MOST_NUMBERS = 20_000_000
+"""Numbers of the largest array that a table or a grid may need: 160 MB."""
 AT_ONCE = 1 << 19
 """Numbers of a large array that are held at once where it is made piece by piece: 4 MB."""
 FEW = 4

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import AT_ONCE, COINCIDENT, Array
+from rankone.support.arrays import AT_ONCE, COINCIDENT, MOST_NUMBERS, Array
 from rankone.support.errors import OptionError, quote, warn
 from rankone.tensors.decisions import LOOKS, Decider, Decision, GrazedEvent, clearance, looks
 from rankone.tensors.evaluator import Rows, TrainEvaluator
@@ -229,8 +229,6 @@ def _warn_of(doubtful: NDArray[np.bool_]) -> None:
 # Boxes that tile a box, and evaluation of the piece that holds a point.
 
 
-# Cells of the grid of all edges, beyond which boxes are cut at too many different places
-_MOST_CELLS = 10_000_000
 _EMPTY = -1  # The owner of a cell that no box covers
 
 
@@ -255,7 +253,7 @@ class Tiling:
         bounds = np.array(boxes, dtype=float).reshape(len(boxes), len(names), 2)
         edges = tuple(_distinct(bounds[:, j].ravel()) for j in range(len(names)))
         sizes = [line.size - 1 for line in edges]
-        if math.prod(sizes) > _MOST_CELLS:
+        if math.prod(sizes) > MOST_NUMBERS:
             raise OptionError(
                 f"the pieces are cut at too many different places: {sizes} along the parameters",
                 remedy="cut them at the same values, as problem.split does",

@@ -22,13 +22,12 @@ from sympy.core.function import AppliedUndef
 from rankone.problem.constant_arrays import array_digest
 from rankone.problem.expressions.stable import NUMPY, in_floats, stable
 from rankone.problem.fields import Apply, Field, Vector
-from rankone.support.arrays import Array
+from rankone.support.arrays import MOST_NUMBERS, Array
 from rankone.support.errors import SeparationError, quote
 
 Matrix: TypeAlias = "ss.csr_array"
 _MOST_PRODUCTS = 64  # Terms of a product of sums that is multiplied out
 _HIGHEST_POWER = 3  # Of a sum that is multiplied out
-_MOST_REPEATED = 20_000_000  # Numbers of equal rows: 240 MB
 _STATES = (Field, AppliedUndef)
 
 
@@ -326,7 +325,7 @@ def _broadcast(matrix: Matrix, size: int) -> Matrix:
     """A matrix, of one row as many equal rows as asked for."""
     if matrix.shape[0] == size:
         return matrix
-    if matrix.nnz * size > _MOST_REPEATED:
+    if matrix.nnz * size > MOST_NUMBERS:
         raise SeparationError(
             f"a sum over {matrix.nnz} entries enters each of {size} entries",
             term=matrix,

@@ -39,14 +39,14 @@ from rankone.compiler.passes.surfaces import Sides, only_kinks, zero_where
 from rankone.problem.expressions.conditions import Differentiator, definite_sign, slope
 from rankone.problem.forms import EventForm, Jump, State
 from rankone.solvers.outcome import Role
+from rankone.support.arrays import FEW
 from rankone.trajectories.system.features import FALLING
 
 MOST_SWITCHES, MOST_LEVELS = 12, 40
 """Most surfaces whose sides are held, one for all levels of a function, and most levels of all."""
 _MOST_COUPLED = 3  # Most surfaces whose sliding depends on each other
-_MOST_IN_BRANCHES = 4  # Most functions whose levels choose the branches of one rate
 # Most pieces of a rate that is not linear in its sides
-_MOST_COPIES = 3**_MOST_IN_BRANCHES
+_MOST_COPIES = 3**FEW
 _MOST_NODES = 20_000  # Of all rates with sides written out: compiling more takes minutes
 _LEAST = sp.Float("1e-300")  # Beside the square of a divisor that may be zero
 
@@ -284,7 +284,7 @@ class _Replacement:
 def _mixed(rate: sp.Expr, switches: Sequence[_Switch]) -> sp.Expr:
     """A rate that is linear in the side of each surface that may be slid along."""
     branching = [s for s in switches if any(s.side in c.free_symbols for c in _conditions(rate))]
-    if len({s.place.function for s in branching}) > _MOST_IN_BRANCHES:
+    if len({s.place.function for s in branching}) > FEW:
         raise NotHeld
     copies = 1
     for switch in switches:

@@ -340,12 +340,12 @@ def _axis(text: str) -> list[float]:
     """The points of an axis; a ValueError if the text does not read as one."""
     import numpy as np
 
-    from rankone.share.export.program import LARGEST_GRID
+    from rankone.support.arrays import MOST_NUMBERS
 
     if ":" not in text:
         return [float(point) for point in text.split(",")]
     lower, upper, count = text.split(":")
-    if not 1 <= int(count) <= LARGEST_GRID or (int(count) == 1 and float(lower) != float(upper)):
+    if not 1 <= int(count) <= MOST_NUMBERS or (int(count) == 1 and float(lower) != float(upper)):
         raise ValueError
     return [float(point) for point in np.linspace(float(lower), float(upper), int(count))]
 
@@ -356,13 +356,13 @@ def _states(
     """The states on the grid of all combinations, an axis for each coordinate."""
     import numpy as np
 
-    from rankone.share.export.program import LARGEST_GRID
+    from rankone.support.arrays import MOST_NUMBERS
     from rankone.support.errors import OptionError
 
     size = math.prod(map(len, axes.values())) * len(names)
-    if size > LARGEST_GRID:
+    if size > MOST_NUMBERS:
         raise OptionError(
-            f"the grid has {size:,} values", remedy=f"ask for at most {LARGEST_GRID:,}"
+            f"the grid has {size:,} values", remedy=f"ask for at most {MOST_NUMBERS:,}"
         )
     if all(len(axis) == 1 for axis in axes.values()):  # to the last bit as a call
         at = {name: axis[0] for name, axis in axes.items()}

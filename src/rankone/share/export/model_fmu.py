@@ -9,6 +9,7 @@ import platform
 import re
 import shlex
 import shutil
+import stat
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -212,9 +213,8 @@ def _xml(root: Element) -> bytes:
 # step evaluates the solution at its end.
 
 
-_FILE_DATE = (1980, 1, 1, 0, 0, 0)  # Of all files, the first of zip: bytes are reproducible
-_FILE_MODE = 0o100644  # Permissions of a file in the archive: everybody reads it
-_LIBRARY_MODE = 0o100755  # Permissions of the shared library: everybody runs it
+_FILE_MODE = stat.S_IFREG | 0o644  # Permissions of a file in the archive: everybody reads it
+_LIBRARY_MODE = stat.S_IFREG | 0o755  # Permissions of the shared library: everybody runs it
 _LONGEST_IDENTIFIER = 100  # Characters that begin names of files inside: file systems allow 255
 _LONGEST_MESSAGE = 400  # Bytes of the longest message in the C sources, without a name
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
@@ -328,7 +328,7 @@ def _archive(files: dict[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with ZipFile(stream, "w", ZIP_DEFLATED) as archive:
         for name, content in files.items():
-            entry = ZipInfo(name, _FILE_DATE)
+            entry = ZipInfo(name)  # of a fixed date: bytes are reproducible
             entry.create_system = 3  # Unix, whose permissions follow
             mode = _LIBRARY_MODE if name.startswith("binaries/") else _FILE_MODE
             entry.external_attr = mode << 16

@@ -21,14 +21,13 @@ from rankone.solvers.outcome import SlabRecord, SolutionMetadata
 from rankone.solvers.request import SOLVE_ARGUMENTS, SolveRequest
 from rankone.solvers.selection import solve_with
 from rankone.solvers.ways import Engine
-from rankone.support.arrays import Array
+from rankone.support.arrays import MOST_NUMBERS, Array
 from rankone.support.budget import EFFORT_HELP, MEMORY_HELP, SECONDS_HELP, effort_of
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError, quote
 from rankone.support.files import npz, write_files
 from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 from rankone.trajectories.system.system import System
 
-LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes
 _PAIR_FORM = "NAME=VALUE"  # How a number for a name is written on the command line
 _RANGE_FORM = "NAME=LOWER:UPPER[:SCALE]"  # How a range of a parameter is written
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
@@ -212,8 +211,8 @@ def _names(solution: SolutionCore, arguments: argparse.Namespace) -> tuple[str, 
 def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
     """Axes and states on a tensor grid by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
-    if count < 1 or count ** len(intervals) * len(names) > LARGEST_GRID:
-        raise OptionError(f"--grid {count}: from 1 on, at most {LARGEST_GRID:,} values in all")
+    if count < 1 or count ** len(intervals) * len(names) > MOST_NUMBERS:
+        raise OptionError(f"--grid {count}: from 1 on, at most {MOST_NUMBERS:,} values in all")
     axes = {name: np.linspace(*interval, count) for name, interval in intervals.items()}
     return axes | {name: solution[name].grid(axes) for name in names}
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from rankone.share.plotting import style
 from rankone.share.plotting.style import check_solution, one_time, sometimes_of, unknown_of
+from rankone.solution.statistics.over_box import VISIBLE_HALF_WIDTH
 from rankone.solution.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, did_you_mean, quote, shown
@@ -25,7 +26,6 @@ _EFFECT_POINTS = 101  # Values of each parameter at which its main effect is dra
 
 _WORDS = {"first": "first-order", "total": "total"}
 
-_LEAST_VISIBLE = 5e-3  # Half-widths of indices below which nothing would be seen: half a line
 
 Kind = Literal["total", "first", "both"]
 
@@ -207,7 +207,7 @@ def _shares(indices: Sobol, name: str, kind: Kind) -> tuple[dict[str, Array], di
 def _visible(half_widths: Array) -> Array | None:
     """Half-widths, or None if none would be seen."""
     half_widths = np.nan_to_num(half_widths)
-    return half_widths if half_widths.max(initial=0.0) > _LEAST_VISIBLE else None
+    return half_widths if half_widths.max(initial=0.0) > VISIBLE_HALF_WIDTH else None
 
 
 def _title(shares: Mapping[str, Array], name: str) -> str:

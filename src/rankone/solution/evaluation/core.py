@@ -20,7 +20,7 @@ import numpy as np
 from rankone.solution.storage.npz import write
 from rankone.solvers.branches import branch_evaluator
 from rankone.solvers.outcome import Outcome, SafeInterval, SolutionMetadata
-from rankone.support.arrays import Array
+from rankone.support.arrays import AT_ONCE, Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError, listing, quote
 from rankone.support.options import checked_memory, in_words, physical_memory
 from rankone.tensors.branch_evaluator import BranchEvaluator, PieceEvaluator, Tiling
@@ -501,8 +501,8 @@ Index = tuple[int | slice, ...]
 # Numbers for each point beside its coordinates and values: copies of both in the order of slabs
 _COPIES = 3
 # Bytes that an evaluation takes whatever the number of points: buffers of products
-_BUFFERS = 16e6
-_WORKSPACE = 64e6  # Bytes beside all values for the blocks of a call that has no limit
+_BUFFERS = 4 * 8 * AT_ONCE
+_WORKSPACE = 4 * _BUFFERS  # Bytes beside all values for the blocks of a call that has no limit
 _STREAM = "evaluate block after block: solution.blocks(...)"
 
 

@@ -52,8 +52,8 @@ BOX_POINTS = 2**15
 """Points over the box for quantiles and densities, unless a user chooses another count."""
 CENTRAL = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
 """Probabilities between which LEVEL lies: the ends of bands."""
-# Half-widths of main effects, in shares of the spread, above which a user is told
-_VISIBLE_HALF_WIDTH = 1e-2
+VISIBLE_HALF_WIDTH = 1e-2
+"""Half-widths of effects, in shares of the spread, above which they show and a user is told."""
 
 
 def checked_probabilities(q: ArrayLike) -> Array:
@@ -525,7 +525,7 @@ class StatisticsOverBox(SolutionCore):
             report(j + 1, len(ranges))
         warn_of_ends(min((effect.running for effect in effects), default=1.0))
         least = max((effect.relative for effect in effects), default=0.0)
-        if least > _VISIBLE_HALF_WIDTH:
+        if least > VISIBLE_HALF_WIDTH:
             warn(
                 f"main effects have half-widths of 95 % of up to {least:.1e} of the spread",
                 remedy="ask for fewer times, or fewer values by `count`",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rankone.solvers.request import Domain, SolveRequest
 from rankone.solvers.tuning import CHECK
-from rankone.support.arrays import TINY, Array, bisected, corners, spread
+from rankone.support.arrays import MINOR, TINY, Array, bisected, corners, spread
 from rankone.tensors import Basis1D
 from rankone.tensors.coordinates import IDENTITY, Interval, Logarithm, Scale, on_scale
 from rankone.tensors.slab import SlabTrain, sharing
@@ -176,9 +176,9 @@ FEW_POINTS = 32
 _TO_SURFACE = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
 MOST_SLABS = 4
 """Slabs on which worse points are looked for."""
-# Bad points beside the worst one: how many in all, and their least error over the largest one and
-# distance from each other, in widths of an interval
-_MOST_BAD, _BAD_SHARE, _BAD_DISTANCE = 3, 0.1, 0.1
+# Bad points, the worst one first: the others have more than a minor share of its error, and are
+# farther from each other than such a share of an interval
+_MOST_BAD = 3
 
 
 def check_points(
@@ -453,9 +453,9 @@ def worst_apart(domain: Domain, points: Array, errors: Array) -> list[tuple[floa
     for j, (interval, scale) in enumerate(zip(domain.box, domain.first_coordinates, strict=True)):
         lower, upper = scale.to_scale(np.array(interval))
         shares[:, j] = (scale.to_scale(points[:, j]) - lower) / (upper - lower)
-    worst, bad = [int(np.argmax(errors))], errors > _BAD_SHARE * errors.max()
+    worst, bad = [int(np.argmax(errors))], errors > MINOR * errors.max()
     while len(worst) < _MOST_BAD:
-        bad &= np.abs(shares - shares[worst[-1]]).max(axis=1, initial=0.0) > _BAD_DISTANCE
+        bad &= np.abs(shares - shares[worst[-1]]).max(axis=1, initial=0.0) > MINOR
         if not bad.any():
             break
         worst.append(int(np.argmax(np.where(bad, errors, 0.0))))

@@ -441,7 +441,7 @@ def _sizes_of_entries(
 #     A k₁ = f(t, u),   A k₂ = f(t + h, u + h k₁) - 2 k₁,   u + h (3 k₁ + k₂)/2.
 
 
-_GAMMA = 1.0 - 0.5**0.5
+_GAMMA = 1.0 - math.sqrt(0.5)
 
 
 def coarse_states(system: System, points: Array, count: int) -> tuple[Array, Array]:

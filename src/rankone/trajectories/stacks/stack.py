@@ -15,6 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import DOP853
 
 from rankone.support.arrays import NEGLIGIBLE, SAMPLES, Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge, foresee, hold, work_done
@@ -73,7 +74,8 @@ _PROBES = _Probes(
 )
 _RADAU_TOLERANCE = 4.0  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
-_DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
+# Rates of a step of DOP853 and of what reads it
+_DOP853_STAGES: int = DOP853.n_stages + len(DOP853.A_EXTRA)
 _STAGE_COST = Cost(8 * CALL, 5)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40 * CALL, 5)  # Operations of a step besides its stages
 

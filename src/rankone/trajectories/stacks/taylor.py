@@ -18,6 +18,7 @@ import numpy as np
 import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
+from scipy.integrate import DOP853
 
 from rankone.support.arrays import COARSE, MANY_STATES, MINOR, NEGLIGIBLE, TINY, Array
 from rankone.support.budget import charge
@@ -69,7 +70,7 @@ _SERIES = _SeriesSteps(
     stiff_share=0.7,
     kept=20,  # Steps to the end that cost less than implicit ones from the start
 )
-DOP853_POWER = 1.0 / 8.0
+DOP853_POWER = 1.0 / DOP853.order
 """Steps of DOP853 grow with this power of one over the tolerance."""
 _DERIVATIVE_SHARES = np.linspace(0.0, 1.0, 4)  # Of a step, where a derivative is looked at
 _NODE_PRODUCT = 0.5 ** (2 * NODES.size - 2)
