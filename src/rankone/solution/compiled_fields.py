@@ -18,7 +18,8 @@ from rankone.solution.solution import Solution
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.outcome import Outcome, Role, SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
-from rankone.solvers.reduced.field_solve import FieldRequest, ReducedOutcome, solve_fields
+from rankone.solvers.reduced.field_request import FieldRequest, ReducedOutcome
+from rankone.solvers.reduced.field_solve import solve_fields
 from rankone.solvers.request import MOST_POINTS, Domain, Limits, checked_rtol
 from rankone.solvers.selection import ENGINES, REDUCED
 from rankone.support import __version__

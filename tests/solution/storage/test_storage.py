@@ -22,7 +22,7 @@ import rankone as ro
 from rankone.solution.solution import Solution, load
 from rankone.solution.storage.contents import digest_of
 from rankone.solution.storage.netcdf import sealed
-from rankone.solvers.reduced.field_solve import (
+from rankone.solvers.reduced.field_causes import (
     FieldError,
     FieldsEnd,
     ReducedEnds,

@@ -9,8 +9,9 @@ import scipy.sparse as ss
 from rankone.solvers.engines.engine_options import CrossOptions
 from rankone.solvers.reduced.field_bases import Interpolation, Snapshots
 from rankone.solvers.reduced.field_modes import FieldModes
+from rankone.solvers.reduced.field_request import FieldRequest
 from rankone.solvers.reduced.field_residual import FieldResidual
-from rankone.solvers.reduced.field_solve import FieldRequest, solve_fields
+from rankone.solvers.reduced.field_solve import solve_fields
 from rankone.solvers.reduced.reduced_system import reduced_system
 from rankone.solvers.request import Domain
 from rankone.tensors.evaluator import TrainEvaluator
