@@ -184,7 +184,7 @@ C = [
         X + "model.c.in",
         "return (wide.bits & 0x7fffffffffffffffULL) > 0x7ff0000000000000ULL;",
         "return x != x;",
-        f"{SUITE} other_arithmetics and flags1",
+        f"{SUITE} other_arithmetics and flags4",
     ),
     Fault(
         X + "model_stretches.c.in",
@@ -455,7 +455,84 @@ CORE = [
         "support solvers/engines/test_train_engine.py",
     ),
 ]
-FAULTS = [fault for group in (PYTHON, C, JAVASCRIPT, PAGE, FMU, SHARE, CORE) for fault in group]
+SHARED = [
+    Fault(
+        "solution/statistics/over_box.py",
+        "return np.asarray(np.sqrt(variances))",
+        "return np.asarray(np.sqrt(1.2 * variances))",
+        "solution/test_events_everywhere.py moments",
+    ),
+    # what tests share: processes, solves, data sets, pages
+    Fault(
+        X + "program.py",
+        "return 0 if solution.success else 1",
+        "return 1",
+        "docs/test_docs.py standalone-solver",
+    ),
+    Fault(
+        X + "program.py",
+        'add("--json", action="store_true", help="print JSON")',
+        "pass",
+        "docs/test_docs.py standalone-solver",
+    ),
+    Fault(
+        "inference/estimation/noise.py",
+        "each = each + 2.0 * np.log(s)",
+        "each = each + np.log(s)",
+        "inference/estimation/test_noise.py",
+    ),
+    Fault(
+        "inference/estimation/noise.py",
+        "nu, squares = STUDENT_FREEDOM, (r / _STUDENT_SCALE) ** 2",
+        "nu, squares = STUDENT_FREEDOM, r**2",
+        "inference/estimation/test_noise.py",
+    ),
+    Fault(
+        "inference/estimation/intervals.py",
+        "return float(scipy.stats.norm.ppf(share))",
+        "return float(1.4 * scipy.stats.norm.ppf(share))",
+        "inference/estimation/test_experiments.py coverage",
+    ),
+    Fault(
+        "trajectories/fields/field_crossings.py",
+        "state = self._system.mapped(after, time, state, self._point)",
+        "pass",
+        "solution/fields/test_fields_with_events.py",
+    ),
+    Fault(
+        "solvers/reduced/field_solve.py",
+        "if self._rank <= FIELDS.most_modes:",
+        "if self._rank <= 4 * FIELDS.most_modes:",
+        "solvers/reduced/test_field_solve.py travelling",
+    ),
+    Fault(
+        "trajectories/integrators/workers.py",
+        "            self.pool.restart()\n",
+        "            pass\n",
+        "solvers/engines/test_cross_workers.py dies_once",
+    ),
+    Fault(
+        X + "fmi2.c.in",
+        "return (fmi2Status)fmu_get(c, vr, nvr, value);",
+        "return fmi2OK;",
+        f"{SUITE} fmu2 and values",
+    ),
+    Fault(
+        X + "fmi3.c.in",
+        "return (fmi3Status)fmu_directional(instance, unknowns, nUnknowns, knowns, nKnowns, seed,",
+        "return (fmi3Status)fmu_directional(instance, unknowns, nUnknowns, knowns, 0, seed,",
+        f"{SUITE} fmu3 and derivatives",
+    ),
+    Fault(
+        "solvers/branches.py",
+        '_RAISED = {Status.WORK_LIMIT: "raise effort"',
+        '_RAISED = {Status.WORK_LIMIT: "loosen rtol"',
+        "solution/test_opened_events.py budget_that",
+    ),
+]
+FAULTS = [
+    fault for group in (PYTHON, C, JAVASCRIPT, PAGE, FMU, SHARE, CORE, SHARED) for fault in group
+]
 
 
 def planted(fault: Fault, source: Path) -> Path:
