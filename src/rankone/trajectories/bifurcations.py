@@ -487,7 +487,7 @@ def before_start(system: System, rest: Rest) -> System:
     n = system.n_differential - system.n_lifted - system.n_sides
     start = system.horizon[0]
     return replace(
-        system.starting_at(rest.initial),
+        system.starting_at(rest.initial).with_rates(rest.rhs, rest.jacobian),
         separated=False,
         states=system.states[:n],
         n_differential=n,
@@ -496,8 +496,6 @@ def before_start(system: System, rest: Rest) -> System:
         products=(),
         horizon=(start, start + rest.settle[1]),
         terms=(),
-        rhs=rest.rhs,
-        jacobian=rest.jacobian,
         features=Features(((),) * (1 + len(system.box)), ((),) * (1 + len(system.box))),
         jumps=Jumps(),
         events=(),

@@ -471,12 +471,14 @@ class SteadyStates:
 def from_states(system: System, horizon: tuple[float, float]) -> System:
     """The system from states on that follow the parameters, over a horizon."""
     d, n = len(system.parameters), system.n_differential
+    moving = system.with_rates(
+        lambda t, u, p: system.rhs(t, u, np.asarray(p)[:d]),
+        lambda t, u, p: system.jacobian(t, u, np.asarray(p)[:d]),
+    )
     return replace(
-        system.starting_at(lambda p: np.asarray(p)[d : d + n]),
+        moving.starting_at(lambda p: np.asarray(p)[d : d + n]),
         separated=False,
         horizon=horizon,
-        rhs=lambda t, u, p: system.rhs(t, u, np.asarray(p)[:d]),
-        jacobian=lambda t, u, p: system.jacobian(t, u, np.asarray(p)[:d]),
         constraints=Constraints(),
         specification=None,
         features=_in_first_parameters(system.features, d),
@@ -506,7 +508,7 @@ def at_rest(steady: SteadyStates, rows: Sequence[int]) -> System:
 
     features = system.features
     return replace(
-        system.starting_at(lambda p: steady(p)[columns]),
+        system.starting_at(lambda p: steady(p)[columns]).with_rates(still, no_slopes),
         separated=False,
         states=tuple(system.states[i] for i in columns),
         n_differential=n,
@@ -515,8 +517,6 @@ def at_rest(steady: SteadyStates, rows: Sequence[int]) -> System:
         horizon=(0.0, 1.0),
         terms=(),
         with_products=lambda u: np.array(u, dtype=float),
-        rhs=still,
-        jacobian=no_slopes,
         quadratic_jacobian=no_slopes,
         features=Features(
             cuts=((), *features.cuts[1:]),

@@ -16,6 +16,9 @@ from rankone.solvers.reduced.reduced_system import reduced_system
 from rankone.solvers.request import Domain
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.trajectories.fields.field_trajectories import field_trajectory
+from rankone.trajectories.integrators.integrator import Spans, Tolerances, share_paths
+from rankone.trajectories.integrators.single import SingleIntegrator
+from rankone.trajectories.rest import from_states
 from rankone.trajectories.system.verdict import Status
 from tests.trajectories.fields.test_field_trajectories import reference, system, wave
 
@@ -164,6 +167,26 @@ def test_the_reduced_system_is_the_projection():
     difference = reduced.rates(t, a0 + step * direction[:, None], p) - reduced.rates(t, a0, p)
     jacobian = reduced.jacobian(t, a0, p)[:, :, 0]
     assert np.allclose(jacobian @ direction, difference[:, 0] / step, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("way", ["share", "states"])
+def test_trajectories_of_wrapped_systems_are_those_of_the_reduced_one(way):
+    """Rates at one point, which single trajectories use, belong to the parameters of the system."""
+    fields = system(60, growth=0.3)
+    reduced = reduced_system(fields, *learnt(fields, (0.1, 0.5, 1.0)), 1e-4).system
+    points, tolerances = np.array([[0.3], [0.7]]), Tolerances(1e-8, 1e-10)
+    start, end = reduced.horizon
+    states, run = reduced.initial(points.T), SingleIntegrator().run
+    exact = run(reduced, points, (start, end), tolerances)
+    if way == "share":
+        spans = Spans(np.full(2, start), states, np.full(2, end))
+        paths = share_paths(run, reduced, points, spans, tolerances)
+        ends = np.stack([path.state for path in paths], axis=1)
+    else:
+        wrapped = from_states(reduced, reduced.horizon)
+        numbers = np.column_stack([points, states.T])
+        ends = run(wrapped, numbers, (start, end), tolerances).state
+    assert np.abs(ends - exact.state).max() < 1e-6 * np.abs(exact.state).max()
 
 
 def test_the_residual_is_that_of_the_fields():

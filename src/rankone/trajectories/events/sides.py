@@ -394,13 +394,11 @@ def on_sides(system: System, sides: tuple[int, ...]) -> System:
 
     rhs = of_known_states(system.rhs, known, tuple(range(n))) or alone(system.rhs, slice(n))
     return replace(
-        system,
+        system.with_rates(rhs, alone(system.jacobian, slice(n), slice(n))),
         states=system.states[:n],
         n_differential=n,
         n_sides=0,
         events=tuple(replace(event, when=when(event)) for event in system.events),
-        rhs=rhs,
-        jacobian=alone(system.jacobian, slice(n), slice(n)),
         features=replace(system.features, state_surfaces=alone(system.features.state_surfaces)),
     )
 

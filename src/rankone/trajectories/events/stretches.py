@@ -183,7 +183,7 @@ def in_stretches(clock: Clock) -> System:
     system, functions = clock.system, _StretchFunctions(clock)
     states = system.states[: clock.n_states]
     return replace(
-        system.starting_at(functions.initial),
+        system.starting_at(functions.initial).with_rates(functions.rhs, functions.jacobian),
         separated=False,
         states=(*states, *(f"G{k}" for k in range(clock.n_guards)), "t", "T"),
         parameters=(*system.parameters, *_names_of_turns(clock)),
@@ -197,8 +197,6 @@ def in_stretches(clock: Clock) -> System:
         time_factors=lambda s: np.ones((1, s.size)),
         parameter_factors=functions.parameter_factors,
         with_products=lambda u: np.asarray(u),
-        rhs=functions.rhs,
-        jacobian=functions.jacobian,
         quadratic_jacobian=functions.jacobian,
         features=functions.features,
         jumps=Jumps(),

@@ -514,9 +514,7 @@ def _over_shares(system: System) -> System:
         return np.stack([np.ones_like(p), p])
 
     return replace(
-        system,
-        rhs=rhs,
-        jacobian=jacobian,
+        system.with_rates(rhs, jacobian),
         features=features,
         parameter_factors=parameter_factors,
         terms=tuple(

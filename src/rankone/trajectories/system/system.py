@@ -282,6 +282,10 @@ class System:
             at_rest=None,
         )
 
+    def with_rates(self, rhs: OfStates, jacobian: OfStates) -> System:
+        """The system with other rates; those at one point are not carried over."""
+        return replace(self, rhs=rhs, jacobian=jacobian, at_point=None)
+
     def initial(self, p: Array) -> Array:
         """Initial values at p (d, m): shape (n_differential, m)."""
         start = self._initial(p)
