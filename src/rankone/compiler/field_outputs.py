@@ -7,6 +7,7 @@ Functions inside of ``apply`` are written out where the row has few entries that
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,7 +23,8 @@ from rankone.solvers.outcome import SolutionMetadata
 from rankone.solvers.reduced.field_modes import FieldModes
 from rankone.solvers.reduced.functionals import Functional, Functionals, combined
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, RankoneError, is_line, listing, quote
+from rankone.support.errors import OptionError, RankoneError, count, is_line, listing, quote
+from rankone.tensors.coordinates import name_of
 from rankone.trajectories.fields.field_system import Unknown
 
 _MOST_ENTRIES = 32  # Entries of a row at which a function of fields is written out one by one
@@ -113,8 +115,8 @@ class _Lowering:
 
     def _row_of(self, unknown: Unknown) -> Matrix:
         """The row (1, N) of a scalar unknown."""
-        count = sum(each.size for each in self.modes.unknowns)
-        return ss.csr_array(([1.0], ([0], [unknown.first])), shape=(1, count))
+        columns = sum(each.size for each in self.modes.unknowns)
+        return ss.csr_array(([1.0], ([0], [unknown.first])), shape=(1, columns))
 
     @property
     def states(self) -> dict[str, Functional]:
@@ -132,6 +134,8 @@ class _Lowering:
 
     def output(self, name: str, term: object) -> object:
         """An output in terms of functionals; what is no expression as it is."""
+        if isinstance(term, str):
+            self._refuse_fields(term, name)
         expression = None if isinstance(term, str) else expression_of(term)
         if expression is None:
             return term
@@ -148,6 +152,20 @@ class _Lowering:
         except RankoneError as error:
             message = f"{where}: {error.message}"
             raise OptionError(message, term=term, remedy=error.remedy) from None
+
+    def _refuse_fields(self, text: str, name: str) -> None:
+        """Raise an OptionError if a text names a field."""
+        names = re.findall(r"\w+", text)
+        for unknown in self.modes.unknowns:
+            if unknown.is_field and unknown.name in names:
+                raise OptionError(
+                    f"the output {quote(name)} names the field {quote(unknown.name)} of "
+                    f"{count(unknown.size, 'entry', 'entries')}, and an output is one number",
+                    term=text,
+                    remedy=f'give one entry, solution["{unknown.name}"][3], or apply a matrix of '
+                    "one row: rankone.apply(row, u); texts take scalar unknowns, parameters and "
+                    "time",
+                )
 
     def _scalar(self, expression: sp.Basic, where: str) -> sp.Basic:
         """An expression that is one number, in terms of functionals."""
@@ -186,8 +204,7 @@ class _Lowering:
             raise OptionError(
                 f"{where} has the derivative {quote(derivative)}",
                 term=derivative,
-                remedy=f"ask for outputs of derivatives: solution.diff({quote(self._time)})"
-                ".output({...})",
+                remedy=self._instead_of(derivative),
             )
         for state in applied.atoms(Field):
             own = self._unknowns.get(state.name)
@@ -199,6 +216,13 @@ class _Lowering:
                     remedy="its fields are "
                     + listing(f"{u.name}, {u.size} entries" for u in self.modes.unknowns),
                 )
+
+    def _instead_of(self, derivative: FieldDerivative) -> str:
+        """What to write for a derivative: the state that it is, or an output of derivatives."""
+        state = self._unknowns.get(name_of(derivative))
+        if state is not None and state.is_field and state.size == derivative.size:
+            return f'write the state instead: rankone.field("{state.name}", {state.size})'
+        return f"ask for outputs of derivatives: solution.diff({quote(self._time)}).output({{...}})"
 
     def _pointwise(self, row: Array, function: sp.Expr, applied: Apply, where: str) -> sp.Expr:
         """``row @ function``, whose arguments are matrices times all unknowns, and vectors."""

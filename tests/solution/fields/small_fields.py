@@ -42,3 +42,11 @@ def small_fields(errors=(2e-5, 1e-6)):
     unknowns = (Unknown("u", 0, N), Unknown("w", N, 1, is_field=False))
     modes = FieldModes(unknowns, (orthonormal_modes(), np.ones((1, 1))), (5.0, 1.0), errors, 12)
     return FieldSolution(coefficients(), modes)
+
+
+def without_scalars():
+    """The field alone."""
+    both = small_fields()
+    unknowns, modes = both.modes.unknowns[:1], both.modes.modes[:1]
+    alone = FieldModes(unknowns, modes, (5.0,), both.modes.errors[:1], 12)
+    return FieldSolution(both.coefficients.output([*alone.names]), alone)

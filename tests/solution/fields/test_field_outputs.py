@@ -8,7 +8,9 @@ import scipy.sparse as ss
 import sympy as sp
 
 import rankone as ro
-from tests.solution.fields.small_fields import N, small_fields
+from rankone.compiler.field_outputs import _Lowering
+from rankone.trajectories.fields.field_system import Unknown
+from tests.solution.fields.small_fields import N, small_fields, without_scalars
 
 POINT = {"t": [0.0, 0.3, 1.0], "k": 1.3, "s": 0.7}
 TIMES = np.linspace(0.0, 1.0, 65)
@@ -163,11 +165,29 @@ def test_fits_to_sensors(solution):
         (ro.apply(np.ones((1, 3)), ro.field("v", 3)), "does not hold"),
         (ro.apply(np.ones((1, 3)), ro.field("u", 3)), "does not hold"),
         (sp.Symbol("z"), "z"),
+        ("2*u + w", r"the output `q` names the field `u` of 60 entries"),
     ],
 )
 def test_what_is_no_output_is_refused_by_name(solution, quantity, message):
     with pytest.raises(ro.OptionError, match=message):
         solution.output({"q": quantity})
+
+
+@pytest.mark.parametrize(("quantity", "message"), [("u", "names the field `u`"), (k, "neither")])
+def test_outputs_of_a_solution_without_scalar_unknowns(quantity, message):
+    alone = without_scalars()
+    with pytest.raises(ro.OptionError, match=message):
+        alone.output({"q": quantity})
+    assert alone.output({"q": alone["u"][3]}).success
+
+
+def test_a_derivative_that_is_a_state_is_named():
+    unknowns = (Unknown("u", 0, N), Unknown("u_t", N, N))
+    modes = replace(small_fields().modes, unknowns=unknowns)
+    lowering = _Lowering(modes, small_fields().metadata)
+    for derivative, remedy in ((u.diff(t), r'field\("u_t", 60\)'), (u.diff(t, 2), "diff")):
+        with pytest.raises(ro.OptionError, match=remedy):
+            lowering.output("q", ro.apply(POSITIVE, derivative))
 
 
 def test_views_of_many_entries_are_refused(solution):

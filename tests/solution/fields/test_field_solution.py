@@ -138,6 +138,8 @@ def test_the_summary_says_which_norm(solution):
 def test_errors_say_what_was_given(solution):
     with pytest.raises(ro.EvaluationError, match=r"no unknown `v`.*`u` and `w`"):
         solution["v"]
+    with pytest.raises(ro.EvaluationError, match="`u` has 60 entries in this solution, and 7"):
+        solution[ro.field("u", 7)]
     with pytest.raises(ro.EvaluationError, match="100 does not select entries of `u`"):
         solution["u"][100]
     with pytest.raises(ro.EvaluationError, match="outside its range"):

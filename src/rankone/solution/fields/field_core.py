@@ -19,6 +19,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import (
     EvaluationError,
     OptionError,
+    count,
     did_you_mean,
     listing,
     quote,
@@ -131,7 +132,16 @@ class FieldCore:
                 f"the solution holds {listing(self.unknowns, name)}",
                 term=unknown,
             )
-        return self.unknowns.index(name)
+        k = self.unknowns.index(name)
+        size, own = getattr(unknown, "size", None), len(self.modes.modes[k])
+        if not isinstance(unknown, str) and size not in (None, own):
+            raise EvaluationError(
+                f"the field {quote(name)} has {count(own, 'entry', 'entries')} in this solution, "
+                f"and {size} in the field that is asked for",
+                term=unknown,
+                remedy=f'use the field of the problem, or its name, "{name}"',
+            )
+        return k
 
     if not TYPE_CHECKING:
 

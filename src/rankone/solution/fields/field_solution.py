@@ -33,6 +33,7 @@ from rankone.support.errors import (
     ExportError,
     OptionError,
     StorageError,
+    listing,
     optional_module,
     quote,
     shown,
@@ -216,6 +217,12 @@ class FieldSolution(FieldCore):
             rtol = self._output_tolerance(rtol, [*asked.linear.values()])
             status = self.status
             return linear_outputs(self.coefficients, asked.linear, asked.texts, rtol, status)
+        if not asked.states:
+            raise OptionError(
+                f"the outputs {listing(quantities)} name neither a field nor a scalar unknown",
+                term=quantities,
+                remedy='give for example {"tip": solution[u][3]}',
+            )
         states = functional_solution(self.coefficients, asked.states, self.status)
         solution = states.output(asked.outputs, rtol=rtol, **options)
         own = zip(solution.unknowns, solution.metadata.equations, strict=True)
