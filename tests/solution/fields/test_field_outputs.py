@@ -62,6 +62,22 @@ def test_errors_of_functionals_are_those_of_the_field_times_the_weights(solution
     assert "largest for `mean`" in strict.message
 
 
+def test_outputs_less_accurate_than_the_solve_say_so_first(solution):
+    centred = ROW - ROW.mean() + 1e-3 * POSITIVE
+    loose = replace(solution, modes=replace(solution.modes, errors=(9e-5, 1e-6)))
+    for quantity in (ro.apply(centred, u), ro.apply(POSITIVE, u) ** 2 * 1e-3):
+        output = loose.output({"x": quantity})
+        assert output.success
+        assert output.error > solution.rtol
+        told = f"less accurate than the solve asked for, {output.error:.1e} instead of 1.0e-04"
+        assert output.message.startswith(told)
+        assert told in " ".join(repr(output).split())
+        own = loose.output({"x": quantity}, rtol=2 * output.error)
+        assert own.success
+        assert "less accurate" not in own.message
+    assert "less accurate" not in solution.output({"mean": solution["w"]}).message
+
+
 def test_quadratic_functionals(solution, values):
     every, _ = values
     difference = ss.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(N, N))

@@ -19,7 +19,7 @@ from rankone.support.arrays import SAMPLES, Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.trajectories.system.timeline import BranchedTimeline
-from rankone.trajectories.system.verdict import OutputError, Status
+from rankone.trajectories.system.verdict import LessAccurateOutput, OutputError, Status
 
 _MEASURED = (Status.CONVERGED, Status.TOLERANCE)  # What the measured error alone decides
 
@@ -64,6 +64,15 @@ def linear_outputs(
     worst = [*outputs][int(np.argmax(errors))] if not solution.success else None
     note = OutputError(0.0, max(errors), worst)
     return Solution(replace(solution.outcome, notes=(note,)), solution.metadata)
+
+
+def compared_with_solve(outputs: Solution, asked: float) -> Solution:
+    """Outputs whose message begins with it if they miss the tolerance that the solve asked for."""
+    outcome = outputs.outcome
+    if outcome.cause is not None or outcome.measured is None or outputs.error <= asked:
+        return outputs
+    cause = LessAccurateOutput(outputs.error, asked)
+    return Solution(replace(outcome, cause=cause), outputs.metadata)
 
 
 def relative_errors(functionals: list[Functional], sizes: Array) -> list[float]:

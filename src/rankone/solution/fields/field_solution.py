@@ -15,6 +15,7 @@ from rankone.solution.evaluation.domains import merged
 from rankone.solution.fields.field_core import FieldCore
 from rankone.solution.fields.field_presentation import field_dataset
 from rankone.solution.fields.field_quantities import (
+    compared_with_solve,
     functional_solution,
     largest_values,
     linear_outputs,
@@ -179,7 +180,12 @@ class FieldSolution(FieldCore):
             over time, maxima and the like are as in :meth:`rankone.Solution.output`.
         rtol : float, optional
             Tolerance, relative to the largest value of each quantity. By default 1.5 times what
-            errors of the fields' tolerance would bring, or that tolerance.
+            errors of the fields' tolerance could bring, at least 1.5 times that tolerance and at
+            most 0.1. Where entries cancel, this is far more than what the solve asked for: an
+            average of a hundredth of the field may be wrong by a hundred times its tolerance. The
+            message then begins with the error and the tolerance of the solve, also where
+            ``success`` says that the error is within the tolerance of the output. Give ``rtol``
+            to have ``success`` judged by it.
         **options
             As for :meth:`rankone.Solution.output`.
 
@@ -214,9 +220,10 @@ class FieldSolution(FieldCore):
         terms = {name: self._written(name, each, entry_of) for name, each in quantities.items()}
         asked = lowering.field_outputs(terms, self.modes, self.metadata)
         if asked.linear is not None and not options:
-            rtol = self._output_tolerance(rtol, [*asked.linear.values()])
-            status = self.status
-            return linear_outputs(self.coefficients, asked.linear, asked.texts, rtol, status)
+            tolerance = self._output_tolerance(rtol, [*asked.linear.values()])
+            linear = asked.linear, asked.texts, tolerance, self.status
+            outputs = linear_outputs(self.coefficients, *linear)
+            return compared_with_solve(outputs, self.rtol) if rtol is None else outputs
         if not asked.states:
             raise OptionError(
                 f"the outputs {listing(quantities)} name neither a field nor a scalar unknown",
@@ -227,7 +234,8 @@ class FieldSolution(FieldCore):
         solution = states.output(asked.outputs, rtol=rtol, **options)
         own = zip(solution.unknowns, solution.metadata.equations, strict=True)
         equations = tuple(asked.texts.get(name, equation) for name, equation in own)
-        return Solution(solution.outcome, replace(solution.metadata, equations=equations))
+        outputs = Solution(solution.outcome, replace(solution.metadata, equations=equations))
+        return compared_with_solve(outputs, self.rtol) if rtol is None else outputs
 
     def _written(
         self, name: str, term: object, entry_of: Callable[[Unknown, int, str], object]

@@ -302,6 +302,18 @@ class UnknownOutputError(Cause):
 
 
 @dataclass(frozen=True)
+class LessAccurateOutput(Cause):
+    """Outputs within a tolerance of their own, but not within that ``asked`` of the solve."""
+
+    error: float
+    asked: float
+    text = (
+        "less accurate than the solve asked for, {error:.1e} instead of {asked:.1e}, relative to "
+        "the largest value of an output; {status}"
+    )
+
+
+@dataclass(frozen=True)
 class EarlyEnd(Cause):
     """Outputs of a solution that ends before its horizon.
 
