@@ -74,13 +74,45 @@ def test_other_methods_take_the_equations_entry_by_entry(problem, solution):
     assert error < 2e-3 * solution.modes.scales[0]
 
 
-def test_few_entries_are_solved_as_they_are():
+def test_fields_of_few_entries_are_fields_as_well():
     u = ro.field("u", 3)
     problem = ro.Problem({u: -K * u}, (T, 0, 1), {K: (1, 2)}, {u: np.array([1.0, 2, 3])})
     solution = ro.solve(problem, rtol=1e-6)
     assert solution.success
-    assert solution.unknowns == ("u0", "u1", "u2")
-    assert np.allclose(solution(t=1.0, k=1.5), np.exp(-1.5) * np.array([1.0, 2, 3]), rtol=1e-5)
+    assert np.allclose(solution[u](t=1.0, k=1.5), np.exp(-1.5) * np.array([1.0, 2, 3]), rtol=1e-5)
+
+
+def test_pulses_inside_functions_are_not_stepped_over():
+    n, q = 20, sp.Symbol("q")
+    u = ro.field("u", n)
+    shape = np.sin(np.pi * np.arange(1, n + 1) / (n + 1))
+    pulse = ro.apply(shape, 1) * sp.exp(-u - ((T - 0.2371) / 0.001) ** 2)
+    problem = ro.Problem({u: -K * u + q * pulse}, (T, 0, 0.5), {K: (1, 2), q: (200, 400)}, {u: 0})
+    solution = ro.solve(problem, rtol=1e-3)
+    exact = scipy.integrate.solve_ivp(
+        lambda s, y: -1.3 * y + 300 * shape * np.exp(-y - ((s - 0.2371) / 0.001) ** 2),
+        (0, 0.5),
+        np.zeros(n),
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=1e-4,
+    ).y[:, -1]
+    assert solution.success
+    assert np.abs(solution(t=0.5, k=1.3, q=300) - exact).max() < 1e-3 * exact.max()
+
+
+def test_states_that_leave_the_domain_of_a_function_are_told():
+    n, q = 100, sp.Symbol("q")
+    u = ro.field("u", n)
+    problem = ro.Problem(
+        {u: -K * sp.sqrt(u) - ro.apply(np.ones(n), q)},
+        (T, 0, 3),
+        {K: (0.8, 1.2), q: (1, 3)},
+        {u: 0.1},
+    )
+    solution = ro.solve(problem, rtol=1e-3)
+    assert not solution.success
+    assert "not finite, at t = 0.0" in solution.message
 
 
 def test_failures_are_returned_or_raised(problem):
@@ -158,3 +190,32 @@ def test_nothing_is_saved_where_nothing_was_solved(problem, tmp_path):
         empty.save(tmp_path / "empty.npz")
     with pytest.raises(ro.EvaluationError, match="at most 1 were to be integrated"):
         empty(t=0.1, k=0.1, q=1.0)
+
+
+def test_a_field_that_is_zero_at_the_centre_of_the_box_is_no_zero():
+    a, b = sp.symbols("a b")
+    u = ro.field("u", N)
+    start = ro.apply(1e-6 * HEAT, a - b)
+    rate = K * ro.apply(LAPLACIAN, u)
+    box = {K: (0.05, 0.2), a: (0, 1), b: (0, 1)}
+    solution = ro.solve(ro.Problem({u: rate}, (T, 0, 0.2), box, {u: start}), rtol=1e-3)
+    assert solution.success
+    exact = scipy.linalg.expm(0.1 * 0.2 * LAPLACIAN.toarray()) @ (0.7e-6 * HEAT)
+    ours = solution(t=0.2, k=0.1, a=0.9, b=0.2)
+    assert np.abs(ours - exact).max() < 1e-3 * 1e-6 * HEAT.max()
+
+
+def test_sources_that_move_are_functions_without_fields():
+    u = ro.field("u", N)
+    source = sp.exp(-(((ro.apply(X, 1) - T) / 0.2) ** 2))
+    problem = ro.Problem({u: -K * u + source}, (T, 0, 1), {K: (1, 2)}, {u: 0})
+    solution = ro.solve(problem, rtol=1e-3)
+    exact = scipy.integrate.solve_ivp(
+        lambda t, y: -1.3 * y + np.exp(-(((X - t) / 0.2) ** 2)),
+        (0, 1),
+        np.zeros(N),
+        rtol=1e-8,
+        atol=1e-9,
+    ).y[:, -1]
+    assert solution.success
+    assert np.abs(solution(t=1.0, k=1.3) - exact).max() < 1e-3 * exact.max()

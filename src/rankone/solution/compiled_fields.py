@@ -23,7 +23,6 @@ from rankone.solvers.reduced.field_solve import solve_fields
 from rankone.solvers.request import MOST_POINTS, Domain, Limits, checked_rtol
 from rankone.solvers.selection import ENGINES, REDUCED
 from rankone.support import __version__
-from rankone.support.arrays import MANY_STATES
 from rankone.support.budget import Report, resolve_progress
 from rankone.support.errors import ConvergenceError, OptionError, did_you_mean
 from rankone.support.options import RTOL, checked_number
@@ -116,7 +115,7 @@ class CompiledFields:
             points that no mode was made of.
         method : {"auto", "reduced", "cross", "train", "greedy"}
             "reduced" makes modes of some full trajectories, and solves for their coefficients.
-            Other methods take the equations entry by entry. "auto" does so below 64 entries.
+            Other methods take the equations entry by entry.
         parameters, t_final, progress, effort, max_seconds, max_memory, on_failure
             As for :meth:`rankone.CompiledProblem.solve`; ``effort`` is that of the solve for the
             coefficients.
@@ -157,7 +156,7 @@ class CompiledFields:
             "max_memory": max_memory,
         }
         if method == "auto":
-            method = REDUCED if self.system.size >= MANY_STATES else "entries"
+            method = REDUCED
         elif method != REDUCED and method not in ENGINES:
             methods = ("auto", REDUCED, *ENGINES)
             raise OptionError(
@@ -167,7 +166,7 @@ class CompiledFields:
         if method != REDUCED:
             return self._by_entries.solve(
                 rtol,
-                method="auto" if method == "entries" else method,
+                method=method,
                 progress=progress,
                 on_failure=on_failure,
                 **{key: value for key, value in shared.items() if value is not None},
@@ -204,15 +203,13 @@ class CompiledFields:
         domain = Domain(fields.horizon, fields.box, fields.scales)
         domain = domain.moved(fields.parameters, shared["parameters"], shared["t_final"])
         arguments = ("rtol", "method", "check", "max_trajectories", "progress", *shared)
-        if executor is not None:
-            checked_executor("executor", executor)
         return FieldRequest(
             rtol=checked_rtol(rtol),
             domain=domain,
             check=checked_number("check", check, 0, MOST_POINTS),
             limits=Limits.of(fields, shared["effort"], shared["max_seconds"], shared["max_memory"]),
             options=CrossOptions.of(arguments, **options),
-            executor=executor,
+            executor=None if executor is None else checked_executor("executor", executor),
             trajectories=checked_number("max_trajectories", max_trajectories, 1, MOST_POINTS),
         )
 

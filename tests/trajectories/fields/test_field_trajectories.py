@@ -81,7 +81,7 @@ def reference(fields, point, times, mass=None):
 @pytest.mark.parametrize("growth", [0.0, 0.3])
 def test_trajectories_are_those_of_scipy(growth):
     fields, point = system(growth=growth), np.array([0.7])
-    sizes = field_sizes(fields, point)
+    sizes = field_sizes(fields, point[None])
     trajectory = field_trajectory(fields, point, sizes, 1e-8, 1e-7)
     exact = reference(fields, point, trajectory.times)
     assert np.abs(trajectory.states[0].at(slice(None)) - exact).max() < 2e-6 * sizes[0]

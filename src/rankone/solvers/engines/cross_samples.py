@@ -216,7 +216,8 @@ class Trajectories:
             stiff=self.stiff,
             bearable_steps=CROSS.explicit_step_limit,
         )
-        tolerances = Tolerances(tolerance, absolute[:, None])
+        longest = reference_set.system.limit_of_steps
+        tolerances = Tolerances(tolerance, absolute[:, None], longest)
         observed = reference_set.observed
         rows = None if observed is None else observed.rows
         common = (

@@ -55,7 +55,8 @@ def solve_fields(
                     solve.run(pool)
         except EndsEarlyError as end:
             at = tuple(zip(fields.parameters, end.point.tolist(), strict=True))
-            stalled = Status.SWITCHES if end.accumulate else Status.STALLS
+            stalled = Status.LEAVES if end.undefined else Status.STALLS
+            stalled = Status.SWITCHES if end.accumulate else stalled
             solve.ended(Status.BLOW_UP if end.grows else stalled, FieldsEnd(end.time, at))
         except OutOfBudgetError as out:
             solve.ended(Status.of_limit(out))

@@ -121,7 +121,7 @@ class ReducedSystem:
                 "unseparated_initial": self.initial,
                 **self.events.members(),
                 "at_point": self.at,
-                "SMOOTH": True,
+                "LONGEST_STEP": fields.longest_step,
             }
         )
         object.__setattr__(system, "specification", self)
@@ -237,6 +237,8 @@ class ReducedRates:
         for number, matrix in self._moving_linear:
             total += c[number] * matrix
         for term in self._terms:
+            if not len(term.matrices):
+                continue
             slopes = c[term.coefficient] * term.slopes(t, term.at(a), self._p)
             inner = np.einsum("km,kmr->mr", slopes, term.matrices)
             total += term.after @ inner
@@ -272,7 +274,7 @@ class _PointTerm:
 
     def at(self, a: Array) -> list[Array]:
         """The arguments of the function at coefficients (R,)."""
-        values = (self.arguments @ a).reshape(len(self.matrices), -1)
+        values = (self.arguments @ a).reshape(self.matrices.shape[:2])
         return [*values, *self.vectors]
 
 
@@ -329,10 +331,11 @@ def _reduced_term(
     solved: Callable[[Array], Array],
 ) -> ReducedTerm:
     entries = interpolation.entries
+    arguments = [matrix[entries] @ spread for matrix in term.arguments]
     return ReducedTerm(
         coefficient=term.coefficient,
         after=solved(term.after @ interpolation.modes) @ interpolation.weights,
-        arguments=np.array([matrix[entries] @ spread for matrix in term.arguments]),
+        arguments=np.array(arguments).reshape(-1, len(entries), spread.shape[1]),
         vectors=term.vectors[:, entries],
         function=term.function,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -218,7 +217,9 @@ def integrate_reference(
     edges = integration_edges(system, points, (start, end), cuts)
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
-    longest = math.inf if has_smooth_rates(system, start) else CHECK.longest_step * (end - start)
+    longest = system.limit_of_steps
+    if not has_smooth_rates(system, start):
+        longest = CHECK.longest_step * (end - start)
     choose = partial(
         integrator_for,
         system,

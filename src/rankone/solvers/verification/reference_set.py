@@ -182,7 +182,8 @@ class ReferenceSet:
         finest = accuracy * np.minimum(RESOLVED * self.of_states, self.reference.floor)
         absolute = np.maximum(np.maximum(finest, self.reference.least), self.reference.rounded)
         edges = integration_edges(self.system, points, self.domain.horizon, self.cuts)
-        work = self.system, points, edges, Tolerances(accuracy, absolute[:, None]), times
+        tolerances = Tolerances(accuracy, absolute[:, None], self.system.limit_of_steps)
+        work = self.system, points, edges, tolerances, times
         choose = partial(integrator_for, self.system)
         if self.system.n_differential > CHECK.most_single_states:
             return choose(self.taken).sample(*work)

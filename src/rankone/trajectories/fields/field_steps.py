@@ -34,16 +34,21 @@ _MOST_STRETCHES = 1000  # From event to event; where there are more of them they
 class EndsEarlyError(Exception):
     """A trajectory of fields does not reach the end: ``time`` is as far as it came.
 
-    It ``grows`` beyond all bounds there, its events ``accumulate``, or its steps shrink without
-    such a reason.
+    It ``grows`` beyond all bounds there, its events ``accumulate``, rates are ``undefined``, or its
+    steps shrink without such a reason.
     """
 
     def __init__(
-        self, time: float, point: Array, grows: bool = False, accumulate: bool = False
+        self,
+        time: float,
+        point: Array,
+        grows: bool = False,
+        accumulate: bool = False,
+        undefined: bool = False,
     ) -> None:
-        super().__init__(time, point, grows, accumulate)
+        super().__init__(time, point, grows, accumulate, undefined)
         self.time, self.point = time, point
-        self.grows, self.accumulate = grows, accumulate
+        self.grows, self.accumulate, self.undefined = grows, accumulate, undefined
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,11 @@ class FieldSteps:
         beginning = self._times is not None and time == self._system.horizon[0]
         while solver.status == "running":
             before = solver.t
-            solver.step()
+            try:
+                solver.step()
+            except RuntimeError:  # a matrix of numbers that are not finite
+                grows = _grows(self._passed)
+                raise EndsEarlyError(before, self._point, grows, undefined=True) from None
             self._passed.append((float(solver.t), float(np.abs(solver.y).max())))
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 raise EndsEarlyError(float(solver.t), self._point, _grows(self._passed))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import TINY, Array
+from rankone.support.arrays import LEAST, TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.tasks import Pool, Shared
 from rankone.trajectories.fields.field_crossings import Occurred
@@ -67,8 +67,17 @@ class FieldTrajectory:
         return np.array(times)
 
 
-def field_sizes(system: FieldSystem, point: Array) -> Array:
-    """About how large each unknown becomes at a point: (unknowns,); one for what stays zero."""
+def field_sizes(system: FieldSystem, points: Array) -> Array:
+    """About how large each unknown becomes at points (m, d): (unknowns,).
+
+    One for what stays zero.
+    """
+    sizes = np.max([_sizes_at(system, point) for point in points], axis=0)
+    return np.where(sizes > LEAST, sizes, 1.0)
+
+
+def _sizes_at(system: FieldSystem, point: Array) -> Array:
+    """How large each unknown becomes at a point (d,)."""
     for tolerance in _COARSE[:-1]:
         try:
             return _sizes_by(system, point, tolerance)
@@ -90,7 +99,7 @@ def _sizes_by(system: FieldSystem, point: Array, tolerance: float) -> Array:
             reached = np.maximum(reached, _largest(system, state))
         if (reached <= 2.0 * known_sizes).all() and (reached >= 0.1 * known_sizes).all():
             break
-    return np.where(reached > 0.0, reached, 1.0)
+    return reached
 
 
 def field_trajectory(

@@ -156,7 +156,7 @@ def has_smooth_rates(system: System, start: float) -> bool:
 
     Then nothing is so narrow that it hides between the stages of a step. Others may say so.
     """
-    if system.smooth:
+    if system.longest_step is not None:
         return True
     if not system.separated or len(system.time_factors(np.array([start]))) > 1:
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias, TypeVar, cast
@@ -206,8 +207,8 @@ class System:
     tolerances of states by name; the states of each tuple in ``alike`` share a unit.
     Where trajectories start at steady states, ``rest`` is what has them, and ``at_rest`` finds them
     at p (d, m), without lifted states. ``at_point`` has the rates at parameters (d,), where these
-    are faster alone than those of many points. The rates of ``smooth`` ones have nothing in them
-    that is narrower than the longest step that they are integrated with.
+    are faster alone than those of many points. Steps up to ``longest_step`` pass over nothing
+    narrow in the rates, where that is known.
     """
 
     separated: bool
@@ -246,7 +247,12 @@ class System:
     rest: Rest | None = None
     at_rest: OfParameters | None = None
     at_point: Callable[[Array], PointRates] | None = None
-    smooth: bool = False
+    longest_step: float | None = None
+
+    @property
+    def limit_of_steps(self) -> float:
+        """The longest step that trajectories may take."""
+        return math.inf if self.longest_step is None else self.longest_step
 
     def tolerances(self, sizes: Array) -> Array:
         """Absolute tolerances of the differential states, whose largest values are ``sizes`` (n,).
@@ -482,7 +488,7 @@ def system_of(names: Mapping[str, object], held: Mapping[str, object] | None = N
         n_sides=member("N_SIDES", 0),
         held=None if held is None else system_of(held),
         rest=_rest(names),
-        smooth=member("SMOOTH", False),
+        longest_step=member("LONGEST_STEP", None),
         at_point=cast("Callable[[Array], PointRates] | None", names.get("at_point")),
     )
 
