@@ -393,7 +393,8 @@ class _Follower:
         """The flow around the expected root of an event, and the elapsed times (m,) of roots.
 
         They are at most a horizon before the start: farther back, trajectories may grow without
-        bound, and take ever more work.
+        bound, and take ever more work. Those where rates cease to be finite are none: rounding
+        would decide on which side of that they are.
         """
         (event, *_), margin = self._forced.met[i], self._forced.margins[i]
         start, end = self.clock.horizon
@@ -407,6 +408,9 @@ class _Follower:
             flow = self._flow(i, times, states, *to, whole=False)
             between = np.maximum(low, flow.first), np.minimum(high, flow.last)
             elapsed = nearest_roots(flow, event, between, expected, at_root, moved)
+            least = (1.0 - NEGLIGIBLE) * np.where(low < flow.first, flow.first, -np.inf)
+            most = (1.0 - NEGLIGIBLE) * np.where(flow.last < high, flow.last, np.inf)
+            elapsed[(elapsed < least) | (most < elapsed)] = np.nan
             if np.isfinite(elapsed).all():
                 return flow, elapsed
         ended = (low < flow.first) | (flow.last < high)
