@@ -172,6 +172,11 @@ class TestProblems:
             "  k = 2",
         ]
 
+    def test_a_field_of_one_entry(self):
+        w = ro.field("w", 1)
+        problem = ro.Problem({w: -D * w}, (t, 0, 1), {D: (1, 2)}, {w: 1})
+        assert repr(problem).startswith("Problem: 1 field of 1 entry, 1 parameter")
+
     def test_second_order(self):
         problem = heat(
             [sp.Eq(u.diff(t, 2) + k * u.diff(t), ro.apply(L, u))],

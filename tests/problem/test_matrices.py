@@ -128,6 +128,16 @@ def test_equations_that_are_refused(equations, message):
         ro.Problem(equations, (t, 0, 1), BOX, {x: 1, y: 1})
 
 
+def test_without_a_mass_a_system_is_of_first_order():
+    shared = {"time": (t, 0, 1), "parameters": {k: (1, 2)}, "initial": [1, 1, 1]}
+    damped = {"C": np.eye(3), "K": {k: CHAIN}}
+    assert ro.Problem.from_matrices(**damped, **shared) == ro.Problem.from_matrices(
+        None, **damped, **shared
+    )
+    with pytest.raises(ProblemError, match="neither M nor C"):
+        ro.Problem.from_matrices(K=CHAIN, **shared)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

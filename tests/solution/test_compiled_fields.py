@@ -144,6 +144,13 @@ def test_wrong_options_are_named(problem, options, message):
         ro.compile(problem).solve(**options)
 
 
+def test_each_option_is_listed_once(problem):
+    with pytest.raises(ro.OptionError) as raised:
+        ro.compile(problem).solve(foo=1)
+    for name in ("max_trajectories", "executor", "max_rank"):
+        assert str(raised.value).count(name) == 1
+
+
 def test_what_takes_no_fields_says_so(problem):
     with pytest.raises(ro.OptionError, match="fields"):
         ro.steady_state(problem)

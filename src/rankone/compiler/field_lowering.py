@@ -195,6 +195,19 @@ class _Writer:
         matrices = tuple(_sorted(matrix) for matrix in arguments.values())
         return matrices, np.array([*vectors.values()]).reshape(len(vectors), n)
 
+    def _height(self, event: Event) -> sp.Expr:
+        """What crosses zero, as a function of arguments."""
+        try:
+            return self._splitter.function_of(event.when)
+        except SeparationError as error:
+            raise SeparationError(
+                f"`when` of event {quote(event.name)} has {quote(error.term)}, and events of "
+                "fields take functionals that are linear in the fields alone",
+                term=error.term,
+                remedy="write a function of linear functionals, f(apply(row, u)), or make it a "
+                "scalar unknown with a rate of its own",
+            ) from None
+
     def events(
         self, problem: CheckedFields, resets: Sequence[Sequence[Term]]
     ) -> tuple[FieldEvent, ...]:
@@ -203,7 +216,7 @@ class _Writer:
         events = []
         for event, terms in zip(problem.events, resets, strict=True):
             name = self._named("height")
-            height = self._splitter.function_of(event.when)
+            height = self._height(event)
             arguments, vectors = self._add_function(name, height, 1)
             at = known_field_time(event, problem.time[0])
             known += [] if at is None else [at]

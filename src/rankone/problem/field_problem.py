@@ -150,7 +150,8 @@ class CheckedFields(CheckedProblem):
         """How many unknowns there are, in words."""
         fields = [u for u in self.unknowns if isinstance(u, Field)]
         entries = ", ".join(dict.fromkeys(str(u.size) for u in fields))
-        kinds = [f"{count(len(fields), 'field')} of {entries} entries"]
+        noun = "entry" if entries == "1" else "entries"
+        kinds = [f"{count(len(fields), 'field')} of {entries} {noun}"]
         scalars = len(self.unknowns) - len(fields)
         kinds += [count(scalars, "scalar unknown")] if scalars else []
         return ", ".join([*kinds, count(len(self.parameters), "parameter")])

@@ -313,7 +313,7 @@ class Problem(CheckedProblem):
     @_timed
     def from_matrices(
         cls,
-        M: MatrixLike | None,
+        M: MatrixLike | None = None,
         C: MatrixLike | None = None,
         K: MatrixLike | None = None,
         force: MatrixLike | None = None,
@@ -332,8 +332,8 @@ class Problem(CheckedProblem):
         M, C, K : matrix or mapping of Expr to matrix
             Mass, damping and stiffness (n, n): a SymPy matrix, an array, a sparse matrix of SciPy,
             or a sum ``{1: K0, k: K1}`` of coefficients times such matrices. Coefficients and
-            entries of SymPy matrices may have parameters, constants, time and unknowns. With
-            ``M=None`` the system is of first order, ``C q' + K q = force``. The matrix of the
+            entries of SymPy matrices may have parameters, constants, time and unknowns. Without M
+            the system is of first order, ``C q' + K q = force``. The matrix of the
             highest derivatives is of numbers or diagonal if it has more than six rows.
         force : vector or mapping of Expr to vector, optional
             The right-hand side (n,), given in the same way: ``{F0 * sp.cos(w*t): b}``.

@@ -202,13 +202,13 @@ class CompiledFields:
         fields = self.system
         domain = Domain(fields.horizon, fields.box, fields.scales)
         domain = domain.moved(fields.parameters, shared["parameters"], shared["t_final"])
-        arguments = ("rtol", "method", "check", "max_trajectories", "progress", *shared)
+        own = "rtol", "method", "check", "max_trajectories", "progress", "executor", "on_failure"
         return FieldRequest(
             rtol=checked_rtol(rtol),
             domain=domain,
             check=checked_number("check", check, 0, MOST_POINTS),
             limits=Limits.of(fields, shared["effort"], shared["max_seconds"], shared["max_memory"]),
-            options=CrossOptions.of(arguments, **options),
+            options=CrossOptions.of((*own, *shared), **options),
             executor=None if executor is None else checked_executor("executor", executor),
             trajectories=checked_number("max_trajectories", max_trajectories, 1, MOST_POINTS),
         )

@@ -184,7 +184,7 @@ class Options:
             beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
                 f"unknown option {name!r}{did_you_mean(name, [*names, *keywords])}",
-                remedy=f"choose from {', '.join(names)}{beside}",
+                remedy=f"choose from {', '.join(n for n in names if n not in keywords)}{beside}",
             )
         return cls(**changes)
 
