@@ -352,7 +352,9 @@ def check_outputs(
     count = columns.shape[1]
     outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
     for i, (name, expression) in enumerate(expressions.items()):
-        error = _value_error(expression, places, columns, outputs[:, i], LOST_SHARE)
+        error = _value_error(
+            expression, places, columns, outputs[:, i], LOST_SHARE, rounded_leaves=True
+        )
         if error is not None:
             raise OptionError(
                 f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
@@ -363,18 +365,25 @@ def check_outputs(
 
 
 def _value_error(
-    expression: sp.Expr, places: dict[sp.Expr, int], columns: Array, generated: Array, lost: float
+    expression: sp.Expr,
+    places: dict[sp.Expr, int],
+    columns: Array,
+    generated: Array,
+    lost: float,
+    *,
+    rounded_leaves: bool = False,
 ) -> float | None:
     """How far generated values (m,) of an expression are off.
 
-    ``places`` has the rows of the columns (l, m) in which the values of leaves are.
+    ``places`` has the rows of the columns (l, m) in which the values of leaves are; those of states
+    of a solution are ``rounded_leaves``.
     """
     computed = sp.Dummy()
     own = ChainMap({computed: len(places)}, places)
     comparison = Comparison(computed, expression, own, {computed})
     columns = np.concatenate([columns, generated[None]])
     points = (columns[:, k] for k in _finite(columns))
-    disagreement = comparison.beyond_rounding(points, lost)
+    disagreement = comparison.beyond_rounding(points, lost, rounded_leaves=rounded_leaves)
     return None if disagreement is None else disagreement[1]
 
 

@@ -328,6 +328,7 @@ class Comparison:
         occurring = [_occurring(term, places) for term in terms]
         self._computed = [i for i, some in enumerate(occurring) if not computed.isdisjoint(some)]
         leaves = sorted(set().union(*occurring), key=places.__getitem__)
+        self._is_computed = [leaf in computed for leaf in leaves]
         self._places = np.array([places[leaf] for leaf in leaves], dtype=int)
         self.program = Program(terms, leaves)
 
@@ -364,13 +365,16 @@ class Comparison:
         points: Iterable[Array],
         lost: float = LOST_SHARE,
         negligible: float | None = None,
+        *,
+        rounded_leaves: bool = False,
     ) -> tuple[int, float] | None:
         """The first point at which rounding does not explain the residual, and the residual.
 
         A residual above the share ``lost`` of the largest computed value is never rounding, unless
         it is below ``negligible``. If that is zero, each point counts on its own. Points at which
         the expressions have no value are left out. Where nothing is computed, rounding is that of
-        the other leaves.
+        the other leaves. With ``rounded_leaves`` these are no exact numbers: digits that their last
+        ones decide are not lost.
         """
         leaves = list(points)
         exact_sums = [self._sums_at(point) for point in leaves]
@@ -390,9 +394,28 @@ class Comparison:
             scale = abs(computed) if negligible == 0.0 else largest
             if abs(residual) > max(lost * scale, least):
                 spread = self._spread(leaves[k], residual, _LAST_DIGITS)
+                if spread is not None and rounded_leaves:
+                    spread = max(spread, self._spread_of_leaves(leaves[k], residual))
                 if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
         return None
+
+    def _spread_of_leaves(self, point: Array, exact: float) -> float:
+        """How far the last digits of leaves that are not computed move the residual."""
+        noise, own = np.random.default_rng(SEED), self._own(point)
+        spread = 0.0
+        for _ in range(_RUNS):
+            errors = noise.uniform(-EPSILON, EPSILON, len(own)).tolist()
+            leaves = [
+                leaf if computed else _disturbed(leaf, error)
+                for leaf, error, computed in zip(own, errors, self._is_computed, strict=True)
+            ]
+            try:
+                residual = to_float(self._sums(self.program(leaves))[0])
+            except (NoValueError, OverflowError):
+                continue
+            spread = max(spread, abs(residual - exact))
+        return spread
 
     def _spread(self, point: Array, exact: float, size: float = ACCUMULATED) -> float | None:
         """How far rounding of a size moves the residual; None if that cannot be told."""

@@ -10,7 +10,7 @@ import sympy as sp
 import rankone as ro
 from rankone.compiler.field_outputs import _Lowering
 from rankone.trajectories.fields.field_system import Unknown
-from tests.solution.fields.small_fields import N, small_fields, without_scalars
+from tests.solution.fields.small_fields import N, orthonormal_modes, small_fields, without_scalars
 
 POINT = {"t": [0.0, 0.3, 1.0], "k": 1.3, "s": 0.7}
 TIMES = np.linspace(0.0, 1.0, 65)
@@ -108,6 +108,17 @@ def test_the_error_of_a_quadratic_functional_is_bounded(solution):
     wrong = every + 2e-5 * 5.0 * np.sign(every)
     size = solution.output({"energy": ro.apply(POSITIVE, u**2)})(t=0.0, k=1.0, s=1.0)[0]
     assert 0.3 * output.error < abs(np.mean(wrong**2) - np.mean(every**2)) / size < output.error
+
+
+def test_quadratic_functionals_that_are_zero_by_symmetry(solution):
+    """Only rounding is left of them."""
+    half = orthonormal_modes(N // 2)
+    mirrored = np.concatenate([half, half[::-1]]), solution.modes.modes[1]
+    symmetric = replace(solution, modes=replace(solution.modes, modes=mirrored))
+    odd = np.repeat([1.0, -1.0], N // 2)[None] / N
+    output = symmetric.output({"odd": ro.apply(odd, u**2), "even": ro.apply(abs(odd), u**2)})
+    values, even = output(**POINT)
+    assert np.abs(values).max() < 1e-14 * even.max()
 
 
 def test_functions_of_functionals_and_of_few_entries(solution, values):
