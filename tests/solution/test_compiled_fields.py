@@ -24,6 +24,14 @@ def problem():
 
 
 @pytest.fixture(scope="module")
+def winding():
+    """Fields of which a few trajectories tell too little."""
+    rate = K * ro.apply(LAPLACIAN, U) + 5 * sp.sin(6 * Q * U) * ro.apply(np.cos(9 * X), 1)
+    box = {K: (0.002, 0.2), Q: (-3, 3)}
+    return ro.Problem({U: rate}, (T, 0, 0.2), box, {U: ro.apply(HEAT, 1)})
+
+
+@pytest.fixture(scope="module")
 def solution(problem):
     return ro.solve(problem, rtol=1e-3)
 
@@ -115,13 +123,13 @@ def test_states_that_leave_the_domain_of_a_function_are_told():
     assert "not finite, at t = 0.0" in solution.message
 
 
-def test_failures_are_returned_or_raised(problem):
-    compiled = ro.compile(problem)
-    solution = compiled.solve(1e-3, max_trajectories=3)
+def test_failures_are_returned_or_raised(winding):
+    compiled = ro.compile(winding)
+    solution = compiled.solve(1e-4, max_trajectories=8, check=0)
     assert not solution.success
     assert "limit of trajectories" in solution.message
     with pytest.raises(ro.ConvergenceError, match="limit of trajectories") as failed:
-        compiled.solve(1e-3, max_trajectories=3, on_failure="raise")
+        compiled.solve(1e-4, max_trajectories=8, check=0, on_failure="raise")
     assert not failed.value.solution.success
 
 
@@ -142,6 +150,20 @@ def test_failures_are_returned_or_raised(problem):
 def test_wrong_options_are_named(problem, options, message):
     with pytest.raises(ro.OptionError, match=message):
         ro.compile(problem).solve(**options)
+
+
+@pytest.mark.parametrize(("d", "check", "fewest"), [(2, 12, 28), (1, 3, 17), (0, 12, 3), (2, 0, 8)])
+def test_limits_below_what_a_solve_takes_are_refused_before_it(problem, d, check, fewest):
+    parameters = dict([*problem.parameters.items()][:d])
+    others = dict([*problem.parameters.items()][d:])
+    values = {symbol: (0.1 if symbol == K else 2.0) for symbol in others}
+    rates = {u: rate.subs(values) for u, rate in problem.rates.items()}
+    compiled = ro.compile(ro.Problem(rates, (T, 0, 0.2), parameters, {U: 0}))
+    with pytest.raises(ro.OptionError, match=f"takes at least {fewest} full trajectories"):
+        compiled.solve(0.05, check=check, max_trajectories=fewest - 1)
+    solution = compiled.solve(0.05, check=check, max_trajectories=fewest)
+    assert solution.modes.trajectories == fewest
+    assert solution.success == (check > 0)
 
 
 def test_each_option_is_listed_once(problem):
@@ -191,11 +213,11 @@ def test_no_parameters_at_all():
     assert np.abs(solution(t=0.2) - exact).max() < 1e-3 * solution.modes.scales[0]
 
 
-def test_nothing_is_saved_where_nothing_was_solved(problem, tmp_path):
-    empty = ro.solve(problem, rtol=1e-4, max_trajectories=1)
+def test_nothing_is_saved_where_nothing_was_solved(winding, tmp_path):
+    empty = ro.solve(winding, rtol=1e-4, max_trajectories=8, check=0)
     with pytest.raises(ro.StorageError, match="nothing to save: the limit of trajectories"):
         empty.save(tmp_path / "empty.npz")
-    with pytest.raises(ro.EvaluationError, match="at most 1 were to be integrated"):
+    with pytest.raises(ro.EvaluationError, match="at most 8 were to be integrated"):
         empty(t=0.1, k=0.1, q=1.0)
 
 

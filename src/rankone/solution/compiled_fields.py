@@ -124,7 +124,8 @@ class CompiledFields:
             more are where the equations are satisfied least. 0 skips the check; the solution then
             does not count as a success.
         max_trajectories : int
-            Full trajectories at most, those of the check included.
+            Full trajectories at most, those of the check included. No solve takes fewer than 8
+            with two parameters or more, and those of the check.
         executor : int, concurrent.futures.Executor, distributed.Client or str, optional
             What integrates full trajectories: a number of processes, an executor, or a client or
             the address of a scheduler of dask. Solutions are the same to the bit.
@@ -203,7 +204,7 @@ class CompiledFields:
         domain = Domain(fields.horizon, fields.box, fields.scales)
         domain = domain.moved(fields.parameters, shared["parameters"], shared["t_final"])
         own = "rtol", "method", "check", "max_trajectories", "progress", "executor", "on_failure"
-        return FieldRequest(
+        request = FieldRequest(
             rtol=checked_rtol(rtol),
             domain=domain,
             check=checked_number("check", check, 0, MOST_POINTS),
@@ -212,6 +213,14 @@ class CompiledFields:
             executor=None if executor is None else checked_executor("executor", executor),
             trajectories=checked_number("max_trajectories", max_trajectories, 1, MOST_POINTS),
         )
+        if request.trajectories < request.fewest:
+            raise OptionError(
+                f"max_trajectories={max_trajectories} does not suffice: a solve takes at least "
+                f"{request.fewest} full trajectories, {request.checked} of them for the check",
+                term=max_trajectories,
+                remedy="raise it, or lower check",
+            )
+        return request
 
     def _solution(
         self, outcome: ReducedOutcome, request: FieldRequest, seconds: float

@@ -98,6 +98,19 @@ class FieldRequest:
     executor: ExecutorLike | None = None
     trajectories: int = FIELDS.most_trajectories
 
+    @property
+    def checked(self) -> int:
+        """Full trajectories of a check, at least."""
+        if not self.check:
+            return 0
+        return self.check + FIELDS.worst_checks if self.domain.box else 1
+
+    @property
+    def fewest(self) -> int:
+        """Full trajectories of a solve, at least: the first ones, a round of others, the check."""
+        d = len(self.domain.box)
+        return (1 + min(2**d, FIELDS.first_corners) + FIELDS.at_once if d else 2) + self.checked
+
 
 @dataclass(frozen=True)
 class ReducedOutcome:
