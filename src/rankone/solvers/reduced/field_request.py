@@ -44,6 +44,8 @@ class FieldTuning:
     """Tolerance of its solution, at first."""
     solution: float = 0.5
     """Error of its solution, against trajectories of the reduced system, that suffices."""
+    settled: float = 0.7
+    """Factor on that error by which a tighter tolerance has to lower it to be tightened again."""
     first_corners: int = 4
     """Corners among the first points, beside the centre."""
     at_once: int = 3

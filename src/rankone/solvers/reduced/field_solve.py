@@ -133,16 +133,16 @@ class _FieldSolve:
     def _solved(self, reduced: ReducedSystem, wanted: float) -> tuple[Outcome, SolutionMetadata]:
         """The coefficients over the box, with fields as accurate as ``wanted``, if possible."""
         points = self.training.candidates(FIELDS.coefficient_checks)
-        rtol = FIELDS.solved / FIELDS.solution * wanted
+        rtol, before = FIELDS.solved / FIELDS.solution * wanted, math.inf
         for _ in range(FIELDS.rounds):
             outcome, metadata = self._solved_to(replace(reduced, rtol=rtol))
             if not outcome.slabs or outcome.status not in _MEASURED or self.fields.events:
                 break
             curves = CoefficientCurves(outcome, self.fields, self.training.rank)
             error = self.training.distance(reduced, curves, points, FIELDS.finer * wanted)
-            if error <= wanted:
+            if error <= wanted or error > FIELDS.settled * before:
                 break
-            rtol *= max(0.5 * wanted / error, FIELDS.finer)
+            rtol, before = rtol * max(0.5 * wanted / error, FIELDS.finer), error
         return outcome, metadata
 
     def _solved_to(self, reduced: ReducedSystem) -> tuple[Outcome, SolutionMetadata]:
