@@ -97,11 +97,11 @@ def test_an_atol_of_zero_asks_for_the_size_of_the_unknown_itself():
 
 @pytest.mark.slow
 def test_a_limit_names_the_unknowns_that_cost_most():
-    refused = shared(100, units=None, effort=0.01)
+    refused = shared(100, units=None, effort=0.006)
     assert not refused.success
     assert "`x99`, `x98`" in refused.message
     assert 'give `atol={"x99": 1e-12, …}`' in refused.message
-    assert shared(100, effort=0.01).success
+    assert shared(100, effort=0.006).success
 
 
 @pytest.mark.slow
