@@ -76,8 +76,9 @@ class Trajectories:
         self.reference_set, self.grid, self.most = reference_set, grid, most
         self.allowed_error = allowed_error
         avoided = reference_set.reference.avoided
-        self.stiff = self.calibrated = avoided > CROSS.explicit_step_limit
-        self.tightness = CROSS.aimed_error_ratio if self.stiff else tightness
+        self.calibrated = avoided > CROSS.explicit_step_limit
+        self.stiff = self.calibrated or reference_set.system.at_point is not None
+        self.tightness = CROSS.aimed_error_ratio if self.calibrated else tightness
         self.count, self.work, self.least_work = 0, 0.0, 0.0
         self._counted_work = 0.0
         self.integrator, self.taken = reference_set.taken, reference_set.reference.integrator

@@ -134,8 +134,9 @@ class _FieldSolve:
         """The coefficients over the box, with fields as accurate as ``wanted``, if possible."""
         points = self.training.candidates(FIELDS.coefficient_checks)
         rtol, before = FIELDS.solved / FIELDS.solution * wanted, math.inf
+        solved = self._solved_to(replace(reduced, rtol=rtol))
         for _ in range(FIELDS.rounds):
-            outcome, metadata = self._solved_to(replace(reduced, rtol=rtol))
+            outcome, _ = solved
             if not outcome.slabs or outcome.status not in _MEASURED or self.fields.events:
                 break
             curves = CoefficientCurves(outcome, self.fields, self.training.rank)
@@ -143,7 +144,11 @@ class _FieldSolve:
             if error <= wanted or error > FIELDS.settled * before:
                 break
             rtol, before = rtol * max(0.5 * wanted / error, FIELDS.finer), error
-        return outcome, metadata
+            tighter = self._solved_to(replace(reduced, rtol=rtol))
+            if tighter[0].status is not Status.CONVERGED:
+                break
+            solved = tighter
+        return solved
 
     def _solved_to(self, reduced: ReducedSystem) -> tuple[Outcome, SolutionMetadata]:
         """The coefficients over the box by the cross engine, to the tolerance of the system."""

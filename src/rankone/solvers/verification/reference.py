@@ -223,6 +223,7 @@ def integrate_reference(
     choose = partial(
         integrator_for,
         system,
+        stiff=system.at_point is not None,
         looks_anywhere=True,
         workers=workers or Workers(system),
     )
