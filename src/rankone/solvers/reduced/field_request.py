@@ -39,7 +39,9 @@ class FieldTuning:
     added: float = 3.0
     """Error of the reduced system over what its modes leave out that is much."""
     reduced: float = 0.8
-    """Error of the reduced system at which it is solved."""
+    """Error of the reduced system at which it is solved, in two rounds of points."""
+    far_below: float = 0.3
+    """The same in one round."""
     solved: float = 0.4
     """Tolerance of its solution, at first."""
     solution: float = 0.5
