@@ -6,6 +6,7 @@
 - ``heat40``, ``heat100``, ``heat200``, ``block``, ``cable``, ``cable_at_rest``, ``brusselator``,
   ``burgers``, ``convection``, ``beam``: solves by modes, each in a process of its own, beside
   trajectories of SciPy's BDF with the sparse Jacobian and modes by hand of five of them
+- ``processes``: full trajectories by one process and by two
 - ``pymor``: heat on 100 x 100 cells and the block by modes of pyMOR, also in their sections
 
 The beam needs scikit-fem; its reference trajectories are those of rankone at a tolerance of their
@@ -28,7 +29,12 @@ import sympy as sp
 
 import rankone as ro
 from rankone.compiler.field_lowering import field_system
-from rankone.trajectories.fields.field_trajectories import field_trajectory
+from rankone.support.tasks import open_pool
+from rankone.trajectories.fields.field_trajectories import (
+    FieldIntegration,
+    field_sizes,
+    field_trajectory,
+)
 from tests.benchmarks.field_peers import by_pymor
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "fields"
@@ -324,9 +330,32 @@ def solve_section(name):
     print(f"  evaluation at a point {1e4 * each:.0f} us")
 
 
+def processes_section():
+    """Sixteen full trajectories by one process and by two, which are warm."""
+    for name in ("heat100", "cable"):
+        build, size, rtol = CASES[name]
+        system = field_system(build(size))
+        lower, upper = np.array(system.box).T
+        points = lower + np.random.default_rng(0).random((16, len(lower))) * (upper - lower)
+        how = field_sizes(system, points[:1]), 0.01 * rtol, 0.01 * rtol
+        began = time.perf_counter()
+        alone = FieldIntegration(system, *how, None, 0.0).trajectories(points)
+        one = time.perf_counter() - began
+        with open_pool(2) as pool:
+            integration = FieldIntegration(system, *how, pool, 0.0)
+            integration.trajectories(points[:2])
+            began = time.perf_counter()
+            shared = integration.trajectories(points)
+            two = time.perf_counter() - began
+        pairs = zip(alone, shared, strict=True)
+        same = all(np.array_equal(a.states[0].numbers, b.states[0].numbers) for a, b in pairs)
+        print(f"{name}: one {one:.2f} s, two {two:.2f} s, x {one / two:.2f}; the same: {same}")
+
+
 SECTIONS = {
     "compile": compile_section,
     **{name: partial(solve_section, name) for name in CASES},
+    "processes": processes_section,
     "pymor": pymor_section,
 }
 
