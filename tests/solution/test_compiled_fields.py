@@ -248,3 +248,15 @@ def test_sources_that_move_are_functions_without_fields():
     ).y[:, -1]
     assert solution.success
     assert np.abs(solution(t=1.0, k=1.3) - exact).max() < 1e-3 * exact.max()
+
+
+def test_a_pole_in_one_corner_of_many_parameters_is_no_success():
+    u, parameters = ro.field("u", 20), sp.symbols("p0:6")
+    source = ro.apply(np.sin(np.arange(1.0, 21.0)), 1 + 0.005 / (6.005 - sum(parameters)))
+    problem = ro.Problem({u: -u + source}, (T, 0, 1), dict.fromkeys(parameters, (0, 1)), {u: 0})
+    solution = ro.solve(problem, rtol=1e-3)
+    exact = 2 * (1 - np.exp(-1.0)) * np.sin(np.arange(1.0, 21.0))
+    error = np.abs(solution(1.0, dict.fromkeys(solution.parameters, 1.0)) - exact).max()
+    assert error > 1e-2 * exact.max()
+    assert not solution.success
+    assert solution.error > 1e-2

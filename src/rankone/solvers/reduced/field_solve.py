@@ -72,6 +72,7 @@ class _FieldSolve:
     def __init__(self, fields: FieldSystem, request: FieldRequest, report: Report) -> None:
         self.fields, self.request = fields, request
         self.training = FieldTraining(fields, request, report)
+        self.doubtful = np.zeros((0, len(request.domain.box)))
         self.timings: dict[str, float] = {}
         self.result = ReducedOutcome(Verdict(Status.TRAJECTORY_LIMIT))
 
@@ -86,7 +87,7 @@ class _FieldSolve:
                 self.training.begin(pool)
             with timed(self.timings, "modes"):
                 reduced, interpolations = self.training.train()
-            wanted = FIELDS.solution * self.request.rtol
+            wanted, tightened = FIELDS.solution * self.request.rtol, False
             for _ in range(FIELDS.rounds):
                 checked = self._measured(reduced, interpolations, wanted)
                 if not checked:
@@ -96,8 +97,12 @@ class _FieldSolve:
                     with timed(self.timings, "modes"):
                         self.training.learn(checked)
                         reduced, interpolations = self.training.train()
+                elif (
+                    tightened
+                ):  # in vain: modes suffice, and the solution for coefficients does not
+                    return
                 else:
-                    wanted *= FIELDS.tightened
+                    wanted, tightened = FIELDS.tightened * wanted, True
         except SolveEndedError as end:
             self.ended(end.status, end.cause)
 
@@ -140,7 +145,9 @@ class _FieldSolve:
             if not outcome.slabs or outcome.status not in _MEASURED or self.fields.events:
                 break
             curves = CoefficientCurves(outcome, self.fields, self.training.rank)
-            error = self.training.distance(reduced, curves, points, FIELDS.finer * wanted)
+            errors = self.training.distances(reduced, curves, points, FIELDS.finer * wanted)
+            error = float(errors.max())
+            self.doubtful = points[errors == error] if error > wanted else points[:0]
             if error <= wanted or error > FIELDS.settled * before:
                 break
             rtol, before = rtol * max(0.5 * wanted / error, FIELDS.finer), error
@@ -161,13 +168,18 @@ class _FieldSolve:
     def _check_trajectories(
         self, reduced: ReducedSystem, interpolations: Sequence[Interpolation]
     ) -> list[FieldTrajectory]:
-        """Full trajectories at points that no mode has seen: spread ones, and the worst."""
+        """Full trajectories at points that no mode has seen: spread ones, and the worst.
+
+        Among these, the one at which the solution is farthest from the reduced system.
+        """
         training, d = self.training, len(self.request.domain.box)
         if d == 0:
             return training.full_trajectories(np.zeros((1, 0)))
         even = training.coverage.points(spread(self.request.check, d, training.generator))
         worst = training.worst_points(reduced, interpolations, FIELDS.worst_checks, even)
-        return training.full_trajectories(np.concatenate([even, worst, training.beside]))
+        return training.full_trajectories(
+            np.concatenate([even, worst, training.beside, self.doubtful])
+        )
 
     def _errors(self, curves: CoefficientCurves, trajectory: FieldTrajectory) -> list[float]:
         """The errors by unknown; infinite where the solution has other events."""

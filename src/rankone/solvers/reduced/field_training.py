@@ -376,19 +376,19 @@ class FieldTraining:
 
         return max(self.errors_along(curve, trajectory))
 
-    def distance(
+    def distances(
         self, reduced: ReducedSystem, curves: CoefficientCurves, points: Array, rtol: float
-    ) -> float:
-        """How far the fields of curves are from those of the reduced system at points (m, d)."""
+    ) -> Array:
+        """How far fields of curves are from those of the reduced system at points (m, d): (m,)."""
         assert self.modes is not None
         times = self.telling_times(FIELDS.residual_times)
         states, _ = self.reduced_states(reduced, points, times, rtol)
-        worst = 0.0
+        worst = np.zeros(len(points))
         for k, point in enumerate(points):
             difference = np.nan_to_num(curves.at(point)(times) - states[:, k])
             for j, (modes, scale) in enumerate(zip(self.modes.modes, self.scales, strict=True)):
                 gap = modes @ difference[self.modes.coefficients_of(j)]
-                worst = max(worst, float(np.abs(gap).max()) / scale if scale else 0.0)
+                worst[k] = max(worst[k], np.abs(gap).max() / scale if scale else 0.0)
         return worst
 
     def measured_modes(self, errors: tuple[float, ...]) -> FieldModes:
