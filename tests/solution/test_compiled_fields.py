@@ -260,3 +260,16 @@ def test_a_pole_in_one_corner_of_many_parameters_is_no_success():
     assert error > 1e-2 * exact.max()
     assert not solution.success
     assert solution.error > 1e-2
+
+
+def test_fields_that_grow_a_thousand_times_more_at_a_corner():
+    u, parameters = ro.field("u", N), sp.symbols("p0:6")
+    rate = 0.05 * ro.apply(LAPLACIAN, u) + sum(parameters) * u
+    problem = ro.Problem({u: rate}, (T, 0, 1), dict.fromkeys(parameters, (0, 1.15)), {u: HEAT})
+    solution = ro.solve(problem, rtol=1e-3)
+    assert solution.success
+    spread = scipy.linalg.expm(0.05 * LAPLACIAN.toarray()) @ HEAT
+    largest = np.exp(6 * 1.15) * spread
+    for value in (0.3, 0.8, 1.15):
+        ours = solution(1.0, dict.fromkeys(solution.parameters, value))
+        assert np.abs(ours - np.exp(6 * value) * spread).max() < 1e-3 * largest.max()

@@ -165,29 +165,28 @@ READ = Cost(50 * CALL, 15)
 # SuperLU: for each entry of the factors
 SPARSE_FACTORS = Cost(80 * CALL, 45)
 SPARSE_SOLUTION = Cost(22 * CALL, 2)
-_MULTIPLY = 0.04  # A multiplication in a product of large matrices, which works in blocks
 
 
 def product(rows: float, inner: float, columns: float) -> float:
     """A product of matrices."""
-    return CALL + rows * columns * (1.0 + _MULTIPLY * inner)
+    return CALL + rows * columns * (1.0 + 0.04 * inner)
 
 
 def qr(rows: float, columns: float) -> float:
     """A QR decomposition."""
     size = rows * columns
-    return 15 * CALL + size * (12 + 3 * _MULTIPLY * min(rows, columns))
+    return 15 * CALL + size * (12 + 0.12 * min(rows, columns))
 
 
 def svd(rows: float, columns: float) -> float:
     """A thin singular value decomposition."""
     size = rows * columns
-    return 20 * CALL + size * (40 + 6 * _MULTIPLY * min(rows, columns))
+    return 20 * CALL + size * (40 + 0.25 * min(rows, columns))
 
 
 def inverse(size: int, real: bool) -> float:
     """The inverse of one matrix of a stack."""
-    return (100 + size**2 * (20 + 8 * _MULTIPLY * size)) * (1 if real else 2)
+    return (100 + size**2 * (20 + 0.3 * size)) * (1 if real else 2)
 
 
 def pseudo_inverse(rows: float, columns: float) -> float:
@@ -197,7 +196,7 @@ def pseudo_inverse(rows: float, columns: float) -> float:
 
 def eigenvalues(size: int) -> float:
     """The eigenvalues of one matrix of a stack."""
-    return size**2 * (150 + 18 * _MULTIPLY * size)
+    return size**2 * (150 + 0.7 * size)
 
 
 # -----------------------------------------------------------------------------
@@ -214,7 +213,7 @@ class SparseFactors:
         self.filled = int(self._factors.nnz)
         self._weight = 2.0 if np.iscomplexobj(matrix) else 1.0
         reserve(8 * (self._weight + 1.0) * self.filled)
-        multiplications = 2 * _MULTIPLY * self.filled**2 / matrix.shape[0]  # about
+        multiplications = 0.1 * self.filled**2 / matrix.shape[0]  # measured
         charge(self._weight * (SPARSE_FACTORS(self.filled) + multiplications))
 
     def solve(self, x: Array) -> Array:

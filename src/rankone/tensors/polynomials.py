@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 
-from rankone.support.arrays import SEED, Array
+from rankone.support.arrays import MINOR, SEED, Array
 from rankone.support.budget import charge
 from rankone.support.costs import product
 from rankone.tensors.basis import Basis1D
@@ -28,7 +28,6 @@ LEAST_PARAMETERS = 6
 _MOST_TERMS = 6000
 _FIRST_TERMS = 100
 _COLUMNS_PER_TERM = 1.5
-_CUT = 0.05  # Error of the train of a fit, over the tolerance
 
 
 def fitted(columns: Columns, bases: Sequence[Basis1D], tolerance: float) -> Train | None:
@@ -47,7 +46,7 @@ def fitted(columns: Columns, bases: Sequence[Basis1D], tolerance: float) -> Trai
             return None
         coefficients, error = fit(terms[:count])
         if error <= tolerance:
-            return train_of(coefficients, terms[:count], sizes, _CUT * tolerance)
+            return train_of(coefficients, terms[:count], sizes, MINOR * tolerance)
         earlier.append((count, error))
         if _needed(earlier, tolerance) > _MOST_TERMS:
             return None

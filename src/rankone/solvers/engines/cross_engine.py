@@ -425,7 +425,7 @@ def _interpolation(system: System, request: SolveRequest) -> AdaptiveInterpolati
     """The interpolation of a solve, before its first attempt."""
     options, domain = request.options_of(CrossOptions), request.domain
     basis, most = BASES[options.basis], (options.max_nodes, options.max_rank)
-    limits = InterpolationLimits(basis, *most, polynomials=system.longest_step is not None)
+    limits = InterpolationLimits(basis, *most, polynomials=system.at_point is not None)
     target = (CROSS.first_marked_level if _is_marked(system) else 1.0) * request.rtol
     return AdaptiveInterpolation(domain.box, limits, target, TIGHTENING, domain.first_coordinates)
 

@@ -68,8 +68,6 @@ class FieldTuning:
     """Places on a line through the box, and times, at which rates are looked at."""
     looked_at: int = 16
     """Entries of elementwise functions that are looked at."""
-    times_at_once: int = 128
-    """Times at which all entries are held."""
     narrow: float = 0.1
     """Part of a line on which a coefficient is far from its median that is narrow."""
     slow: float = 0.02

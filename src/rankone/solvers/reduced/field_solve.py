@@ -145,7 +145,7 @@ class _FieldSolve:
             if not outcome.slabs or outcome.status not in _MEASURED or self.fields.events:
                 break
             curves = CoefficientCurves(outcome, self.fields, self.training.rank)
-            errors = self.training.distances(reduced, curves, points, FIELDS.finer * wanted)
+            errors = self.training.distances(reduced, curves, points)
             error = float(errors.max())
             self.doubtful = points[errors == error] if error > wanted else points[:0]
             if error <= wanted or error > FIELDS.settled * before:

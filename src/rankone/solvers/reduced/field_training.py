@@ -22,7 +22,7 @@ from rankone.solvers.reduced.field_request import FIELDS, FieldRequest
 from rankone.solvers.reduced.field_residual import FieldResidual
 from rankone.solvers.reduced.reduced_system import ReducedSystem, reduced_system
 from rankone.solvers.verification.points import Coverage
-from rankone.support.arrays import TINY, Array, corners, spread
+from rankone.support.arrays import AT_ONCE, TINY, Array, corners, spread
 from rankone.support.budget import ProgressEvent, Report
 from rankone.support.tasks import Pool
 from rankone.trajectories.events.event_integration import integrate_to_events
@@ -91,7 +91,7 @@ class FieldTraining:
         first = centre[:0]
         if d:
             first = self.coverage.points(corners(d, FIELDS.first_corners, self.generator))
-        sizes = field_sizes(self.fields, np.concatenate([centre, first]))  # one may be zero
+        sizes = field_sizes(self.fields, np.concatenate([centre, first]))
         absolute = np.array([u.absolute for u in self.fields.unknowns]) / rtol
         self.sizes = sizes = np.maximum(sizes, absolute)
         tolerance = self._step_tolerance(centre[0], sizes)
@@ -244,10 +244,12 @@ class FieldTraining:
                 return self._reduced()
 
     def _tighten(self, trajectories: Sequence[FieldTrajectory], errors: Sequence[float]) -> None:
-        """Let modes leave out less, where the reduced system amplifies what they leave out."""
+        """Let modes leave out less where they hold a trajectory, but its reduced system is off."""
+        rtol = self.request.rtol
         for trajectory, error in zip(trajectories, errors, strict=True):
             missed = max(self._errors(self._projected(trajectory), trajectory))
-            if error > max(FIELDS.added * missed, FIELDS.reduced * self.request.rtol):
+            held = missed <= max(self.left_out * rtol, error / FIELDS.added)
+            if held and error > FIELDS.reduced * rtol:
                 self.left_out = max(FIELDS.tightened * self.left_out, FIELDS.fewest_left_out)
                 return
 
@@ -344,7 +346,9 @@ class FieldTraining:
 
         And which times (m, T) are behind a terminal event.
         """
-        absolute = rtol * reduced.scales[:, None]
+        assert self.modes is not None
+        counts, sizes = self.modes.counts, np.minimum(self.modes.scales, self.sizes)
+        absolute = rtol * np.repeat(sizes / np.sqrt(counts), counts)[:, None]
         tolerances = Tolerances(max(rtol, 1e-12), absolute, self.fields.longest_step)
         system, horizon = reduced.system, self.fields.horizon
         states = np.full((len(reduced.names), len(points), len(times)), np.nan)
@@ -366,23 +370,25 @@ class FieldTraining:
             ended[k] = ~there & any(system.events[o.event].terminal for o in last)
         return states, ended
 
+    @property
+    def _accurate(self) -> float:
+        """A tolerance of trajectories whose errors do not matter."""
+        return FIELDS.finer * self.integration.tolerance
+
     def error_of(self, reduced: ReducedSystem, trajectory: FieldTrajectory) -> float:
         """The error of the reduced system at the point of a full trajectory."""
-        accurate = FIELDS.finer * self.integration.tolerance
 
         def curve(times: Array) -> Array:
-            states, _ = self.reduced_states(reduced, trajectory.point[None], times, accurate)
+            states, _ = self.reduced_states(reduced, trajectory.point[None], times, self._accurate)
             return states[:, 0]
 
         return max(self.errors_along(curve, trajectory))
 
-    def distances(
-        self, reduced: ReducedSystem, curves: CoefficientCurves, points: Array, rtol: float
-    ) -> Array:
+    def distances(self, reduced: ReducedSystem, curves: CoefficientCurves, points: Array) -> Array:
         """How far fields of curves are from those of the reduced system at points (m, d): (m,)."""
         assert self.modes is not None
         times = self.telling_times(FIELDS.residual_times)
-        states, _ = self.reduced_states(reduced, points, times, rtol)
+        states, _ = self.reduced_states(reduced, points, times, self._accurate)
         worst = np.zeros(len(points))
         for k, point in enumerate(points):
             difference = np.nan_to_num(curves.at(point)(times) - states[:, k])
@@ -416,11 +422,11 @@ class FieldTraining:
         errors = []
         chosen = np.zeros(trajectory.times.size, dtype=bool)
         chosen[counted] = True
-        firsts = range(0, chosen.size, FIELDS.times_at_once)
         for k, exact in enumerate(trajectory.states):
             own, worst = coefficients[self.modes.coefficients_of(k)], 0.0
-            for first in firsts:  # nobody holds all entries at all times
-                some = slice(first, first + FIELDS.times_at_once)
+            step = max(AT_ONCE // len(self.modes.modes[k]), 1)
+            for first in range(0, chosen.size, step):  # nobody holds all entries at all times
+                some = slice(first, first + step)
                 before, count = int(chosen[:first].sum()), int(chosen[some].sum())
                 ours = self.modes.modes[k] @ own[:, before : before + count]
                 gap = np.abs(ours - exact.at(some)[:, chosen[some]])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.support.arrays import LEAST, TINY, Array
+from rankone.support.arrays import COARSE, LEAST, TINY, Array
 from rankone.support.budget import Counted, LimitsElsewhere, charge
 from rankone.support.tasks import Pool, Shared
 from rankone.trajectories.fields.field_crossings import Occurred
@@ -68,12 +68,14 @@ class FieldTrajectory:
 
 
 def field_sizes(system: FieldSystem, points: Array) -> Array:
-    """About how large each unknown becomes at points (m, d): (unknowns,).
+    """About how large each unknown becomes at the first of points (m, d): (unknowns,).
 
-    One for what stays zero.
+    Or at others of them, where it is next to nothing there; one for what stays zero.
     """
-    sizes = np.max([_sizes_at(system, point) for point in points], axis=0)
-    return np.where(sizes > LEAST, sizes, 1.0)
+    sizes = np.array([_sizes_at(system, point) for point in points])
+    largest = sizes.max(axis=0)
+    chosen = np.where(sizes[0] > COARSE * largest, sizes[0], largest)
+    return np.where(chosen > LEAST, chosen, 1.0)
 
 
 def _sizes_at(system: FieldSystem, point: Array) -> Array:
